@@ -483,7 +483,7 @@ def _circular_mode(angle: Floats) -> float:
 
 LEAST_AGREEMENT = 1.0 / 3.0
 """Share of the blobs, and of the samples, that must agree with an orbit: a quarter of random blobs agrees with one."""
-_NO_DISC = "no disc at the centre: the centre is taken from the markers' orbit"
+_NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 
 def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
@@ -499,8 +499,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
     if disc is None and orbit is None:
         raise TrackingError(
-            f"no markers found in {where}: nothing in the profile's colours turns about a centre",
-            "check the profile's colours (--profile); where nothing turns, a disc must mark the centre",
+            f"No markers found in {where}: nothing in the colours of the profile turns about a centre.",
+            "Check the colours of the profile (--profile). If nothing turns, mark the centre with a disc.",
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
@@ -508,8 +508,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
         raise TrackingError(
-            f"no markers found in {where}: none of {names} is seen about the centre",
-            "check the profile's colours (--profile)",
+            f"No markers found in {where}: none of {names} is visible about the centre.",
+            "Check the colours of the profile (--profile).",
         )
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     sought = profile.centre == "circle" and profile.hub is None

@@ -104,8 +104,8 @@ def track_body(
     usable = fresh_frames(film)
     if len(usable) < 12:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; 12 are needed to track a motion",
-            "give a longer film",
+            f"{film.path.name} has only {len(usable)} different frames; at least 12 are required to track a motion.",
+            "Give a longer film.",
         )
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))]
     sample = film.some(chosen)
@@ -149,7 +149,8 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
     share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
-        f"features of the background compensate it. The uncertainty contains {1e3 * share:.2g} mrad for this."
+        f"features of the background are used to compensate this. "
+        f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
     return replace(found, sigma=np.hypot(found.sigma, share), warnings=(*found.warnings, text))
 
@@ -165,12 +166,14 @@ def _track(
     """Track the body in a film whose camera stands still; `margin` [px] is left out at every edge."""
     motion = Motion.of(sample, margin)
     if motion.moving.mean() < 2e-4:
-        raise NothingMovesError(f"nothing moves in {film.path.name}", "check that it is the right film")
+        raise NothingMovesError(f"Nothing moves in {film.path.name}.", "Check that it is the right film.")
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None:
         if not all(math.isfinite(v) for v in hub):
-            raise UsageError("The hub is not a place.", "Give it as --hub X,Y in px.")
+            raise UsageError(
+                "The coordinates of the hub are not finite numbers.", "Give the hub as --hub X,Y in px."
+            )
         proposals = [Proposal(hub, "given")]
     elif (loose := track_by_features(film, usable, motion, progress)) is not None:
         return loose
@@ -180,8 +183,8 @@ def _track(
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
         raise TrackingError(
-            f"no body that turns about a hub is found in {film.path.name}",
-            "give the centre of rotation with --hub X,Y",
+            f"No body that turns about a hub is found in {film.path.name}.",
+            "Give the centre of rotation with --hub X,Y.",
         )
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
@@ -192,15 +195,15 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         raise TrackingError(
-            f"no body that turns about a hub is found in {film.path.name}: the best reading explains "
-            f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * needed:.0f} % are needed",
-            "give the centre of rotation with --hub X,Y",
+            f"No body that turns about a hub is found in {film.path.name}: the best candidate explains "
+            f"{100 * max(best.score, 0):.0f} % of the change of brightness; {100 * needed:.0f} % are required.",
+            "Give the centre of rotation with --hub X,Y.",
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
         raise TrackingError(
-            f"two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px",
-            "give the centre of the one to track with --hub X,Y",
+            f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
+            "Give the centre of the body to track with --hub X,Y.",
         )
     return _measure(film, usable, first, best, motion, progress)
 
@@ -418,9 +421,9 @@ def _measure(
     share, _ = _score(polars, angle, allowed, coarse, separate=best.separate)
     if share < _EXPLAINED:
         raise TrackingError(
-            f"the body in {film.path.name} is followed through a part of the film only: its turning explains "
-            f"{100 * max(share, 0):.0f} % of the change of brightness, {100 * _EXPLAINED:.0f} % are needed",
-            "cut the film to the motion, or give the centre of rotation with --hub X,Y",
+            f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
+            f"{100 * max(share, 0):.0f} % of the change of brightness; {100 * _EXPLAINED:.0f} % are required.",
+            "Cut the film to the motion, or give the centre of rotation with --hub X,Y.",
         )
     best = replace(best, score=share)
     ring = replace(
@@ -522,17 +525,17 @@ def _finish(
     warnings = list(film.warnings)
     repeated = len(film) - len(usable)
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
     lost = int((~kept).sum())
     if lost:
         warnings.append(
-            f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+            f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
     if correlated > float(np.median(scale * inflated[kept])):
         warnings.append(
-            f"The inner and the outer half of the ring differ as about a hub that is displaced: the uncertainty "
-            f"contains {1e3 * correlated:.2g} mrad for this."
+            f"The angles from the inner and the outer half of the ring differ as if the hub were displaced; "
+            f"the uncertainty contains {1e3 * correlated:.2g} mrad for this."
         )
     return Tracked(
         frame=usable[kept],

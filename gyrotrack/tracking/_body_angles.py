@@ -372,7 +372,7 @@ def _join_even(
         if changed:
             bodies[name] = replace(body, angle=angle)
             warnings.append(
-                f"the {name} turns by more than half a turn between frames; its sense is taken as known"
+                f"The {name} turns by more than half a turn between frames; its sense of rotation is assumed."
             )
     for name, body in bodies.items():
         bodies[name] = _zeroed(body, profile, sense)
@@ -420,7 +420,7 @@ def _followed(
         if _credible(found):
             bodies[name] = found
         else:
-            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+            warnings.append(f"The markers of the {name} cannot be tracked; it is omitted.")
     if len(bodies) == 2 and seen.disc is not None:
         flattening["casing"] = separate_perspective(centre, views, flattening, bodies["rotor"])
         candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])

@@ -192,7 +192,8 @@ def extract(
     """
     if body not in BODIES:
         raise UsageError(
-            f"a body is casing, rotor or both, not {body}", "leave it out to keep all that is seen"
+            f"Unknown body {body!r}; use casing, rotor or both.",
+            "Omit the body to track all that are visible.",
         )
     video = Path(video)
     info = probe(video)
@@ -204,7 +205,8 @@ def extract(
     release_memory()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
-            f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
+            f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
+            "Copy the film from the camera again.",
         )
     found = judge_repeats(seen, scene)
     when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
@@ -292,8 +294,8 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
     for name, track in bodies.items():
         if len(track.time) < LEAST_KEPT * count:
             found.append(
-                f"the {name} has an angle in {len(track.time)} of {count} frames "
-                f"({len(track.time) / max(count, 1):.0%}); look at an overlay of the film (--overlay)."
+                f"The {name} has an angle in {len(track.time)} of {count} frames "
+                f"({len(track.time) / max(count, 1):.0%}). Inspect an overlay of the film (--overlay)."
             )
         step = np.diff(track.time)
         period = float(np.median(step)) if len(step) else np.inf
@@ -307,14 +309,15 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
         hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
         if hidden:
             found.append(
-                f"{len(hidden)} gaps of the {name} may hide a turn, the first of {step[hidden[0]]:.3g} s at "
-                f"{track.time[hidden[0]]:.3f} s: the rates before and after it differ by more than half a turn in it."
+                f"The number of turns of the {name} is not determined in gaps: {len(hidden)}, the first of "
+                f"{step[hidden[0]]:.3g} s at {track.time[hidden[0]]:.3f} s. The angular rates before and after the gap "
+                "predict angles that differ by more than half a turn."
             )
         absent = [m for m in scene.missing if scene.body_of.get(m) == name]
         if absent:
             found.append(
-                f"no {' and no '.join(absent)} marker is found on the {name}; "
-                "check the film and the profile (--profile)."
+                f"No {' and no '.join(absent)} marker is found on the {name}. "
+                "Check the film and the profile (--profile)."
             )
     return tuple(found)
 
@@ -334,7 +337,7 @@ def run_facts(video: Path, profile: Profile, body: str | None, times: str = "aut
 def _only_casing(profile: Profile) -> Profile:
     markers = profile.of("casing")
     if not markers:
-        raise UsageError(f"the profile {profile.name} has no marker on the casing", "leave out --body")
+        raise UsageError(f"The profile {profile.name} has no marker on the casing.", "Omit --body.")
     return profile.model_copy(update={"marker": markers})
 
 
@@ -343,13 +346,13 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
     for name in wanted:
         if name not in joint.bodies:
             raise TrackingError(
-                f"the {name} is not seen in {video}",
-                "check the profile's colours (--profile), or leave out --body",
+                f"The {name} is not visible in {video}.",
+                "Check the colours of the profile (--profile), or omit --body.",
             )
     if not joint.bodies:
         raise TrackingError(
-            f"no body can be followed in {video}: its markers do not move evenly about a centre",
-            "check the profile's colours (--profile) and look at the film",
+            f"No body can be tracked in {video}: its markers do not move steadily about a centre.",
+            "Check the colours of the profile (--profile) and inspect the film.",
         )
 
 
@@ -359,8 +362,8 @@ def _stillness(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str,
     if max(turn.values()) >= HARDLY:
         return ()
     most = " and ".join(f"the {name} by {by:.2f} rad" for name, by in turn.items())
-    about = "" if marked else ", and no disc marks their centre"
-    return (f"nothing turns in {video.name}: its angles move little ({most} in all){about}",)
+    about = "" if marked else " No disc marks the centre of rotation."
+    return (f"Nothing turns in {video.name}: the angles hardly change ({most} in total).{about}",)
 
 
 def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
@@ -371,7 +374,7 @@ def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
         m.status[0] == STATUS["lost"] and np.any(m.status[1:6] == STATUS["ok"]) for m in markers.values()
     ]
     return (
-        ("frame 0 does not belong to the motion that follows (a still?) and is left out",)
+        ("Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",)
         if all(first)
         else ()
     )
@@ -520,7 +523,7 @@ class ExtractionJob:
                     )
             except KeyboardInterrupt:
                 if kept := frames_done(journal):
-                    tell(f"{kept} frames are kept; the same command with --resume goes on from there")
+                    tell(f"{kept} frames are stored. Continue with the same command and --resume.")
                 raise
             time_base = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
@@ -530,7 +533,7 @@ class ExtractionJob:
 
 def _resumed(journal: CheckpointFile, taken: int) -> str:
     if taken:
-        return f"{taken} frames of an earlier run are kept"
+        return f"{taken} frames of an earlier run are used."
     if journal.other:
-        return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
-    return "no unfinished run is there; starting from the first frame"
+        return f"{journal.path.name} belongs to another film, profile or version; tracking starts from the first frame."
+    return "There is no unfinished run; tracking starts from the first frame."

@@ -166,19 +166,20 @@ def without_repeats(
     if not found.again.any():
         return times, rate
     count, first = int(found.again.sum()), int(np.argmax(found.again))
-    warning = f"{count} frames repeat the one before them, the first is frame {first}; they are left out"
+    warning = f"{count} frames repeat the previous frame (the first is frame {first}) and are omitted."
     if not found.inserted:
-        warning += ", and fill the places of missing frames: the bodies have moved on after them"
+        warning += " They replace missing frames: the bodies have moved on in the frames that follow."
     elif times.place is not None:
         warning += (
-            "; the bodies have not moved on after them, so that the timestamps are not the camera's, and times are "
-            "wrong (--times frames counts the other frames)"
+            " The bodies have not moved on in the frames that follow, so the timestamps are not those of the camera "
+            "and the times are wrong; count the other frames with --times frames."
         )
     else:
         times = replace(times, number=times.number - np.cumsum(found.again))
         rate, more = _slower(rate, found, info)
         warning += (
-            f", and the others are counted without them: the bodies have not moved on after them; {more}"
+            " The other frames are counted without them: the bodies have not moved on in the frames that "
+            f"follow. {more}"
         )
     return replace(times, again=found.again, warnings=(*times.warnings, warning)), rate
 
@@ -189,8 +190,8 @@ def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[Captu
     of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
     if of_file and np.isfinite(true):
         warning = (
-            f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
+            f"A film of {true:.5g} frames/s was converted to {stored:.5g}; times are from the original rate."
         )
         return CaptureRate(true, "repeated frames"), warning
-    doubt = "; if that is not the camera's rate, give it with --capture-fps" if of_file else ""
-    return rate, f"their rate is taken for {rate.fps:g} frames/s{doubt}"
+    hint = " If that is not the rate of the camera, give it with --capture-fps." if of_file else ""
+    return rate, f"Their rate is assumed to be {rate.fps:g} frames/s.{hint}"

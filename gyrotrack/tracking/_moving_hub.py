@@ -107,12 +107,12 @@ def track_by_features(
         *film.warnings,
         *tracked.warnings,
         (
-            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
-            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
+            f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
         ),
     ]
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
     return replace(
         tracked,
         sigma=np.hypot(tracked.sigma, correlated),
@@ -160,12 +160,12 @@ def track_free_body(
             *tracked.warnings,
             (
                 f"The body moves across the picture by {np.hypot(*np.ptp(path.place, axis=0)):.0f} px; the centroid of "
-                f"its outline is the centre of rotation, seen whole in {len(path.frame)} of {len(film)} frames."
+                f"its outline, complete in {len(path.frame)} of {len(film)} frames, is the centre of rotation."
             ),
         ]
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
-            warnings.append(f"Another body moves, too: --hub {x:.0f},{y:.0f} tracks it.")
+            warnings.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
         return replace(
             tracked,
             sigma=np.hypot(tracked.sigma, correlated),
@@ -174,8 +174,8 @@ def track_free_body(
             warnings=tuple(warnings),
         )
     raise TrackingError(
-        f"no body that turns while it moves across the picture is found in {film.path.name}",
-        "give the centre of rotation, or a point that the body passes, with --hub X,Y",
+        f"No body that turns while it moves across the picture is found in {film.path.name}.",
+        "Give the centre of rotation, or a point that the body passes, with --hub X,Y.",
     )
 
 
@@ -407,7 +407,7 @@ def _along_path(
     # no estimator is better than its bound
     scale = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
     lost = int((~kept).sum())
-    text = f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+    text = f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
     return Tracked(
         frame=frames[kept],
         angle=angle[kept],

@@ -70,11 +70,11 @@ def name_bodies(
     notes = []
     if len(groups) > 2:
         colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
-        notes.append(f"more than two bodies seem to turn; left out: {colours}")
+        notes.append(f"More than two bodies seem to turn; these markers are omitted: {colours}.")
     if resting is not None:
         colour = resting.members[0].colour
         notes.append(
-            f"the {colour} marker stands still; it is taken for the casing's, as it has the colour of the disc"
+            f"The {colour} marker is at rest and has the colour of the disc; it is assigned to the casing."
         )
         return {"casing": resting, "rotor": groups[0]}, notes
     if len(groups) == 1:
@@ -83,7 +83,7 @@ def name_bodies(
         casing = alone and circle is not None and nearest_colour(circle.hue) == one.members[0].colour
         name: Body = "casing" if casing else "rotor"
         why = "it has the colour of the disc" if casing else "nothing else turns"
-        notes.append(f"only one body is seen to turn; it is taken for the {name}, as {why}")
+        notes.append(f"Only one body turns; it is assumed to be the {name}, because {why}.")
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
@@ -93,7 +93,7 @@ def name_bodies(
             len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
         ):
             slow, fast = fast, slow
-        notes.append("both bodies turn about equally fast: which one is the rotor is uncertain")
+        notes.append("Both bodies turn about equally fast; which of them is the rotor is uncertain.")
     return {"casing": slow, "rotor": fast}, notes
 
 
@@ -108,8 +108,8 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
             colour = candidate.colour
             if colour in colours:  # the strongest patch of a colour comes first
                 notes.append(
-                    f"another {colour} patch (hue {candidate.hue:.0f} deg) moves with the {body}; one marker of a "
-                    "colour can be tracked on a body, and this one is left out."
+                    f"Another {colour} patch (hue {candidate.hue:.0f} deg) moves with the {body} and is omitted: only "
+                    "one marker of each colour can be tracked on a body."
                 )
                 continue
             colours.add(colour)
@@ -118,8 +118,8 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
                 name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
             if candidate.twin:
                 notes.append(
-                    f"a second {colour} marker is there in addition to that on the {body}; they may be taken for each "
-                    "other: give one another colour"
+                    f"There is a second {colour} marker besides that on the {body}, and the two may be confused. "
+                    "Give one of them another colour."
                 )
             taken.add(name)
             proposed = MarkerProfile(name=name, colour=colour, body=body, hue=round(candidate.hue, 1))
@@ -132,10 +132,10 @@ def left_out(candidate: Candidate) -> str:
     """Say why a colour that moves is no marker of the profile."""
     if candidate.twin:
         return (
-            f"there are two {candidate.colour} markers, which are indistinguishable: give one another colour; "
-            "they are left out"
+            f"There are two {candidate.colour} markers, which are indistinguishable and omitted. "
+            "Give one of them another colour."
         )
-    return f"something {candidate.colour} moves, but not evenly about the centre; it is left out"
+    return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
 _FAINT = 0.3  # share of the least contrast from which a white patch is worth a note
@@ -201,9 +201,9 @@ def propose(
     orbit = find_orbit(samples, moving, hub)
     if orbit is None:
         raise TrackingError(
-            f"no markers found in {video}: nothing coloured turns about "
-            + ("a centre" if hub is None else f"({hub[0]:g}, {hub[1]:g}) px"),
-            "film coloured markers on a turning body; where the film starts at rest, cut the start off",
+            f"No markers found in {video}: nothing coloured turns about "
+            + ("a centre." if hub is None else f"({hub[0]:g}, {hub[1]:g}) px."),
+            "Film coloured markers on a turning body. If the film starts at rest, cut off the start.",
         )
     circle = find_circle(samples, orbit) if hub is None else None
     disc = circle.disc if circle else None
@@ -212,8 +212,8 @@ def propose(
     groups, standing = [g for g in groups if not g.stands], [g for g in groups if g.stands]
     if not groups:
         raise TrackingError(
-            f"no markers found in {video}: what is coloured there does not turn evenly about a centre",
-            "a profile can be written by hand; see --profile of `gyrotrack extract`",
+            f"No markers found in {video}: no coloured patch turns steadily about a centre.",
+            "Write a profile by hand; see --profile of `gyrotrack extract`.",
         )
     named, notes = name_bodies(groups, resting_casing(standing, groups, circle), circle)
     notes += [left_out(c) for c in uneven]
@@ -223,9 +223,9 @@ def propose(
         markers.append(white)
     elif white is not None:
         notes.append(
-            f"something faint and white turns with the rotor at a radius of {white.radius:.0f} px, "
-            f"{white.contrast[0]:.1f} grey levels above its ground; {LEAST_CONTRAST:g} are needed and it is left out: "
-            "light it better, or shield it from glare, which sets the exposure"
+            f"A faint white patch turns with the rotor at a radius of {white.radius:.0f} px and is omitted: its "
+            f"contrast is {white.contrast[0]:.1f} grey levels, {LEAST_CONTRAST:g} are required. Improve the "
+            "illumination of the marker, or avoid glare, which shortens the exposure."
         )
     profile = Profile(
         name=video.stem,
@@ -282,20 +282,22 @@ def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], not
     try:
         scene: Scene = acquire(take_samples(video), profile, str(video))
     except TrackingError as error:
-        notes.append(f"with this profile extract fails: {error.message}")
+        notes.append(f"`gyrotrack extract` fails with this profile. {error.message}")
         return False
     again = {marker.name: marker for marker in scene.markers}
     sound = True
     for proposed in markers:
         marker = again.get(proposed.profile.name)
         if marker is None:
-            notes.append(f"extract does not find the {proposed.profile.name} marker again with this profile")
+            notes.append(
+                f"`gyrotrack extract` does not find the {proposed.profile.name} marker with this profile."
+            )
         elif (
             abs(marker.radius - proposed.marker.radius)
             > 0.5 * (proposed.marker.outer - proposed.marker.inner) + 2.0
         ):
             notes.append(
-                f"extract finds the {proposed.profile.name} marker at another radius with this profile"
+                f"`gyrotrack extract` finds the {proposed.profile.name} marker at another radius with this profile."
             )
         else:
             continue

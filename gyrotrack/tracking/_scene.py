@@ -195,11 +195,11 @@ def take_samples(path: Path) -> Samples:
             if len(head) == HEAD:
                 break
     if not head:
-        raise VideoError(f"no frame of {path} can be decoded", "copy it from the camera again")
+        raise VideoError(f"No frame of {path} can be decoded.", "Copy the film from the camera again.")
     if len(head) < FEWEST:
         raise VideoError(
-            f"{path} holds only {len(head)} frames; at least {FEWEST} are needed to find a motion in them",
-            "give a longer film",
+            f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion.",
+            "Give a longer film.",
         )
     later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *later), len(head))

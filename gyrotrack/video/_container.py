@@ -165,7 +165,7 @@ class ClipInfo:
 
 @contextlib.contextmanager
 def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
-    """Open a film and give (container, video stream); raise `VideoError` in one sentence otherwise."""
+    """Open a film and give (container, video stream); raise `VideoError` if it cannot be read."""
     _check_file(path)
     try:
         container = av.open(
@@ -173,16 +173,17 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         )
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise VideoError(
-            f"{path} is not a film that can be read ({_reason(error)})",
-            "give an MP4, MOV, MKV, WebM or AVI file; a copy that was cut off while writing has no index",
+            f"{path} is not a film that can be read ({_reason(error)}).",
+            "Give an MP4, MOV, MKV, WebM or AVI file. A truncated copy has no index; copy it again.",
         ) from error
     with container:
         if not container.streams.video:
-            raise VideoError(f"{path} holds no video, only other streams", "give the film itself")
+            raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
         stream = container.streams.video[0]
         if stream.codec_context is None:
             raise VideoError(
-                f"{path} is packed in a way that no decoder knows", "copy it again, or convert it to H.264"
+                f"There is no decoder for the codec of {path}.",
+                "Copy the film again, or convert it to H.264.",
             )
         _check_size(path, stream)
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
@@ -233,29 +234,29 @@ def file_sha256(path: Path) -> str:
 
 def _check_file(path: Path) -> None:
     if not path.exists():
-        raise VideoError(f"there is no file {path}", "check the path")
+        raise VideoError(f"There is no file {path}.", "Check the path.")
     if not path.is_file():
-        raise VideoError(f"{path} is not a regular file", "give one film file")
+        raise VideoError(f"{path} is not a regular file.", "Give one film file.")
     try:
         size = path.stat().st_size
         with path.open("rb"):
             pass
     except OSError as error:
-        raise VideoError(f"{path} cannot be opened: {error.strerror}", "check its permissions") from error
+        raise VideoError(f"{path} cannot be opened: {error.strerror}.", "Check its permissions.") from error
     if size == 0:
-        raise VideoError(f"{path} is empty (0 bytes)", "copy it from the camera again")
+        raise VideoError(f"{path} is empty (0 bytes).", "Copy the film from the camera again.")
 
 
 def _check_size(path: Path, stream: Any) -> None:
     width, height = int(stream.codec_context.width), int(stream.codec_context.height)
     if width * height > MAX_PIXELS:
         raise VideoError(
-            f"{path} declares frames of {width}x{height} px, too large to decode", "scale it down"
+            f"{path} declares frames of {width}x{height} px, too large to decode.", "Scale the film down."
         )
     if min(width, height) < MIN_SIDE:
         raise VideoError(
-            f"{path} has frames of {width}x{height} px, too small to hold markers",
-            f"give a film with at least {MIN_SIDE} px on each side",
+            f"{path} has frames of {width}x{height} px, too small to show markers.",
+            f"Give a film with at least {MIN_SIDE} px on each side.",
         )
 
 

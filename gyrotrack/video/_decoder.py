@@ -250,21 +250,21 @@ def film_warnings(
     found = []
     if info.frames_declared > len(seconds):
         found.append(
-            f"the file declares {info.frames_declared} frames and {len(seconds)} could be decoded: "
-            "it is cut off, damaged or edited; what was decoded is used"
+            f"The file declares {info.frames_declared} frames and {len(seconds)} could be decoded: "
+            "it is truncated, damaged or edited. The decoded frames are used."
         )
     known = seconds[np.isfinite(seconds)]
     period = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     ends = float(known.max()) + period if len(known) else 0.0
     if info.duration_declared > ends + max(0.5 * period, _STAMP_S):
         found.append(
-            f"the file declares {info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
-            "it is cut off, damaged or edited; what was decoded is used"
+            f"The file declares {info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
+            "it is truncated, damaged or edited. The decoded frames are used."
         )
     if bad_packets:
-        found.append(f"{bad_packets} damaged packets were skipped")
+        found.append(f"{bad_packets} damaged packets were skipped.")
     if corrupt:
-        found.append(f"{corrupt} frames are marked as damaged by the decoder")
+        found.append(f"The decoder marks {corrupt} frames as damaged.")
     return (*found, *stamp_warnings(seconds))
 
 

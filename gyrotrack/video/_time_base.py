@@ -43,13 +43,13 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
-                raise VideoError(f"a capture rate of {fps:g} fps is not possible", "give a positive number")
+                raise VideoError(f"A capture rate of {fps:g} fps is not possible.", "Give a positive number.")
             return CaptureRate(float(fps), source, _differences(info, float(fps), source))
     if not np.isfinite(info.container_fps) or info.container_fps < SLOWEST_PLAIN_RATE:
-        rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "no rate"
+        rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "an unknown rate"
         raise VideoError(
-            f"{info.path} is stored at {rate} and does not state at what rate it was captured",
-            "give the camera's rate with --capture-fps",
+            f"{info.path} is stored at {rate} and does not state at what rate it was captured.",
+            "Give the rate of the camera with --capture-fps.",
         )
     return CaptureRate(info.container_fps, "container")
 
@@ -58,11 +58,11 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     found = []
     if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > 1.0e-3:
         found.append(
-            f"the container plays at {info.container_fps:g} fps; "
-            f"times are from the capture rate of {fps:g} fps ({source})"
+            f"The container plays at {info.container_fps:g} fps; "
+            f"times are from the capture rate of {fps:g} fps ({source})."
         )
     if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
-        found.append(f"the camera's own tag states {info.tag_fps:g} fps, not {fps:g}")
+        found.append(f"The tag of the camera states {info.tag_fps:g} fps, not {fps:g} fps.")
     return tuple(found)
 
 
@@ -113,8 +113,8 @@ def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     warnings = (
-        f"timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
-        f"the first after frame {int(gaps[0]) if len(gaps) else 0}; their times are left out"
+        f"The timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
+        f"the first after frame {int(gaps[0]) if len(gaps) else 0}; the times contain these gaps."
     )
     return (warnings,) if len(gaps) else ()
 
@@ -125,10 +125,12 @@ def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
         return ()
     stamps = pts[np.isfinite(pts)]
     if len(stamps) < len(pts):
-        return (f"{len(pts) - len(stamps)} frames have no timestamp; times count decoded frames",)
+        return (
+            f"{len(pts) - len(stamps)} frames have no timestamp; times are counted from the decoded frames.",
+        )
     backwards = int(np.sum(np.diff(stamps) <= 0.0))
-    counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
-    return (f"{backwards} timestamps do not grow{counted}",) if backwards else ()
+    counted = "; times are counted from the decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
+    return (f"{backwards} timestamps do not increase{counted}.",) if backwards else ()
 
 
 Floats = npt.NDArray[np.float64]
@@ -178,7 +180,7 @@ class FrameTimes:
             return self
         warnings = (
             *self.warnings,
-            "the markers move evenly where the stamps jitter; the stamps are smoothed",
+            "The markers move steadily while the stamps jitter; the stamps are smoothed.",
         )
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
@@ -222,7 +224,10 @@ class Timing:
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
-            raise UsageError(f"times are from auto, stamps or frames, not from {self.source}", "leave it out")
+            raise UsageError(
+                f"Unknown source of times {self.source!r}; use auto, stamps or frames.",
+                "Omit it for the default.",
+            )
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
         """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
@@ -236,8 +241,8 @@ class Timing:
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
             raise VideoError(
-                "times from timestamps were requested, but stamps are missing or do not grow",
-                "leave out --times to count frames",
+                "Times from timestamps were requested, but timestamps are missing or do not increase.",
+                "Omit --times to count frames.",
             )
         tick = _real_tick(pts, tick) if grows else tick
         number = frame_numbers(pts, tick)
@@ -253,12 +258,12 @@ class Timing:
         return any(abs(self.fps * float(period) - 1.0) < LIVE for period in (np.median(step), step.mean()))
 
     def _counted(self, pts: Floats) -> str:
-        wrong = "times count decoded frames, and are wrong if the camera's rate varied"
+        wrong = "times are counted from the decoded frames, and are wrong if the rate of the camera varied"
         if self.source == "frames" or self._live(pts):
-            return f"timestamps are spaced unevenly; {wrong}"
+            return f"The timestamps are spaced unevenly; {wrong}."
         return (
-            f"timestamps are spaced unevenly, and {_rate(pts)} in slow motion is a player's rate; {wrong} "
-            "(--times stamps believes the stamps, brought to the capture rate)"
+            f"The timestamps are spaced unevenly at {_rate(pts)}, the playback rate of a film in slow motion; {wrong}. "
+            "To use the stamps, scaled to the capture rate, give --times stamps."
         )
 
     def _stamped(self, number: Integers, pts: Floats, tick: float, *, varied: bool) -> FrameTimes:
@@ -270,7 +275,7 @@ class Timing:
         warnings = [_stamps_used(pts)]
         if not self._live(pts):
             warnings.append(
-                f"the stamps, at {_rate(pts)}, are brought to the capture rate of {self.fps:g} frames/s"
+                f"The stamps, at {_rate(pts)}, are scaled to the capture rate of {self.fps:g} frames/s."
             )
         best, sigma = _without_rounding(number, place, tick * scale)
         if best is not place:
@@ -341,6 +346,6 @@ def _rate(pts: Floats) -> str:
 def _stamps_used(pts: Floats) -> str:
     short, long = 1e3 * np.percentile(np.diff(pts), [1, 99])
     return (
-        f"timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "
-        "times are from the stamps"
+        f"The timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as for a camera whose rate varied; "
+        "times are from the stamps."
     )
