@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
@@ -147,17 +147,17 @@ class Rings:
         self.strips, self.ring = strips, ring
 
     @cached_property
-    def usual(self) -> Strips:
+    def background(self) -> Strips:
         """Median of the samples at every place, (2, rows, columns)."""
         return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
 
     @cached_property
-    def unusual(self) -> Strips:
+    def foreground(self) -> Strips:
         """Difference of each sample from it."""
-        return np.asarray(self.strips - self.usual[:, None], dtype=np.float32)
+        return np.asarray(self.strips - self.background[:, None], dtype=np.float32)
 
     @cached_property
-    def uneven(self) -> Strips:
+    def ring_difference(self) -> Strips:
         """Difference from the median round each ring, where something stands too long over one place."""
         ground = np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
         return np.asarray(self.strips - ground, dtype=np.float32)
@@ -169,14 +169,14 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     The background is the median of the samples at every place; where the marker stood too long over one place,
     the median round each ring instead.
     """
-    seen = _sight(rings.unusual, rings.ring, wanted)
+    seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL:
-        standing = _sight(rings.uneven, rings.ring, wanted)
-        seen = standing if standing is not None else seen
+        by_ring = _locate(rings.ring_difference, rings.ring, wanted)
+        seen = by_ring if by_ring is not None else seen
     return seen
 
 
-def _sight(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
+def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     direction = chroma_direction(wanted.colour, wanted.hue)
     score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
@@ -411,7 +411,7 @@ def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float
 
 def _radii(rings: Rings, seen: SampledMarker) -> Floats:
     """Return the radius of the middle of a marker in each sample [px]; NaN where no edge shows on either side."""
-    difference = rings.uneven if seen.marker.dwell > LONGEST_DWELL else rings.unusual
+    difference = rings.ring_difference if seen.marker.dwell > LONGEST_DWELL else rings.foreground
     u, v = seen.marker.contrast
     score = (u * difference[0] + v * difference[1]) / (u * u + v * v)
     step, ring = rings.ring.step, rings.ring
@@ -631,7 +631,7 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
         if known.sum() < 20:
             continue
         scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
-        for part in stretches(count):
+        for part in row_blocks(count):
             weight = known[part] / scatter**2
             angle = np.where(known[part], wanted.direction[part], 0.0)
             x, y = np.cos(angle), -np.sin(angle)
@@ -641,7 +641,7 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     for row in (*normal, *right):
         row[:] = _windowed(row)
     better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
-    for part in stretches(count):
+    for part in row_blocks(count):
         (a, b, c), (u, v) = normal[:, part], right[:, part]
         a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
         determinant = a * c - b * b

@@ -244,15 +244,15 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
             rough = follow(
                 polars, weight.astype(np.float32), mean if static else np.zeros_like(mean), ring, band=band
             )
-            if np.ptp(rough.angle) < 2e-3:
+            if np.ptp(rough) < 2e-3:
                 continue
-            separate = bool(np.ptp(rough.angle) > _STATIC_SPAN)
-            score, _ = _score(polars, rough.angle, allowed, ring, separate=separate)
+            separate = bool(np.ptp(rough) > _STATIC_SPAN)
+            score, _ = _score(polars, rough, allowed, ring, separate=separate)
             if not separate:
-                other, _ = _score(polars, rough.angle, allowed, ring, separate=True)
+                other, _ = _score(polars, rough, allowed, ring, separate=True)
                 separate = other > score + _CLEARLY_BETTER
                 score = other if separate else score
-            found.append(_Trial(ring, proposal.way, band, static, rough.angle, score, separate))
+            found.append(_Trial(ring, proposal.way, band, static, rough, score, separate))
     return found
 
 
@@ -409,9 +409,9 @@ def _measure(
         weight = (coarse.area * allowed * (1.0 if static else moving)).astype(np.float32)
         fixed = mean if static else np.zeros_like(mean)
         found = np.zeros(len(polars))
-        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band).angle
+        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band)
         if first:
-            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band).angle
+            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band)
         score, _ = _score(polars, found, allowed, coarse, separate=best.separate)
         if score > share:
             angle, share = found, score

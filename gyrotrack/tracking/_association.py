@@ -48,12 +48,12 @@ class Prediction:
         self._solution: Floats = np.zeros(7)
         self._inverse: Floats = np.eye(7)
 
-    def note(self, frame: Floats, angle: Floats, seen: Mask) -> None:
+    def add(self, frame: Floats, angle: Floats, seen: Mask) -> None:
         """Add the unwrapped angles of frames in which the body was seen."""
         self._frame = np.concatenate([self._frame, frame[seen]])[-MEMORY:]
         self._angle = np.concatenate([self._angle, angle[seen]])[-MEMORY:]
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Start anew, after a loss."""
         self._frame, self._angle, self._origin = self._frame[:0], self._angle[:0], None
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import set_down
+from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import TimeBase, jitter_is_real
 from gyrotrack.tracking._acquisition import Radii, refine_centre
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
@@ -63,7 +63,7 @@ class BodyView:
         away = self.observations[name].position(self.whole[name])
         away -= centre
         away[:, 1] *= -1.0
-        set_down()
+        release_pages()
         return away
 
     def flattening(self, centre: Floats) -> Flattening:
@@ -142,9 +142,9 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     if not known:
         return flat
     body_view, reference = views[known[0]], flat[known[0]]
-    p, q = _beyond(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
+    p, q = _shrunk(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
     reference = replace(reference, p=float(p), q=float(q))
-    shift = _beyond(
+    shift = _shrunk(
         reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
     )
     found = {}
@@ -177,7 +177,7 @@ def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
-def _beyond(found: Floats, error: float) -> Floats:
+def _shrunk(found: Floats, error: float) -> Floats:
     """Return what is left of a vector, (2,), when as much of its square as errors would make is taken off."""
     return np.asarray(found * max(1.0 - 2.0 * error**2 / float(found @ found + 1e-12), 0.0))
 
@@ -201,7 +201,7 @@ def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floa
     if not off:
         return np.zeros(2)
     error = usual_error_by_place(body_view, len(off))
-    return _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
+    return _shrunk(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
 
 
 def separate_perspective(
@@ -230,12 +230,12 @@ def separate_perspective(
     if off:
         error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
     offset = along * float(along @ offset)
-    axis = _beyond(reference.shift(body_view.coloured) + offset, error)
+    axis = _shrunk(reference.shift(body_view.coloured) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
     size = _height_error(reference, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
-    if own.doubt:
+    if own.offset_covariance:
         tilted = replace(reference, p=own.p, q=own.q)
         arc = views["casing"].flattening_of_arc(centre.centre, tilted, expected + perspective, size)
         return arc.moved(-perspective)
@@ -247,7 +247,7 @@ def separate_perspective(
     means = [one + sure * (measured - one) for one in expected]
     evidence = [-0.5 * float(np.sum((measured - one) ** 2)) / (size**2 + noise) for one in expected]
     mean, covariance = mixture(means, [(1.0 - sure) * size**2 * np.eye(2)] * 2, evidence)
-    return replace(own.moved(np.array(mean) - shift), doubt=dict.fromkeys(own.offset, covariance))
+    return replace(own.moved(np.array(mean) - shift), offset_covariance=dict.fromkeys(own.offset, covariance))
 
 
 PERSPECTIVE = 0.05
@@ -256,7 +256,7 @@ PERSPECTIVE = 0.05
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
     """Return how far in px doubt about its slant leaves a body's markers uncertain along their orbit, (n,)."""
-    own = [np.nan_to_num(flat.pull(name, c.angle)) for name, c in candidates.items()]
+    own = [np.nan_to_num(flat.tangential_sigma(name, c.angle)) for name, c in candidates.items()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
 

@@ -23,13 +23,13 @@ from gyrotrack.video._container import Frame
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-SEEN = 0.4
+LEAST_SCORE = 0.4
 """Share of one marker's height that the score of a direction must reach."""
 MARGIN = 0.05
 """Largest distance in rad of a marker from its prediction."""
 CHECK_EVERY = 2
 """Of so many frames one is looked at to see whether the body is where it was predicted."""
-SURE = 3.0
+COVERAGE_FACTOR = 3.0
 """Standard deviations of a prediction that must fit into the margin."""
 
 
@@ -80,10 +80,10 @@ class BodyTracker:
         self._fresh = True
         self._cover = Occlusion(self._step, offset)
 
-    def aim(self, centre: tuple[float, float]) -> None:
+    def centre_on(self, centre: tuple[float, float]) -> None:
         """Put all rings about a centre."""
         for tracker in self.markers.values():
-            tracker.strip.aim(centre)
+            tracker.strip.centre_on(centre)
 
     @property
     def maps(self) -> list[AngleMap]:
@@ -103,8 +103,8 @@ class BodyTracker:
             self._cut(frames, place, coarse)
             found = self._refined(coarse, slice(place, place + len(frames)))
             if np.isnan(coarse).any():
-                self._prediction.forget()
-            self._prediction.note(number, *found)
+                self._prediction.reset()
+            self._prediction.add(number, *found)
         else:
             self._missed = int(np.argmax(found[1][::-1]))
         self._frame = float(number[-1])
@@ -114,14 +114,14 @@ class BodyTracker:
     def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
         """Look where the body should be; None if that is not sure, or if it is not there."""
         prediction = self._prediction.at(number)
-        if prediction is None or SURE * prediction[1] > MARGIN:
+        if prediction is None or COVERAGE_FACTOR * prediction[1] > MARGIN:
             return None
         self._cut(frames, place, prediction[0])
         few = slice(0, len(frames), CHECK_EVERY)
         angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), CHECK_EVERY))
         if seen.mean() <= 0.5:
             return None
-        self._prediction.note(number[few], angle, seen)
+        self._prediction.add(number[few], angle, seen)
         off = float(np.median((angle - prediction[0][few])[seen]))
         return prediction[0] + off, np.repeat(seen, CHECK_EVERY)[: len(frames)]
 
@@ -146,13 +146,15 @@ class BodyTracker:
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
-            off, height = strip.default_for(expected + strip.marker.mount, place)
-            own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
+            off, height = strip.locate(expected + strip.marker.mount, place)
+            own = np.where(height > LEAST_SCORE, np.minimum(height, 1.2) ** 8, 0.0)
             total, weight = total + own * off, weight + own
         seen = (weight > 1e-6) & np.isfinite(coarse)
         return np.where(seen, coarse + total / weight * self._step, coarse), seen
 
-    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, MarkerObservations]]:
+    def measure_batch(
+        self, count: int, casing: Floats | None
+    ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure the markers in the first `count` frames of the batch.
 
         Parameters
@@ -169,12 +171,12 @@ class BodyTracker:
         """
         coarse = self._coarse[:count].copy()
         windows = {
-            name: tracker.look(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
+            name: tracker.window(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
         }
         if casing is not None:
-            for name, look in windows.items():
+            for name, window in windows.items():
                 if not self.markers[name].strip.white:
-                    self._cover.learn(look, self.markers[name].expected(look), casing)
+                    self._cover.learn(window, self.markers[name].expected(window), casing)
         if self._fresh:  # the first batch is measured twice: once to learn from, once to give
             self._fresh = False
             self._measured(windows, casing)
@@ -211,7 +213,7 @@ class BodyTracker:
                 begin = self._lock(score, begin, advance, coarse)
                 if begin == count:
                     break
-            angle, _, motion = follow(score[begin:], self._motion_now(), SEEN, advance[begin:])
+            angle, _, motion = follow(score[begin:], self._motion_now(), LEAST_SCORE, advance[begin:])
             self._motion = motion
             coarse[begin:] = angle
             lost = np.flatnonzero(np.isnan(angle))
@@ -228,7 +230,7 @@ class BodyTracker:
         """
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
-        lock = find_lock(score[begin:], SEEN, old.step if old else 0.0, place)
+        lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
         if lock is None:
             self._motion = old and _run_on(old, float(advance[begin:].sum()))
             return len(score)
@@ -239,7 +241,7 @@ class BodyTracker:
         if frame > begin:
             before = advance[begin:frame][::-1]
             back = Motion(motion.angle - float(before[0]) * motion.step, -motion.step)
-            angle, here, _ = follow(score[begin:frame][::-1], back, SEEN, np.append(before[1:], 0.0))
+            angle, here, _ = follow(score[begin:frame][::-1], back, LEAST_SCORE, np.append(before[1:], 0.0))
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame

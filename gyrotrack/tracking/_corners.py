@@ -27,7 +27,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._polar import Windows
@@ -71,13 +71,13 @@ def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> P
         `angle` is counter-clockwise as seen, wrapped to (-pi, pi].
     """
     found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
-    for part in stretches(len(corner)):
+    for part in row_blocks(len(corner)):
         _, middle, base = _seen_from(corner[part], centre[part])
         found.rho[part], found.delta[part] = np.abs(middle), np.abs(base)
     use = use & np.isfinite(found.rho)
     mean_rho = float(found.rho[use].mean()) if use.any() else np.nan
     mean_delta = float(found.delta[use].mean()) if use.any() else np.nan
-    for part in stretches(len(corner)):
+    for part in row_blocks(len(corner)):
         with np.errstate(invalid="ignore"):
             some = _from_corners(*_seen_from(corner[part], centre[part]), mean_rho, mean_delta)
         for f in fields(PaperAngle):

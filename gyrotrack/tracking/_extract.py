@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, put_away, stretches
+from gyrotrack._column_store import in_file, new_columns, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
@@ -55,13 +55,13 @@ def marker_track(
     found = body.markers[marker.name]
     kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
     own = new_columns(len(found.angle), kinds)
-    for part in stretches(len(found.angle)):
+    for part in row_blocks(len(found.angle)):
         some, angle = seen.at(part), found.angle[part]
         own["status"][part] = status = _status(marker, some, np.isfinite(angle), size)
         own["corner"][part] = np.where((status == STATUS["ok"])[:, None, None], _corners(some), np.nan)
         own["angle_fine"][part] = wrapped(sense * angle)
     measured = paper_angle(own["corner"], centre, own["status"] == STATUS["ok"])
-    for part in stretches(len(found.angle)):
+    for part in row_blocks(len(found.angle)):
         measured.angle[part] = wrapped(sense * measured.angle[part])
     return MarkerTrack(
         name=marker.name,
@@ -119,13 +119,13 @@ def body_track(
     columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
     columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
     columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
-    return BodyTrack(name=name, smoothing_width=WIDTH, **put_away(columns))
+    return BodyTrack(name=name, smoothing_width=WIDTH, **in_file(columns))
 
 
 def _paper_sigma(own: list[Floats]) -> Floats:
     """Return sqrt(sum sigma_m^2) / n over the n markers whose uncertainty is known, (n,); NaN where there is none."""
     out = np.empty(len(own[0]))
-    for part in stretches(len(out)):
+    for part in row_blocks(len(out)):
         sigma = np.stack([one[part] for one in own])
         known = np.isfinite(sigma)
         count = known.sum(axis=0)
@@ -135,7 +135,7 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-HARDLY = 0.5
+LEAST_TURN = 0.5
 """Turn in rad of all bodies up to which a film is taken to show none."""
 
 
@@ -201,7 +201,7 @@ def extract(
     timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _seen(video, profile, threads, workers, progress, timing, journal)
+    scene, seen = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
     if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
         raise VideoError(
@@ -217,7 +217,7 @@ def extract(
     return _recording(info, sha256, rate, scene, seen, joint)
 
 
-def _seen(
+def _observe(
     video: Path,
     profile: Profile,
     threads: int,
@@ -251,11 +251,11 @@ def _recording(
     bodies = {
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
-    still = _stillness(joint, info.path, marked=scene.disc is not None)
+    at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = _doubts(scene, bodies, len(time))
-    warnings = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
+    warnings = (*at_rest, *film, *scene.warnings, *joint.warnings, *_first_frame_warning(markers), *doubts)
     return Recording(
         source=info.path.name,
         source_sha256=sha256,
@@ -279,7 +279,7 @@ def _recording(
     )
 
 
-LEAST_KEPT = 0.8
+LEAST_TRACKED = 0.8
 """Share of the frames that must have an angle for a recording to be trusted without a look at it."""
 _STEPS = 12
 
@@ -292,7 +292,7 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
     """
     found = []
     for name, track in bodies.items():
-        if len(track.time) < LEAST_KEPT * count:
+        if len(track.time) < LEAST_TRACKED * count:
             found.append(
                 f"The {name} has an angle in {len(track.time)} of {count} frames "
                 f"({len(track.time) / max(count, 1):.0%}). Inspect an overlay of the film (--overlay)."
@@ -356,17 +356,17 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
         )
 
 
-def _stillness(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
+def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
     """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
     turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
-    if max(turn.values()) >= HARDLY:
+    if max(turn.values()) >= LEAST_TURN:
         return ()
     most = " and ".join(f"the {name} by {by:.2f} rad" for name, by in turn.items())
     about = "" if marked else " No disc marks the centre of rotation."
     return (f"Nothing turns in {video.name}: the angles hardly change ({most} in total).{about}",)
 
 
-def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
+def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
     """Report a first frame in which nothing is where the motion predicts it: a still before the film, a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()

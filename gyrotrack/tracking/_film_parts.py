@@ -29,7 +29,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking import _film_tracker
@@ -179,11 +179,11 @@ def _measured(work: FilmTracker, film: Film, reader: Reader) -> Iterator[Rows]:
         if work.full:
             work.take()
         if work.filled == _film_tracker.BATCH:
-            yield work.digest()
+            yield work.measure_batch()
     if work.held:
         work.take()
     if work.filled:
-        yield work.digest()
+        yield work.measure_batch()
 
 
 def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], None]) -> list[AngleMap]:
@@ -393,7 +393,7 @@ def track_film(
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
     film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
-    kept = _Kept(workers.parts, packets, journal)
+    kept = _PartResults(workers.parts, packets, journal)
     done = kept.frames
     if progress is not None and done:
         progress(done, total)
@@ -436,7 +436,7 @@ def track_film(
     )
 
 
-class _Kept:
+class _PartResults:
     """Rows of the parts that are done, in memory or in a journal.
 
     Parameters
@@ -530,7 +530,7 @@ class _Kept:
             for name, values in rows.items():
                 out[name][place : place + size] = values[own]
             place += size
-            set_down()
+            release_pages()
         return out
 
     def _part(self, index: int) -> tuple[Rows, npt.NDArray[np.int64]]:

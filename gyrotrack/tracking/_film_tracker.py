@@ -119,7 +119,7 @@ class FilmTracker:
         self.steps: list[float] = []
         self.again = np.zeros(BATCH, dtype=np.bool_)
         self.repeats: RepeatDetector | None = None
-        self.owed = 0.0
+        self.pending_step = 0.0
         self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
 
     @property
@@ -144,14 +144,14 @@ class FilmTracker:
         inserted = self.repeats is not None and self.repeats.regular and not stamped
         self.again[self.filled + len(self.held)] = again
         self.held.append(frame)
-        self.steps.append(0.0 if again else step + self.owed)
-        self.owed = self.owed + step if again and not inserted else 0.0
+        self.steps.append(0.0 if again else step + self.pending_step)
+        self.pending_step = self.pending_step + step if again and not inserted else 0.0
 
     def take(self) -> None:
         """Take in the frames that are held."""
         advance = np.array(self.steps)
         if self.filled == 0 and self.disc is not None:
-            self.disc.aim(self.centre, self.held[0])
+            self.disc.centre_on(self.centre, self.held[0])
             if self._new:  # the hub may be elsewhere than in the samples of the scene
                 self.disc.take(self.held, 0)
                 self._move(self.disc.centres(len(self.held)))
@@ -164,14 +164,14 @@ class FilmTracker:
         self.held.clear()
         self.steps.clear()
 
-    def digest(self) -> Rows:
+    def measure_batch(self) -> Rows:
         """Measure the frames taken since the last time; one row a frame of every quantity."""
         rows: Rows = {"again": self.again[: self.filled].copy()}
         if self.repeats is not None:
-            self.repeats.settle()
+            self.repeats.copy_last()
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, markers = body.digest(self.filled, casing)
+            coarse, markers = body.measure_batch(self.filled, casing)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
                 rows |= {
@@ -194,4 +194,4 @@ class FilmTracker:
             self.centre = (float(x), float(y))
             for name, body in self.bodies.items():
                 dx, dy = self._offsets[name]
-                body.aim((self.centre[0] + dx, self.centre[1] + dy))
+                body.centre_on((self.centre[0] + dx, self.centre[1] + dy))

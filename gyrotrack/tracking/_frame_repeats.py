@@ -53,7 +53,7 @@ class Repetition:
     period: float = float("nan")
 
     @property
-    def kept(self) -> float:
+    def original_share(self) -> float:
         """The share of the frames that are the camera's own, where some are repeated regularly."""
         run = float(self.again.sum()) / max(len(_runs(self.again)), 1)
         return 1.0 - run / self.period
@@ -186,7 +186,7 @@ def without_repeats(
 
 def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[CaptureRate, str]:
     """Return the capture rate of a film with inserted frames, and a warning about it."""
-    stored, true = info.container_fps, info.container_fps * found.kept
+    stored, true = info.container_fps, info.container_fps * found.original_share
     of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
     if of_file and np.isfinite(true):
         warning = (

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, stretches
+from gyrotrack._column_store import in_file, row_blocks
 from gyrotrack._smoothing import (
     HALF_WINDOW,
     TimeBase,
@@ -61,7 +61,7 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
     """
     low_low, high_high, both = np.zeros((3, KNOTS))
     right = np.zeros(KNOTS)
-    for some in stretches(len(angle)):
+    for some in row_blocks(len(angle)):
         use = (weight[some] > 0) & np.isfinite(residual[some])
         place = np.mod(angle[some][use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
         low = np.floor(place).astype(np.int64) % KNOTS
@@ -106,16 +106,16 @@ def once_a_turn(curve: Floats) -> complex:
     return complex(first.imag, first.real)
 
 
-MOSTLY = 0.5
+LEAST_TURNING = 0.5
 """Share of the frames in which a body must turn round for its errors by place to be known."""
-ENOUGH = 0.2
+LEAST_FAST = 0.2
 """Share of the frames that must be fast for curves to be learnt from these alone."""
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:
     """Learn each marker's error by its place in the picture (see the module docstring)."""
     fast = state.turning & state.fast
-    geometry_only = fast.sum() > ENOUGH * state.turning.sum()
+    geometry_only = fast.sum() > LEAST_FAST * state.turning.sum()
     when = fast if geometry_only else state.turning
     curves = {}
     for name, c in state.candidates.items():
@@ -126,7 +126,7 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
     else:
         curves = without_common_motion(curves, state.mounts)
     for name, curve in curves.items():
-        for part in stretches(len(state.path)):
+        for part in row_blocks(len(state.path)):
             place = np.nan_to_num(state.candidates[name].angle[part])
             state.by_place[name][part] = curve_at(curve - curve.mean(), place)
 
@@ -143,14 +143,14 @@ def learn_neighbours(
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (state.speed(other - state.path) > FAST)
-    if above and passing.sum() <= ENOUGH * state.turning.sum():
+    if above and passing.sum() <= LEAST_FAST * state.turning.sum():
         return
     for name, c in state.candidates.items():
         difference = np.nan_to_num(c.angle - other)
         near = state.use[name] & np.isfinite(other)
         when = near & (passing if above else state.turning)
         curve = _curve(state, name, difference, state.by_place[name], smooth, when)
-        for part in stretches(len(near)):
+        for part in row_blocks(len(near)):
             shown = near[part] & (above | ~c.open[part])
             state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
         if above:
@@ -171,7 +171,7 @@ def place_error(state: Residuals) -> float:
     nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
     or if the markers come back to the same few places.
     """
-    if state.turning.mean() < MOSTLY:
+    if state.turning.mean() < LEAST_TURNING:
         return float("nan")
     learnt = []
     for name, c in state.candidates.items():
@@ -187,7 +187,7 @@ def _curve(
 ) -> Floats:
     """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
     off, weight = np.empty((2, len(over)))
-    for part in stretches(len(over)):
+    for part in row_blocks(len(over)):
         ahead = state.candidates[name].angle[part] - state.path[part] - state.mounts[name] - known[part]
         off[part] = wrapped(ahead) - smooth[part]
         weight[part] = np.where(use[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
@@ -283,22 +283,22 @@ def join(
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(short)
-        state.judge(short, leverage)
+        state.reject_outliers(short, leverage)
         smooth, _ = state.smooth(half, degree)
-        state.note_turns(short, smooth, half)
+        state.mark_whole_turns(short, smooth, half)
         learn_places(state, smooth)
         if other is not None:
             learn_neighbours(state, smooth, other, (half, degree), above=above)
-    state.judge(*state.smooth(HALF_WINDOW))
+    state.reject_outliers(*state.smooth(HALF_WINDOW))
     return _result(state, half, degree, floor, axis)
 
 
 def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
-    late = state.late()
-    if isinstance(late, np.ndarray):
-        state.set_apart(late)
+    from_time = state.time_sigma()
+    if isinstance(from_time, np.ndarray):
+        state.subtract_time_scatter(from_time)
     residual, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, residual - smooth)
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - float(np.nansum(leverage)))
@@ -310,7 +310,7 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
         Errors that stay alike for some frames look like motion in part: the smooth motion follows them by its leverage
         times their correlation factor.
         """
-        whole = np.hypot(np.hypot(sigma, unlearnt), late)
+        whole = np.hypot(np.hypot(sigma, unlearnt), from_time)
         off = np.where(state.turning, (residual - smooth) / whole, np.nan)
         alike = correlation_factor(np.nan_to_num(off))
         off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))
@@ -319,7 +319,7 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
 
     own = {"angle": state.path + residual, "sigma": calibrated(residual, sigma, 1.0), "count": count}
     del residual, sigma, count
-    body = put_away(own)
+    body = in_file(own)
     markers = {}
     for name, c in state.candidates.items():
         use = state.use[name]
@@ -329,5 +329,5 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
             np.where(use, state.sigma(name), np.nan),
             1.0 / len(state.candidates),
         )
-        markers[name] = MarkerAngles(mount=state.mounts[name], **put_away(own))
+        markers[name] = MarkerAngles(mount=state.mounts[name], **in_file(own))
     return BodyAngles(markers=markers, place_error=place_error(state), axis_off=state.axis_off, **body)

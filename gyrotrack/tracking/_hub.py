@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import stretches
+from gyrotrack._column_store import row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import local_fit
 from gyrotrack.tracking._polar import CHROMA_SHIFT
@@ -50,7 +50,7 @@ class DiscWindow:
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
         self._corner = (0, 0)
 
-    def aim(self, centre: tuple[float, float], frame: Frame) -> None:
+    def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
         """Put the window about a centre (luma px), inside the picture."""
         height, width = frame.u.shape
         side = 2 * self.half + 1
@@ -81,7 +81,7 @@ Complexes = npt.NDArray[np.complex128]
 HOLE = 8
 """Frames over which the errors of a compressed film hang together."""
 _HALVES = (24, 48, 96, 192)
-_STANDS_OUT = 7.0
+_LINE_POWER = 7.0
 _PIECES = 64
 LEAST_SIGMA = 0.05
 """Uncertainty in px that no smoothing beats: encoders hold a disc in place while it creeps."""
@@ -113,7 +113,7 @@ def smooth_path(measured: Floats) -> CentrePath:
     slow = _fitted(z, weight, half)
     path = slow + _lines(np.where(known, z - slow, 0.0))
     left = (z - path)[known]
-    sigma = _left_error(left, half)
+    sigma = _path_sigma(left, half)
     gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
     return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
 
@@ -160,7 +160,7 @@ def _lines(rest: Complexes) -> Complexes:
     out = np.zeros(len(padded), dtype=np.complex128)
     for some, spectra in _spectra(padded, window, starts):
         power = np.abs(spectra) ** 2
-        kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+        kept = spectra * np.where(power > _LINE_POWER * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
         for start, piece in zip(some, np.fft.ifft(kept, axis=1) * window, strict=True):
             out[start : start + size] += piece
     return out[size : size + n]
@@ -181,7 +181,7 @@ def _floor(power: Floats) -> Floats:
     return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
 
 
-def _left_error(left: Complexes, half: int) -> float:
+def _path_sigma(left: Complexes, half: int) -> float:
     """Return what remains of the noise in the smoothed path: its rms, lessened by averaging."""
     rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
     lags = min(48, len(left) // 4)
@@ -192,7 +192,7 @@ def _left_error(left: Complexes, half: int) -> float:
 
 
 _TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
-_NOTHING = 1e-9
+_RIDGE = 1e-9
 
 
 def wandering_centre(
@@ -244,7 +244,7 @@ def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
 def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]]:
     """Yield the frames between each two knots: where they are, the two knots, and the share of the second one."""
     if knots == 1:
-        for part in stretches(n):
+        for part in row_blocks(n):
             yield part, (0, 0), np.zeros(part.stop - part.start)
         return
     begins = np.ceil(np.linspace(0, n - 1, knots)).astype(np.int64)
@@ -272,7 +272,7 @@ def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int)
             kept = rows[keep[part]]
             normal[np.ix_(at, at)] += kept.T @ kept
             right[at] += kept.T @ (away[part] - typical)[keep[part]]
-        normal += _NOTHING * np.eye(
+        normal += _RIDGE * np.eye(
             len(right)
         )  # of all knots that fit as well, those nearest to where they were
         size = np.sqrt(normal.diagonal())

@@ -193,7 +193,7 @@ def edge_hub(motion: Motion) -> tuple[float, float] | None:
 
 def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
     """Return the centre of the circle on which the most striking moving spot goes, or None."""
-    x, y, weight = [], [], []
+    x, y = [], []
     limit = max(6.0 * motion.noise, 0.35 * float(np.quantile(motion.deviation, 0.999)))
     for frame in frames[:: max(1, len(frames) // 200)]:
         away = np.abs(frame - motion.mean)
@@ -204,7 +204,6 @@ def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | 
         if stats[best, cv2.CC_STAT_AREA] >= 6:
             x.append(middle[best][0])
             y.append(middle[best][1])
-            weight.append(1.0)
     return fit_circle(np.array(x), np.array(y))
 
 

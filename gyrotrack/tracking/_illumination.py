@@ -112,7 +112,7 @@ def places_apart(column: Integers, columns: int) -> int:
     return int(gaps[-2]) if len(gaps) > 1 else 0
 
 
-def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:
+def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
     """Return at which angles something that stands still hides the marker, or outshines it."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
@@ -173,32 +173,32 @@ class Occlusion:
         self._step, self._offset = step, offset
         self.map = AngleMap(LAYERS, _COLUMNS)
 
-    def learn(self, look: MarkerWindow, expected: Floats, casing: Floats) -> None:
+    def learn(self, window: MarkerWindow, expected: Floats, casing: Floats) -> None:
         """Add what the windows of a marker show; `expected` is its profile in them (n, m), `casing` (n,) in rad."""
-        known = (look.known & np.isfinite(casing))[:, None]
+        known = (window.known & np.isfinite(casing))[:, None]
         core = np.where(known & (expected > 0.7), expected, 0.0)
-        column = self._relative(look, casing)
-        for layer in range(look.layers.shape[1]):
-            self.map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
+        column = self._relative(window, casing)
+        for layer in range(window.layers.shape[1]):
+            self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
-    def open(self, look: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
+    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
         """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown.
 
         With `shadows`, only those are open that also lie beyond the soft edge of what hides.
         """
-        everything = np.ones(look.raw.shape, dtype=np.bool_)
+        everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
         open_ = open_columns(self.map, shadows=shadows)
-        return np.where(known, open_[self._relative(look, casing)], everything)
+        return np.where(known, open_[self._relative(window, casing)], everything)
 
-    def _relative(self, look: MarkerWindow, casing: Floats) -> Integers:
+    def _relative(self, window: MarkerWindow, casing: Floats) -> Integers:
         """Columns of the map for the samples of the windows."""
-        angle = look.first[:, None] * self._step + np.arange(look.raw.shape[1]) * self._step
+        angle = window.first[:, None] * self._step + np.arange(window.raw.shape[1]) * self._step
         x, y = self._offset
         if x or y:
-            right, up = look.radius * np.cos(angle) + x, look.radius * np.sin(angle) - y
+            right, up = window.radius * np.cos(angle) + x, window.radius * np.sin(angle) - y
             angle = np.arctan2(up, right)
         column = (angle - np.nan_to_num(casing)[:, None]) * _SCALE
         return np.rint(column).astype(np.int64) % _COLUMNS

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._corners import near_corners
-from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, unlit
+from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, shaded_columns
 from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Marker
@@ -171,36 +171,36 @@ class MarkerTracker:
         self._along: Floats | None = None
         self.light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
-    def look(self, coarse: Floats) -> MarkerWindow:
+    def window(self, coarse: Floats) -> MarkerWindow:
         """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
         return MarkerWindow(self.strip, coarse)
 
-    def expected(self, look: MarkerWindow) -> Floats:
+    def expected(self, window: MarkerWindow) -> Floats:
         """Return the profile across that is expected where the marker is expected, (n, m)."""
-        return displaced(self.template(look.raw.shape[1]), look.fraction)
+        return displaced(self.template(window.raw.shape[1]), window.fraction)
 
-    def measure(self, look: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
+    def measure(self, window: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
         A shadow dims a colour with all that is seen of it; next to a white marker it darkens the metal, which pulls
         the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
         """
-        dark = unlit(self.light)
+        dark = shaded_columns(self.light)
         if dark.any():
-            open_ = open_ & (look.here(dark) == 0)
-        whole = (open_ | ~self._matters(look)).all(axis=1) & look.known
+            open_ = open_ & (window.here(dark) == 0)
+        whole = (open_ | ~self._matters(window)).all(axis=1) & window.known
         if clear is not None:
             open_ = open_ & (clear | ~whole[:, None])
-        found = self._matched_across(look, open_, whole)
-        along = self._matched_along(look, found, whole)
-        radius, angle = self._corners(look, found, whole)
+        found = self._matched_across(window, open_, whole)
+        along = self._matched_along(window, found, whole)
+        radius, angle = self._corners(window, found, whole)
         ring = self.strip.ring
-        hide = np.where(look.known, 0.0, np.nan)
+        hide = np.where(window.known, 0.0, np.nan)
         spacing = float(ring.radii[1] - ring.radii[0])
         return MarkerObservations(
-            angle=(look.start + found.shift) * ring.step + hide,
+            angle=(window.start + found.shift) * ring.step + hide,
             radius=self.marker.radius + along.shift * spacing + np.where(whole, 0.0, np.nan),
-            corner_angle=angle + (look.start * ring.step)[:, None],
+            corner_angle=angle + (window.start * ring.step)[:, None],
             corner_radius=radius,
             gain=found.gain + hide,
             misfit=found.misfit + hide,
@@ -209,14 +209,14 @@ class MarkerTracker:
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )
 
-    def _matters(self, look: MarkerWindow) -> Mask:
+    def _matters(self, window: MarkerWindow) -> Mask:
         """Return the samples of the windows in which the marker itself may show, (n, m)."""
         step, half = self.strip.ring.step, self.strip.half
         x = np.abs(np.arange(-half, half + 1)) * step
         reach = 1.15 * self.marker.half_width + 2.0 * step
         if self._across is not None:
             reach = float(x[self._across > 0.12].max(initial=self.marker.half_width)) + step
-        place = np.arange(-half, half + 1)[None, :] - look.fraction[:, None]
+        place = np.arange(-half, half + 1)[None, :] - window.fraction[:, None]
         return np.asarray(np.abs(place) * step <= reach)
 
     def template(self, count: int) -> Floats:
@@ -225,37 +225,40 @@ class MarkerTracker:
             return flat_top(self.marker.half_width / self.strip.ring.step, count)
         return self._across
 
-    def _matched_across(self, look: MarkerWindow, open_: Mask, whole: Mask) -> Match:
+    def _matched_across(self, window: MarkerWindow, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
         ring = self.strip.ring
         reach = max(
-            round(self.marker.half_width / ring.step), places_apart(look.start[look.known], ring.columns) // 2
+            round(self.marker.half_width / ring.step),
+            places_apart(window.start[window.known], ring.columns) // 2,
         )
-        template = self.template(look.profile.shape[1])
-        found = match(look.profile, template, look.fraction, open_)
+        template = self.template(window.profile.shape[1])
+        found = match(window.profile, template, window.fraction, open_)
         for _ in range(rounds):
-            good = _good(found, whole, look.known)
+            good = _good(found, whole, window.known)
             few = _some(good, MOST_SHAPES)
-            better = mean_profile(look.profile, found, few, open_, symmetric=True)
+            better = mean_profile(window.profile, found, few, open_, symmetric=True)
             if better is not None and np.isfinite(better).all():
                 self._across = better if self._across is None or rounds > 1 else 0.5 * (self._across + better)
             if good.any():
-                self._learn_light(look, displaced(template, found.shift), found.offset, open_ & good[:, None])
-                look.apply_light(even_light(self.light, reach))
-            template = self.template(look.profile.shape[1])
-            found = match(look.profile, template, found.shift, open_)
+                self._learn_light(
+                    window, displaced(template, found.shift), found.offset, open_ & good[:, None]
+                )
+                window.apply_light(even_light(self.light, reach))
+            template = self.template(window.profile.shape[1])
+            found = match(window.profile, template, found.shift, open_)
         return found
 
-    def _learn_light(self, look: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
+    def _learn_light(self, window: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
         expected = np.where((expected > 0.4) & use, expected, 0.0)
-        column = look.column(self.strip.ring.columns)
-        self.light.learn(0, column, expected, look.raw - offset[:, None])
+        column = window.column(self.strip.ring.columns)
+        self.light.learn(0, column, expected, window.raw - offset[:, None])
 
-    def _matched_along(self, look: MarkerWindow, found: Match, whole: Mask) -> Match:
-        columns = np.arange(look.window.shape[2]) - self.strip.half
+    def _matched_along(self, window: MarkerWindow, found: Match, whole: Mask) -> Match:
+        columns = np.arange(window.scores.shape[2]) - self.strip.half
         reach = max(0.5 * self.marker.half_width / self.strip.ring.step, 1.0)
         weight = np.clip(reach + 0.5 - np.abs(columns[None, :] - found.shift[:, None]), 0.0, 1.0)
-        profile = look.along(weight / weight.sum(axis=1)[:, None])
+        profile = window.along(weight / weight.sum(axis=1)[:, None])
         nothing, everything = np.zeros(len(profile)), np.ones(profile.shape, dtype=np.bool_)
         if self._along is not None:
             return match(profile, self._along, nothing, everything)
@@ -272,12 +275,12 @@ class MarkerTracker:
             along = match(profile, better, along.shift, everything)
         return along
 
-    def _corners(self, look: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
+    def _corners(self, window: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
         ring = self.strip.ring
         radius, angle = np.full((2, len(whole), 2), np.nan)
         use = whole & (found.gain > 0.1)
         if use.any():
-            shaped = look.shaped(use, found.gain[use], found.offset[use])
+            shaped = window.shaped(use, found.gain[use], found.offset[use])
             angles: Floats = np.arange(-self.strip.half, self.strip.half + 1.0) * ring.step
             r, phi = near_corners(shaped, ring.radii, angles, self.marker.inner, self.marker.outer)
             likely = self._likely(r, phi, found.shift[use] * ring.step)

@@ -97,7 +97,7 @@ class MarkerStrip:
         self.__dict__.update(state)
         self.windows = np.zeros(state["windows"], dtype=np.float32)
 
-    def aim(self, centre: tuple[float, float]) -> None:
+    def centre_on(self, centre: tuple[float, float]) -> None:
         """Put the ring about another centre."""
         self.ring = self.ring.moved(centre)
 
@@ -145,7 +145,7 @@ class MarkerStrip:
         seen = self.grid.turns(frames, self._every_second).mean(axis=1) - self._ground_mean
         return np.asarray(seen[:, : self.ring.columns])
 
-    def default_for(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
+    def locate(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
         """Return by how many columns the marker is displaced from given angles (n,) [rad] in frames of the batch.
 
         It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is
@@ -182,7 +182,7 @@ class MarkerWindow:
         Column in the middle of the window, and by how many columns from it the marker is expected.
     first : ndarray of int, shape (n,)
         First column of the window, within the full turn.
-    window : ndarray, shape (n, rows, m)
+    scores : ndarray, shape (n, rows, m)
         Scores.
     raw, profile : ndarray, shape (n, m)
         Mean over the rows of the marker, as seen and under even light.
@@ -197,14 +197,14 @@ class MarkerWindow:
         self.start = strip.starts[:count].copy()
         self.fraction = np.where(self.known, coarse / strip.ring.step - self.start, 0.0)
         self.first = (self.start - strip.half) % strip.ring.columns
-        self.window = strip.windows[:count]
+        self.scores = strip.windows[:count]
         rows = np.arange(strip.rows.start, strip.rows.stop)
         parts = np.array_split(rows, min(LAYERS, len(rows)))
         self._sizes = np.array([len(part) for part in parts]) / len(rows)
-        mixing = np.zeros((len(parts), self.window.shape[1]))
+        mixing = np.zeros((len(parts), self.scores.shape[1]))
         for line, part in zip(mixing, parts, strict=True):
             line[part] = 1.0 / len(part)
-        self.layers = Windows.plain(self.window).rows(mixing)
+        self.layers = Windows.plain(self.scores).rows(mixing)
         self.raw: Floats = np.einsum("l,nlm->nm", self._sizes, self.layers)
         self.profile = self.raw
         self._light: Floats | None = None
@@ -226,10 +226,10 @@ class MarkerWindow:
     def along(self, weight: Floats) -> Floats:
         """Return the mean over the columns with weights (n, m), of sum 1, under even light: (n, rows)."""
         lit = weight if self._light is None else weight * self._light
-        plain = Windows.plain(self.window)
+        plain = Windows.plain(self.scores)
         return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
 
     def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> Windows:
         """Return the windows of some frames under even light, background at 0 and marker at 1."""
-        light = np.ones((len(gain), self.window.shape[2])) if self._light is None else self._light[use]
-        return Windows(self.window, np.flatnonzero(use), light, offset, 1.0 / gain)
+        light = np.ones((len(gain), self.scores.shape[2])) if self._light is None else self._light[use]
+        return Windows(self.scores, np.flatnonzero(use), light, offset, 1.0 / gain)

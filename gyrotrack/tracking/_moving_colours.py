@@ -108,7 +108,7 @@ def apart(a: float, b: float) -> float:
 
 TRIALS = 1500
 """Triples of points tried for a centre; more than for a known profile, as most colours may be chance."""
-_TWIN = 0.35
+_AMBIGUOUS = 0.35
 """Contrast times share of samples, relative to the first patch, from which a second one of the hue is no accident."""
 _SAME_HUE = 18.0
 _DISC_HUES = range(0, 360, 30)
@@ -181,13 +181,13 @@ class Candidate:
         In degrees.
     sampled : SampledMarker
         How it was seen.
-    twin : bool
+    ambiguous : bool
         Another patch of the same hue is there, so that the two can be taken for each other.
     """
 
     hue: float
     sampled: SampledMarker
-    twin: bool = False
+    ambiguous: bool = False
 
     @property
     def colour(self) -> Hue:
@@ -213,7 +213,7 @@ def find_candidates(
         if one is None:
             continue
         other = _candidate(_without(rings, one.sampled), one.hue)
-        found.append(replace(one, twin=other is not None and _alike(one, other)))
+        found.append(replace(one, ambiguous=other is not None and _alike(one, other)))
     return ring, found
 
 
@@ -228,12 +228,12 @@ def _candidate(rings: Rings, hue: float) -> Candidate | None:
 def _alike(one: Candidate, other: Candidate) -> bool:
     """Tell whether a second patch has the hue of the first, and stands out too often to be an accident."""
     share = other.contrast / one.contrast * float(other.sampled.clear.mean())
-    return share > _TWIN and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
+    return share > _AMBIGUOUS and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
 
 def _without(rings: Rings, seen: SampledMarker) -> Rings:
     """Return the rings with what usually lies there in the place of a marker."""
-    usual = rings.usual
+    usual = rings.background
     if seen.marker.dwell > LONGEST_DWELL:  # the median shows the marker itself
         usual = np.broadcast_to(np.median(usual, axis=2, keepdims=True), usual.shape)
     column = np.arange(rings.ring.columns) * rings.ring.step
@@ -249,7 +249,7 @@ EVEN = 0.6
 """Share of the observations that must be in phase with an even motion."""
 TOGETHER = 0.75
 """Share of the samples in which two markers of one body keep their distance."""
-_STANDS, _MOVED = 2e-3, 0.25
+_REST_STEP, _MOVED = 2e-3, 0.25
 _NEAR = 0.2
 _FEWEST = 8
 
@@ -270,9 +270,9 @@ class Group:
     rotation: SteadyRotation
 
     @property
-    def stands(self) -> bool:
+    def is_at_rest(self) -> bool:
         """Whether it does not turn, in the first frames nor in the course of the film."""
-        if abs(self.rotation.step) > _STANDS:
+        if abs(self.rotation.step) > _REST_STEP:
             return False
         seen = self.members[0].sampled
         turn = np.exp(1j * seen.angle[seen.clear])
@@ -301,8 +301,8 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
     """Put markers that move together into groups, the strongest group first; also return those that move unevenly."""
     groups: list[list[Candidate]] = []
-    paces = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
-    uneven = [c for c in candidates if paces[id(c)].share < EVEN]
+    rotations = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
+    uneven = [c for c in candidates if rotations[id(c)].share < EVEN]
     for one in sorted(candidates, key=lambda c: -c.contrast):
         if any(one is other for other in uneven):
             continue
@@ -311,7 +311,7 @@ def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], l
             groups.append([one])
         else:
             home.append(one)
-    made = [Group(tuple(g), max((paces[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
+    made = [Group(tuple(g), max((rotations[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
     return sorted(made, key=lambda g: -g.weight), uneven
 
 

@@ -330,7 +330,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     best, angle = 0.0, np.zeros(len(polars))
     some = slice(None, None, max(1, len(polars) // 100))
     for band in ("low", "middle", "high"):
-        rough = follow(polars, weight, nothing, ring, band=band).angle
+        rough = follow(polars, weight, nothing, ring, band=band)
         template = learn(polars[some], rough[some], allowed, ring, separate=False, plain=True)
         share, _ = explained(polars, rough, template)
         if share > best:

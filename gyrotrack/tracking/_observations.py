@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, stretches
+from gyrotrack._column_store import in_file, row_blocks
 from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
@@ -50,20 +50,10 @@ class MarkerObservations:
     open: Mask
     centre: Floats
 
-    @staticmethod
-    def joined(parts: list[MarkerObservations]) -> MarkerObservations:
-        """Put batches one after the other."""
-        return MarkerObservations(
-            **{
-                f.name: np.concatenate([getattr(p, f.name) for p in parts])
-                for f in fields(MarkerObservations)
-            }
-        )
-
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
         """Put the frames at the places `index` of `count`; see `spread_out`."""
         return MarkerObservations(
-            **put_away(
+            **in_file(
                 {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
             )
         )
@@ -71,7 +61,7 @@ class MarkerObservations:
     def picked(self, index: npt.NDArray[np.int64]) -> MarkerObservations:
         """Return the frames `index` alone."""
         return MarkerObservations(
-            **put_away({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
+            **in_file({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
         )
 
     def at(self, part: slice) -> MarkerObservations:
@@ -81,7 +71,7 @@ class MarkerObservations:
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return where a part of the marker lies outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
-        for part in stretches(len(found)):
+        for part in row_blocks(len(found)):
             for radius in (inner, outer):
                 for side in (-half_width, half_width):
                     x = self.centre[part, 0] + radius * np.cos(self.angle[part] + side)
@@ -195,7 +185,7 @@ def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float)
         "weak": seen.weakness / _usual(seen, seen.weakness),
         "misfit_excess": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
     }
-    return Candidate(open=seen.open, mount=mount, **put_away(columns))
+    return Candidate(open=seen.open, mount=mount, **in_file(columns))
 
 
 def _usual(seen: MarkerObservations, values: Floats) -> float:

@@ -191,13 +191,13 @@ LEAST_COVER = 5.0
 class Flattening:
     """What a correct_view view does to an orbit: offsets e per marker in px (y up), and (p, q).
 
-    `doubt` holds the covariance of e in px^2, (2, 2), of those markers whose orbit shows it in part only.
+    `offset_covariance` holds the covariance of e in px^2, (2, 2), of those markers whose orbit shows it in part only.
     """
 
     offset: dict[str, tuple[float, float]]
     p: float
     q: float
-    doubt: dict[str, Floats] = field(default_factory=dict, compare=False)
+    offset_covariance: dict[str, Floats] = field(default_factory=dict, compare=False)
 
     @property
     def tilt(self) -> float:
@@ -219,13 +219,13 @@ class Flattening:
         """Return the mean of the offsets of some markers, (2,) in px."""
         return np.asarray(np.mean([self.offset[name] for name in names if name in self.offset], axis=0))
 
-    def pull(self, name: str, angle: Floats) -> Floats:
+    def tangential_sigma(self, name: str, angle: Floats) -> Floats:
         """Return how far in px the doubt about e moves a marker along its orbit, less what all frames share, (n,)."""
-        if name not in self.doubt:
+        if name not in self.offset_covariance:
             return np.zeros(len(angle))
         along = np.stack([-np.sin(angle), np.cos(angle)])
         along -= np.nanmean(along, axis=1, keepdims=True)
-        return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.doubt[name], along)))
+        return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.offset_covariance[name], along)))
 
 
 NO_FLATTENING = Flattening({}, 0.0, 0.0)
@@ -276,22 +276,22 @@ def flattening_of_arc(
 
     Notes
     -----
-    An arc determines e in part; `doubt` is its covariance. Systematic errors, not noise, limit the fit: observations
-    count once for each `CELL`. Where several offsets are expected, mean and covariance are those of the mixture of
-    their posterior distributions.
+    An arc determines e in part; `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit:
+    there is one independent observation per `CELL`. Where several offsets are expected, mean and covariance are those
+    of the mixture of their posterior distributions.
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
     found = Flattening(dict.fromkeys(positions, mean), reference.p, reference.q)
     for name, v in positions.items():
-        found.doubt[name] = covariance
+        found.offset_covariance[name] = covariance
         if len(v) >= LEAST_OBSERVATIONS:
             fits = []
             for one in expected:
                 level = replace(reference, offset={name: (float(one[0]), float(one[1]))}).level(name, v)
                 more, own, evidence = _arc(level, size)
                 fits.append((one + more, own, evidence))
-            found.offset[name], found.doubt[name] = mixture(*map(list, zip(*fits, strict=True)))
+            found.offset[name], found.offset_covariance[name] = mixture(*map(list, zip(*fits, strict=True)))
     return found
 
 

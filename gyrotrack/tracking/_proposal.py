@@ -53,12 +53,12 @@ class ProposedMarker:
         return float(self.clear.mean())
 
 
-def resting_casing(standing: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
+def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
     """Return the marker on a casing that rests all through the film: it has the colour of the disc."""
     if circle is None or len(groups) != 1:
         return None
     colour = nearest_colour(circle.hue)
-    alike = [g for g in standing if g.members[0].colour == colour]
+    alike = [g for g in resting_groups if g.members[0].colour == colour]
     moving = {c.colour for c in groups[0].members}
     return alike[0] if alike and colour not in moving else None
 
@@ -116,7 +116,7 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
             name = colour if colour not in taken else f"{colour}_{body}"
             if name in taken:
                 name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
-            if candidate.twin:
+            if candidate.ambiguous:
                 notes.append(
                     f"There is a second {colour} marker besides that on the {body}, and the two may be confused. "
                     "Give one of them another colour."
@@ -130,7 +130,7 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
 
 def left_out(candidate: Candidate) -> str:
     """Say why a colour that moves is no marker of the profile."""
-    if candidate.twin:
+    if candidate.ambiguous:
         return (
             f"There are two {candidate.colour} markers, which are indistinguishable and omitted. "
             "Give one of them another colour."
@@ -209,13 +209,13 @@ def propose(
     disc = circle.disc if circle else None
     ring, candidates = find_candidates(samples, moving, orbit, disc)
     groups, uneven = group_bodies(candidates, samples.head)
-    groups, standing = [g for g in groups if not g.stands], [g for g in groups if g.stands]
+    groups, resting_groups = [g for g in groups if not g.is_at_rest], [g for g in groups if g.is_at_rest]
     if not groups:
         raise TrackingError(
             f"No markers found in {video}: no coloured patch turns steadily about a centre.",
             "Write a profile by hand; see --profile of `gyrotrack extract`.",
         )
-    named, notes = name_bodies(groups, resting_casing(standing, groups, circle), circle)
+    named, notes = name_bodies(groups, resting_casing(resting_groups, groups, circle), circle)
     notes += [left_out(c) for c in uneven]
     markers = name_markers(named, notes)
     white = _white(samples, ring, named)

@@ -439,17 +439,8 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Rough:
-    """Angles from frame to frame, before any refinement: radians, the correlations, and the template's way."""
-
-    angle: Floats
-    likeness: Floats
-    static_removed: bool
-
-
-def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Rough:
-    """Follow a body through consecutive frames by correlation with the running mean of what was seen before.
+def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
+    """Track a body through consecutive frames by correlation with the running mean of the earlier ones.
 
     Parameters
     ----------
@@ -461,12 +452,19 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         What is subtracted as fixed in the image.
     ring : Ring
         The ring.
+    band : {"low", "middle", "high"}
+        See `correlation`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angles before any refinement [rad].
     """
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
     mean = None
-    angle, likeness = np.zeros(len(polars)), np.zeros(len(polars))
+    angle = np.zeros(len(polars))
     speed, known, taken = 0.0, 0, 0
     usual = 1.0
     for t, polar in enumerate(polars):
@@ -474,7 +472,6 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         shown = shown - shown.mean(axis=1, keepdims=True)
         if mean is None:
             mean, taken = shown * root, 1
-            angle[t], likeness[t] = 0.0, 1.0
             continue
         expected = angle[t - 1] + speed
         found = correlation(mean, shown * root, band=band)
@@ -487,7 +484,6 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         before, at, after = found[(best - 1) % size], found[best], found[(best + 1) % size]
         bend = before - 2 * at + after
         place = away[best] + (0.5 * (before - after) / bend if bend < 0 else 0.0)
-        likeness[t] = at
         if at < 0.4 * usual and known > 4:  # hidden, or another scene: go on at the speed known
             angle[t] = expected
             continue
@@ -498,7 +494,7 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         known += 1
         taken = min(taken + 1, 40)
         mean = mean + (np.roll(shown * root, -int(np.rint(angle[t])), axis=1) - mean) / taken
-    return Rough(angle * ring.step, likeness, bool(np.any(fixed)))
+    return angle * ring.step
 
 
 def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, set_down, stretches
+from gyrotrack._column_store import in_file, release_pages, row_blocks
 from gyrotrack._smoothing import (
     FAR,
     TimeBase,
@@ -49,16 +49,16 @@ class Residuals:
         path, even = (smooth_path(coarse),) * 2 if time_base is None else time_base.path(coarse)
         with np.errstate(invalid="ignore"):
             fast = self.speed(path) > FAST
-        of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
+        of_body = in_file({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
         self.path, self.fast, self.turning = of_body.values()
-        (self.bend,) = put_away({"bend": even - line_through(even)}).values()
+        (self.bend,) = in_file({"bend": even - line_through(even)}).values()
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
         self.axis_off: dict[str, complex] = {}
         nothing = np.zeros(len(path))
         own = {
-            name: put_away({
+            name: in_file({
                 "weak": c.weak,
                 "place": nothing,
                 "neighbour": nothing,
@@ -76,7 +76,7 @@ class Residuals:
         step = np.gradient(path) if self._time_base is None else self._time_base.speed(path)
         return np.asarray(np.abs(step) * self._fps)
 
-    def late(self) -> Floats | float:
+    def time_sigma(self) -> Floats | float:
         """Return what the uncertainty of a frame's time is as one of the angle [rad]."""
         if self._time_base is None or self._time_base.sigma == 0.0:
             return 0.0
@@ -102,7 +102,7 @@ class Residuals:
         """Return the weighted mean residual, its uncertainty, and the number of markers in it."""
         mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
-        for part in stretches(len(self.path)):
+        for part in row_blocks(len(self.path)):
             weight = np.zeros(len(mean[part]))
             for name in self.candidates:
                 w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
@@ -137,10 +137,10 @@ class Residuals:
         off = self.residual(name)
         off -= smooth
         off = off[self.use[name] & np.isfinite(off)]
-        set_down()
+        release_pages()
         return median_of(off) if len(off) else 0.0
 
-    def judge(self, smooth: Floats, leverage: Floats) -> None:
+    def reject_outliers(self, smooth: Floats, leverage: Floats) -> None:
         """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
         for name, c in self.candidates.items():
             self._inflate_variance(name, smooth, leverage)
@@ -150,7 +150,7 @@ class Residuals:
             self.scatter[name] = (clear, partly)
             limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
             self.use[name] &= ~(np.abs(off) > limit)
-            set_down()
+            release_pages()
 
     def _inflate_variance(self, name: str, smooth: Floats, leverage: Floats) -> None:
         """Learn how much more a marker errs where its profile fits less well (see `variance_inflation`)."""
@@ -179,23 +179,23 @@ class Residuals:
             )
             self.scatter[name] = (clear, partly)
 
-    def set_apart(self, late: Floats) -> None:
-        """Take out of the scatter what frames that are late add to it: all markers share that."""
-        shared = float(np.nanmean(late**2))
+    def subtract_time_scatter(self, from_time: Floats) -> None:
+        """Subtract from the scatter the part caused by the uncertainty of the times, which all markers share."""
+        shared = float(np.nanmean(from_time**2))
         for name, scatter in self.scatter.items():
             clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in scatter)
             self.scatter[name] = (clear, partly)
 
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
         off = np.empty(len(self.path))
-        for part in stretches(len(off)):
+        for part in row_blocks(len(off)):
             share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
             off[part] = self.residual(name, part) - smooth[part]
             off[part] /= self.weak[name][part]
             off[part] /= np.sqrt(share)
         return off
 
-    def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
+    def mark_whole_turns(self, short: Floats, smooth: Floats, half: int) -> None:
         """Note where errors that repeat with the turn can be distinguished from motion.
 
         There the long window holds a whole turn, and its curve follows the motion: a sudden start is in no
@@ -204,7 +204,7 @@ class Residuals:
         usual = min(clear for clear, _ in self.scatter.values())
         with np.errstate(invalid="ignore"):
             self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
-        set_down()
+        release_pages()
 
 
 def wrapped(angle: Floats) -> Floats:

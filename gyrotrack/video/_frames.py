@@ -114,8 +114,8 @@ class RepeatDetector:
     def __init__(self, packets: Packets) -> None:
         self.regular = _regular(_starts(_uninformative(packets)))
         self._last: Rows | None = None
-        self._late: tuple[float, ...] = ()
-        self._begun: tuple[int, ...] = ()
+        self._recent: tuple[float, ...] = ()
+        self._run_starts: tuple[int, ...] = ()
         self._run = False
 
     def same(self, frame: Frame) -> bool:
@@ -123,15 +123,15 @@ class RepeatDetector:
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = _difference(rows, last)
-            again = len(self._late) > 1 and apart < SAME * _usual(self._late)
-            self._late = (*self._late[1 - _AROUND :], apart)
+            again = len(self._recent) > 1 and apart < SAME * _usual(self._recent)
+            self._recent = (*self._recent[1 - _AROUND :], apart)
         if again and not self._run:
-            self._begun = (*self._begun[-_FEWEST:], frame.index)
-            self.regular = self.regular or _regular(np.array(self._begun))
+            self._run_starts = (*self._run_starts[-_FEWEST:], frame.index)
+            self.regular = self.regular or _regular(np.array(self._run_starts))
         self._run, self._last = again, rows
         return again
 
-    def settle(self) -> None:
+    def copy_last(self) -> None:
         """Let go of the last frame, and keep what is needed of it."""
         if self._last is not None:
             self._last = self._last.copy()
@@ -148,12 +148,12 @@ def _difference(rows: Rows, last: Rows) -> float:
     return float(cv2.norm(a, b * np.float32(gain), cv2.NORM_L1))
 
 
-def _usual(late: tuple[float, ...]) -> float:
+def _usual(differences: tuple[float, ...]) -> float:
     """Return the difference between frames that do not repeat: one of the larger ones, where up to three in four do.
 
     The largest of few may be a cut, as from a still at the beginning.
     """
-    return sorted(late)[min(len(late) - 2, int(_MOST * len(late)))]
+    return sorted(differences)[min(len(differences) - 2, int(_MOST * len(differences)))]
 
 
 def _rows(frame: Frame) -> Rows:
