@@ -1,7 +1,7 @@
-"""One body: followed coarsely through its markers together, then each marker measured.
+"""Tracking of one body: coarsely by all its markers together, then each marker is measured.
 
-Where the body will be is predicted, and only the neighbourhood of each marker is looked at. When the prediction
-is not sure enough, or its markers are not where it predicts them, the whole rings are searched.
+The angle of the body is predicted, and only the neighbourhood of each predicted marker is searched. If the uncertainty
+of the prediction is too large, or the markers are not found there, the whole rings are searched.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 LEAST_SCORE = 0.4
-"""Share of one marker's height that the score of a direction must reach."""
+"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker."""
 MARGIN = 0.05
-"""Largest distance in rad of a marker from its prediction."""
+"""Largest distance of a marker from its prediction [rad]."""
 CHECK_EVERY = 2
-"""Of so many frames one is looked at to see whether the body is where it was predicted."""
+"""Every n-th frame is used to check the prediction."""
 COVERAGE_FACTOR = 3.0
-"""Standard deviations of a prediction that must fit into the margin."""
+"""Factor on the standard uncertainty of a prediction, which must be within the margin."""
 
 
 class BodyTracker:
-    """Everything that is watched on one body.
+    """Tracker of one body.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class BodyTracker:
     Attributes
     ----------
     step : float
-        How far it turned from frame to frame of late [rad]; infinite as long as that is not known.
+        Recent mean rotation from frame to frame [rad]; infinite as long as it is unknown.
     """
 
     def __init__(
@@ -81,19 +81,19 @@ class BodyTracker:
         self._cover = Occlusion(self._step, offset)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
-        """Put all rings about a centre."""
+        """Move all rings to a centre."""
         for tracker in self.markers.values():
             tracker.strip.centre_on(centre)
 
     @property
     def maps(self) -> list[AngleMap]:
-        """What was learnt of the light on each marker's ring, and of what hides the markers."""
+        """Learnt maps of the illumination on the ring of each marker, and of the occlusion."""
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
+        """Track the body through consecutive frames and store the windows of its markers, from `place` of the batch on.
 
-        `advance` (n,) counts the camera's frames to each frame from the one before it, in parts where its rate varied.
+        `advance` (n,) is the time from the previous frame to each frame in periods of the camera.
         """
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
@@ -112,7 +112,7 @@ class BodyTracker:
         self._coarse[place : place + len(frames)] = found[0]
 
     def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
-        """Look where the body should be; None if that is not sure, or if it is not there."""
+        """Search near the prediction; None if its uncertainty is too large, or if the body is not found there."""
         prediction = self._prediction.at(number)
         if prediction is None or COVERAGE_FACTOR * prediction[1] > MARGIN:
             return None
@@ -126,7 +126,7 @@ class BodyTracker:
         return prediction[0] + off, np.repeat(seen, CHECK_EVERY)[: len(frames)]
 
     def _motion_at(self, number: float) -> Motion | None:
-        """Return the predicted motion at a frame as a `Motion`, when predictions were used so far."""
+        """Return the predicted motion at a frame, if the previous frames were tracked by prediction."""
         ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
         if ahead is None or self._missed is None:
             return None
@@ -139,9 +139,9 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
+        """Refine coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
 
-        A marker that is partly hidden stands out less, and counts with the eighth power of that.
+        A marker is weighted by the eighth power of its height, which a partial occlusion reduces.
         """
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
@@ -162,7 +162,7 @@ class BodyTracker:
         count : int
             Frames in the batch.
         casing : ndarray, shape (count,), or None
-            Angle as seen of the other body, whose bar may hide markers [rad].
+            Angle as seen of the other body, whose bar may occlude markers [rad].
 
         Returns
         -------
@@ -177,7 +177,9 @@ class BodyTracker:
             for name, window in windows.items():
                 if not self.markers[name].strip.white:
                     self._cover.learn(window, self.markers[name].expected(window), casing)
-        if self._fresh:  # the first batch is measured twice: once to learn from, once to give
+        if (
+            self._fresh
+        ):  # the first batch is measured twice: the first time to learn templates and illumination
             self._fresh = False
             self._measured(windows, casing)
         return coarse, self._measured(windows, casing)
@@ -195,7 +197,7 @@ class BodyTracker:
         }
 
     def _searched(self, frames: list[Frame]) -> Floats:
-        """Return the joint score of all directions, (n, columns)."""
+        """Return the joint score of all angles, (n, columns)."""
         total = np.zeros((len(frames), self._coloured[0].ring.columns))
         for strip in self._coloured:
             around = np.clip(strip.whole(frames), -0.2, 1.3)
@@ -224,9 +226,9 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards.
+        """Find the body again from frame `begin` on; the frames before the lock are tracked backwards.
 
-        Without a lock the old motion runs on, so that its turns are still counted when the body comes back.
+        Without a lock the previous motion is extrapolated, which preserves the number of turns until the next lock.
         """
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
