@@ -51,7 +51,7 @@ def marker_track(
     sense: int,
     size: tuple[int, int],
 ) -> MarkerTrack:
-    """Build the record of one marker; its corners are given only where nothing hides the marker."""
+    """Build the record of one marker; its corners are given only where it is unoccluded."""
     found = body.markers[marker.name]
     kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
     own = new_columns(len(found.angle), kinds)
@@ -92,11 +92,10 @@ def _corners(seen: MarkerObservations) -> Floats:
 def _status(
     marker: Marker, seen: MarkerObservations, used: npt.NDArray[np.bool_], size: tuple[int, int]
 ) -> Codes:
-    """Say for each frame how a marker was seen.
+    """Return the status of a marker in each frame.
 
-    ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something
-    stands before a part of it. out_of_frame: a part lies outside the picture. lost: nothing like it where it
-    should be.
+    ok: unoccluded, with both corners. blurred: unoccluded, but its corners are not found. occluded: a part is occluded.
+    out_of_frame: a part is outside the picture. lost: not found where it is expected.
     """
     status = np.full(len(used), STATUS["lost"], dtype=np.int8)
     status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]
@@ -111,8 +110,8 @@ def body_track(
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
-    `sigma_paper` is the paper's uncertainty of the mean of the markers that were whole in a frame,
-    sqrt(sum sigma_m^2) / n, and NaN where there was none.
+    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame,
+    sqrt(sum sigma_m^2) / n, and NaN if there are none.
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
@@ -136,7 +135,7 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 BODIES = (None, "casing", "rotor", "both")
 LEAST_TURN = 0.5
-"""Turn in rad of all bodies up to which a film is taken to show none."""
+"""Smallest range of an angle [rad] for which a body counts as turning."""
 
 
 def extract(
@@ -163,11 +162,12 @@ def extract(
         Frames per second of the camera; without it the profile's, the camera's tag, or the container's from
         100 fps.
     body : {"casing", "rotor", "both"}, optional
-        "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
-        casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
+        "casing" tracks the casing only. "rotor" and "both" fail if that body is not visible; with "rotor" the casing
+        is tracked as well if it is visible, because synchronisation needs it. By default all visible bodies are
+        tracked.
     times : {"auto", "stamps", "frames"}
-        Where the times are from: counted frames over the capture rate; the film's timestamps; or the stamps where
-        they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
+        Source of the times: counted frames over the capture rate ("frames"); the timestamps of the film ("stamps");
+        or the timestamps if they show that the rate of the camera varied and the film is not in slow motion ("auto").
     threads : int
         Threads of the decoder where one process tracks all.
     workers : int, optional
@@ -175,14 +175,14 @@ def extract(
     progress : callable, optional
         Called with (frames done, frames declared or None).
     journal : CheckpointFile, optional
-        Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
+        Stores intermediate results, so that a killed run can be resumed; created with `run_facts`.
 
     Raises
     ------
     VideoError
         The film cannot be read, or its capture rate is unknown.
     TrackingError
-        No markers, or not the requested body.
+        No markers are found, or not those of the requested body.
 
     Examples
     --------
@@ -203,7 +203,7 @@ def extract(
         profile = _only_casing(profile)
     scene, seen = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
-    if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
+    if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
         raise VideoError(
             f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
             "Copy the film from the camera again.",
@@ -226,12 +226,12 @@ def _observe(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations]:
-    """Find the markers and watch them through the film; what they need is let go of with the end of this."""
+    """Find the markers and track them through the film; the memory for this is released on return."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
-        del samples  # as large as all that is held on the way
+        del samples  # as large as the buffers of the tracker
         release_memory()
         return scene, track_film(processes, video, scene, tracker, threads, progress, timing, journal)
 
@@ -239,7 +239,7 @@ def _observe(
 def _recording(
     info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: FilmObservations, joint: TrackedBodies
 ) -> Recording:
-    """Put together what the dataset keeps of a film."""
+    """Build the recording of a film."""
     time = seen.times.seconds(rate.fps)
     markers = {
         marker.name: marker_track(
@@ -280,15 +280,15 @@ def _recording(
 
 
 LEAST_TRACKED = 0.8
-"""Share of the frames that must have an angle for a recording to be trusted without a look at it."""
+"""Smallest share of frames with an angle for a recording without a doubt."""
 _STEPS = 12
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str, ...]:
-    """Return why a recording is not to be trusted as it is: lost frames, gaps that may hide a turn, missing markers.
+    """Return reasons to inspect a recording: lost frames, gaps with an undetermined number of turns, missing markers.
 
-    The turns in a gap follow from the angular rates before and after it. Where these lead to angles that differ by
-    more than half a turn, their number is not determined.
+    The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
+    predict angles that differ by more than half a turn.
     """
     found = []
     for name, track in bodies.items():
@@ -357,7 +357,7 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
 
 
 def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
-    """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
+    """Return a warning for a film in which nothing turns, where only a disc determines the centre."""
     turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
     if max(turn.values()) >= LEAST_TURN:
         return ()
@@ -367,7 +367,7 @@ def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[s
 
 
 def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
-    """Report a first frame in which nothing is where the motion predicts it: a still before the film, a cut."""
+    """Return a warning if no marker of the first frame is where the motion predicts it, as after a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
     first = [
@@ -409,7 +409,7 @@ Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
 
 @dataclass(frozen=True)
 class ExtractionJob:
-    """One film, and what is wanted of it.
+    """The extraction of one film: input, output and settings.
 
     Attributes
     ----------
@@ -418,11 +418,11 @@ class ExtractionJob:
     profile : Profile
         Its markers.
     capture_fps : float, optional
-        Frames a second of the camera; the profile's or the film's own, if not given.
+        Frames per second of the camera; without it that of the profile or of the film.
     body : str, optional
         Track only this body.
     times : {"auto", "stamps", "frames"}
-        Where the times of the frames are from.
+        Source of the times; see `extract`.
     workers : int or None
         Processes that share the film; None: one for each core. The result does not depend on their number.
     """
@@ -437,7 +437,7 @@ class ExtractionJob:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What shaped the result, as the file keeps it."""
+        """The settings that determine the result, as stored in the file."""
         return {
             "video": self.video,
             "capture_fps": self.capture_fps,
@@ -447,7 +447,7 @@ class ExtractionJob:
         }
 
     def earlier(self) -> Recording | None:
-        """Return the output if it is there already, of this film and these settings.
+        """Return the existing output if it is of this film and these settings, else None.
 
         Raises
         ------
@@ -462,9 +462,8 @@ class ExtractionJob:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        with CheckpointFile(
-            self.target, {}
-        ) as journal:  # of a run that was killed just after it wrote the output
+        # left by a run that was killed just after it wrote the output
+        with CheckpointFile(self.target, {}) as journal:
             journal.discard()
         return recording
 
@@ -482,25 +481,25 @@ class ExtractionJob:
         Parameters
         ----------
         command : str
-            The words by which this was called, for the file.
+            The command line, which is stored in the file.
         bar : callable
-            Opens what shows (frames done, frames in all).
+            Context manager that yields a callable (frames done, total number of frames).
         tell : callable
-            Hears where the run begins, and what is kept of it when it is interrupted.
+            Called with messages: where a resumed run starts, and what is stored when the run is interrupted.
         resume : bool
-            Continue with the checkpoint of an earlier run, if there is one.
+            Continue from the checkpoint of an earlier run, if there is one.
         force : bool
             Replace an existing output.
 
         Returns
         -------
         tuple of (Recording, float)
-            What was written, and the frames done in a second.
+            The recording, and the frames tracked per second.
 
         Raises
         ------
         VideoError, TrackingError, OutputError
-            The film cannot be read, shows no markers, or the output cannot be written.
+            The film cannot be read or shows no markers, or the output cannot be written.
         """
         with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
@@ -525,10 +524,10 @@ class ExtractionJob:
                 if kept := frames_done(journal):
                     tell(f"{kept} frames are stored. Continue with the same command and --resume.")
                 raise
-            time_base = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
+            rate = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
             journal.discard()
-        return recording, time_base
+        return recording, rate
 
 
 def _resumed(journal: CheckpointFile, taken: int) -> str:
