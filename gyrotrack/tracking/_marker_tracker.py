@@ -27,7 +27,7 @@ Mask = npt.NDArray[np.bool_]
 
 ROUNDS = 8
 FINENESS = 8
-"""Displacements a sample at which the template is tabulated; in between the fit is linear."""
+"""Displacements per sample at which the template is tabulated; it is interpolated linearly."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Match:
     gain, offset : ndarray, shape (n,)
         a and b, in units of the profiles.
     misfit : ndarray, shape (n,)
-        rms of what the template leaves over in the open samples, relative to the gain.
+        rms residual in the open samples, relative to the gain.
     weakness : ndarray, shape (n,)
-        How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the
-        curvature of the fit); inf where d cannot be found.
+        Uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit); inf
+        where d is not determined.
     """
 
     shift: Floats
@@ -60,13 +60,13 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     Parameters
     ----------
     profile : ndarray, shape (n, m)
-        One profile a frame.
+        One profile per frame.
     template : ndarray, shape (m,)
         T on the same samples.
     start : ndarray, shape (n,)
-        First guess of the displacement in samples.
+        Start value of the displacement in samples.
     seen : ndarray of bool, shape (n, m)
-        Samples that nothing hides.
+        Samples that are not occluded.
     """
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
@@ -86,7 +86,7 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
 
 
 def displaced(curve: Floats, shift: Floats) -> Floats:
-    """Return curve(x - shift) for every shift, (n, m); beyond the ends the end values."""
+    """Return curve(x - shift) for every shift, (n, m); the ends are repeated."""
     m = len(curve)
     place = np.arange(m)[None, :] - shift[:, None]
     return np.asarray(np.interp(place.ravel(), np.arange(m), curve).reshape(place.shape))
@@ -114,14 +114,14 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
 
 
 def _with_ends(rows: Floats, reach: int) -> Floats:
-    """Go on with the first and the last value of each row, so far to both sides."""
+    """Extend each row by `reach` copies of its first and last value."""
     return np.concatenate([rows[:, :1].repeat(reach, 1), rows, rows[:, -1:].repeat(reach, 1)], axis=1)
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the template that the open samples of the frames in `use` suggest, top at 1 and foot at 0.
+    """Return the mean profile of the open samples of the frames in `use`, normalised to 0 at its ends and 1 at its top.
 
-    None if there are fewer than three frames, or a part of the profile that none of them shows.
+    None with fewer than three frames; NaN where no frame has an open sample.
     """
     if use.sum() < 3:
         return None
@@ -139,7 +139,7 @@ def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmet
 
 
 def _clipped_mean(values: Floats, seen: Mask) -> Floats:
-    """Mean of each column over its seen values, without those beyond 2.5 standard deviations; NaN if none."""
+    """Return the mean of each column over its seen values within 2.5 standard deviations; NaN if there are none."""
     for _ in range(2):
         count = seen.sum(axis=0)
         safe = np.maximum(count, 1)
@@ -152,17 +152,17 @@ def _clipped_mean(values: Floats, seen: Mask) -> Floats:
 
 
 def flat_top(half_width: float, length: int) -> Floats:
-    """Return a first template: 1 within `half_width` samples of the middle, falling to 0 over three."""
+    """Return an initial template: 1 within `half_width` samples of the middle, falling to 0 over three."""
     x = np.abs(np.arange(length) - (length - 1) / 2.0)
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))
 
 
 MOST_SHAPES = 96
-"""Frames of a batch from which the template is learnt."""
+"""Largest number of frames of a batch from which the template is learnt."""
 
 
 class MarkerTracker:
-    """The templates of a marker and the light on its ring, carried from batch to batch."""
+    """The templates of a marker and the illumination of its ring, updated from batch to batch."""
 
     def __init__(self, marker: Marker, strip: MarkerStrip) -> None:
         self.marker = marker
@@ -172,18 +172,19 @@ class MarkerTracker:
         self.light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
     def window(self, coarse: Floats) -> MarkerWindow:
-        """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
+        """Return the windows about the coarse angles (rad, NaN: lost) in the buffer."""
         return MarkerWindow(self.strip, coarse)
 
     def expected(self, window: MarkerWindow) -> Floats:
-        """Return the profile across that is expected where the marker is expected, (n, m)."""
+        """Return the tangential profile at the expected angle of the marker, (n, m)."""
         return displaced(self.template(window.raw.shape[1]), window.fraction)
 
     def measure(self, window: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
-        A shadow dims a colour with all that is seen of it; next to a white marker it darkens the metal, which pulls
-        the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
+        A shadow reduces the chroma of a coloured marker as a whole; next to a white marker it darkens the metal, which
+        distorts the edge of the profile. Where such a marker is unoccluded, only samples that are `clear` of shadows
+        are used.
         """
         dark = shaded_columns(self.light)
         if dark.any():
@@ -210,7 +211,7 @@ class MarkerTracker:
         )
 
     def _matters(self, window: MarkerWindow) -> Mask:
-        """Return the samples of the windows in which the marker itself may show, (n, m)."""
+        """Return the samples of the windows within the extent of the marker, (n, m)."""
         step, half = self.strip.ring.step, self.strip.half
         x = np.abs(np.arange(-half, half + 1)) * step
         reach = 1.15 * self.marker.half_width + 2.0 * step
@@ -220,7 +221,7 @@ class MarkerTracker:
         return np.asarray(np.abs(place) * step <= reach)
 
     def template(self, count: int) -> Floats:
-        """Return the profile across that is expected, on the samples of the window."""
+        """Return the tangential template on the samples of the window."""
         if self._across is None:
             return flat_top(self.marker.half_width / self.strip.ring.step, count)
         return self._across
@@ -288,7 +289,7 @@ class MarkerTracker:
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
-        """Tell which pairs of corners fit the marker in place and width, (n, 1)."""
+        """Tell which pairs of corners are consistent with the place and width of the marker, (n, 1)."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         known = np.isfinite(half)
         if not known.any():
@@ -302,7 +303,7 @@ class MarkerTracker:
 
 
 def _some(use: Mask, most: int) -> Mask:
-    """Keep at most about so many of the frames in use, spread evenly."""
+    """Return about `most` of the frames in use, equally spaced."""
     chosen = np.flatnonzero(use)
     few = np.zeros(len(use), dtype=np.bool_)
     few[chosen[:: max(len(chosen) // most, 1)]] = True
@@ -310,7 +311,7 @@ def _some(use: Mask, most: int) -> Mask:
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
-    """Frames that may shape a template: high, with no more left over than usual."""
+    """Return the frames that may enter a template: large gain, and a typical misfit at most."""
     usable = known & (found.gain > 0.25) & (found.gain < 4.0) & (found.weakness < 4.0)
     good = whole & usable
     if good.sum() < 6:
