@@ -29,16 +29,16 @@ from gyrotrack.video._frames import frames_at
 
 @dataclass(frozen=True)
 class ProposedMarker:
-    """A marker that was chosen: as it stands in the profile, and how it looks in the film.
+    """A proposed marker: its entry in the profile, and its geometry and contrast in the film.
 
     Attributes
     ----------
     profile, marker
-        Both.
+        Entry in the profile, and the marker in the film.
     angle, clear : ndarray, shape (n,)
-        Its angle in each sample [rad], and whether it was seen clearly.
+        Its angle in each sample [rad], and whether it is distinct.
     step : float
-        By how much its body turns from frame to frame [rad].
+        Rotation of its body from frame to frame [rad].
     """
 
     profile: MarkerProfile
@@ -49,12 +49,12 @@ class ProposedMarker:
 
     @property
     def seen(self) -> float:
-        """Share of the samples in which it was seen clearly."""
+        """Share of the samples in which it is distinct."""
         return float(self.clear.mean())
 
 
 def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
-    """Return the marker on a casing that rests all through the film: it has the colour of the disc."""
+    """Return the marker on a casing that is at rest in the whole film; it has the colour of the disc."""
     if circle is None or len(groups) != 1:
         return None
     colour = nearest_colour(circle.hue)
@@ -87,7 +87,7 @@ def name_bodies(
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
-        # What lies on the casing is never hidden; its bar passes over what lies on the rotor.
+        # Markers on the casing are never occluded; its bar passes over those on the rotor.
         open_share = [min(float(c.sampled.clear.mean()) for c in g.members) for g in (slow, fast)]
         if len(fast.members) < len(slow.members) or (
             len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
@@ -98,7 +98,7 @@ def name_bodies(
 
 
 def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMarker]:
-    """Give every marker a name; of two of one hue on one body the two cannot be distinguished."""
+    """Name the markers; of several markers of one colour on a body only the strongest is used."""
     found: list[ProposedMarker] = []
     taken: set[str] = set()
     for body, group in bodies.items():
@@ -129,7 +129,7 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
 
 
 def left_out(candidate: Candidate) -> str:
-    """Say why a colour that moves is no marker of the profile."""
+    """Return the reason why a moving colour is not a marker of the profile."""
     if candidate.ambiguous:
         return (
             f"There are two {candidate.colour} markers, which are indistinguishable and omitted. "
@@ -138,31 +138,33 @@ def left_out(candidate: Candidate) -> str:
     return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-_FAINT = 0.3  # share of the least contrast from which a white patch is worth a note
+_FAINT = (
+    0.3  # contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
+)
 SPREAD = 24
-"""Frames from the whole film, in addition to its first ones: what rests at the start moves somewhere."""
+"""Frames from the whole film in addition to its first ones, for bodies at rest at the start."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A profile that was found, and what led to it.
+    """A proposed profile, and its basis.
 
     Attributes
     ----------
     profile : Profile
-        What `extract` needs.
+        Profile for `extract`.
     markers : tuple of ProposedMarker
         One for each marker of the profile.
     centre : tuple of float
         (x, y) in px.
     disc : Disc or None
-        What marks the centre.
+        Disc at the centre.
     notes : tuple of str
-        What is in doubt, or was left out.
+        Uncertain assignments, and omitted patches.
     sound : bool
         `extract` finds every marker with this profile.
     samples : Samples
-        The frames that were looked at.
+        The frames that were used.
     """
 
     profile: Profile
@@ -186,7 +188,7 @@ def propose(
     capture_fps : float, optional
         Rate at which the camera captured [1/s], if the film does not state it.
     hub : tuple of float, optional
-        Centre of rotation (x, y) [px], where it is not to be found by the markers.
+        Centre of rotation (x, y) [px], if it is not to be determined by the markers.
 
     Raises
     ------
@@ -242,7 +244,7 @@ def propose(
 
 
 def _samples(video: Path) -> Samples:
-    """Take the first frames in a row, and others spread evenly over the film."""
+    """Decode the first frames, and others equally spaced over the film."""
     first = take_samples(video)
     stamps = read_raw_stamps(video)
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
@@ -253,7 +255,7 @@ def _samples(video: Path) -> Samples:
 
 
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
-    """Look for a white marker on the rotor, which has no colour to be found by; a faint one is only described."""
+    """Find a white marker on the rotor; a faint one is returned without a profile."""
     group = bodies.get("rotor")
     if group is None:
         return None
@@ -270,7 +272,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         if alike and least < LEAST_CONTRAST:
             return marker
         if alike:
-            first = others[0]  # the marker itself was seen on the average of frames only
+            first = others[0]  # the white marker itself is found in the median of the frames only
             return ProposedMarker(
                 proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step
             )
@@ -278,7 +280,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
 
 
 def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], notes: list[str]) -> bool:
-    """Find the scene anew as `extract` will, and compare."""
+    """Repeat the acquisition of `extract` with the profile, and compare."""
     try:
         scene: Scene = acquire(take_samples(video), profile, str(video))
     except TrackingError as error:
