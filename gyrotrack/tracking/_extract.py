@@ -309,7 +309,7 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
         hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
         if hidden:
             found.append(
-                f"The number of turns of the {name} is not determined in gaps: {len(hidden)}, the first of "
+                f"The number of turns of the {name} is not determined in {len(hidden)} gap(s), the first of "
                 f"{step[hidden[0]]:.3g} s at {track.time[hidden[0]]:.3f} s. The angular rates before and after the gap "
                 "predict angles that differ by more than half a turn."
             )

@@ -1,7 +1,7 @@
 """The time base of a film: when each frame was captured.
 
-A film in real time carries the camera's own clock in its stamps; one in slow motion carries a player's, which an
-editor may have made anew. Even stamps add nothing to counting, and frames are counted then.
+The timestamps of a film in real time are those of the camera; those of a film in slow motion are for playback and may
+have been changed by an editor. Equally spaced timestamps are equivalent to counting frames, which is used then.
 
 A film of a constant rate is timed by counting: the time of a frame is its index divided by the capture rate.
 Slow-motion films are stored at a lower rate than they were captured with, so a container's rate below 100 fps is never
@@ -20,7 +20,7 @@ from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
 SLOWEST_PLAIN_RATE = 100.0
-"""Container rates [fps] below this may be slow motion, and need a word about the capture rate."""
+"""Container rates [fps] below this may be slow motion, and require the capture rate to be given."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     Raises
     ------
     VideoError
-        If nothing but a container rate below 100 fps is known, or a rate is not a positive number.
+        If only a container rate below 100 fps is known, or a rate is not a positive number.
     """
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
@@ -67,7 +67,7 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
 
 
 COARSEST_TICK = 1e-3
-"""Unit of timestamps in s beyond which a container counts frames, not time."""
+"""Largest unit of timestamps that measure time; a container with a larger one counts frames [s]."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
@@ -84,8 +84,8 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     -----
     The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
     because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be detected above 900
-    frames/s. Films whose stamps are not evenly spaced
-    otherwise (one step in ten is no whole number of periods), or that do not grow (one step in a hundred; AVI knows
+    frames/s. Films whose stamps are otherwise not equally spaced
+    (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
@@ -109,7 +109,7 @@ def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
 
 
 def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    """Tell of missing frames by the numbers of the others."""
+    """Return a warning about missing frames from the numbers of the others."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     warnings = (
@@ -120,7 +120,7 @@ def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
 
 
 def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """Tell of timestamps (n,) [s] that are missing (NaN) or do not grow."""
+    """Return a warning about timestamps (n,) [s] that are missing (NaN) or do not increase."""
     if len(pts) < 3:
         return ()
     stamps = pts[np.isfinite(pts)]
@@ -141,7 +141,7 @@ SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
 """Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
 EVEN = 5e-3
-"""Share of a period by which stamps that count as even may lie off their line, if their tick is finer than that."""
+"""Largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that."""
 _ROUNDED = 0.75
 _ODD = 0.01
 _HALF = 20
@@ -149,7 +149,7 @@ _HALF = 20
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """When the frames of a film were taken.
+    """Times of the frames of a film.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class FrameTimes:
     sigma : float
         Standard deviation of a place, from the tick of the stamps; independent from frame to frame.
     smooth : ndarray, shape (n,), or None
-        The places without what jitters from frame to frame beyond rounding, in case that is not the camera's.
+        The places without jitter beyond rounding, in case it is not that of the camera.
     warnings : tuple of str
         What the user should know.
     again : ndarray of bool, shape (n,), or None
@@ -175,7 +175,7 @@ class FrameTimes:
     again: Mask | None = None
 
     def even(self) -> FrameTimes:
-        """Return the same without what jitters, with a warning."""
+        """Return the smoothed times, with a warning."""
         if self.place is None or self.smooth is None:
             return self
         warnings = (
@@ -192,7 +192,7 @@ class FrameTimes:
     def seconds(self, fps: float) -> Floats:
         """Return the times in s at a capture rate, (n,).
 
-        A repeated frame that has no time of its own gets one between those of its neighbours.
+        An inserted frame gets a time between those of its neighbours.
         """
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
@@ -209,12 +209,12 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """Where the times of a film are from.
+    """Source of the times of a film.
 
     Attributes
     ----------
     source : {"auto", "stamps", "frames"}
-        Timestamps, counted frames, or what fits the film.
+        Timestamps, counted frames, or a choice by film ("auto").
     fps : float
         The capture rate in frames/s.
     """
@@ -316,11 +316,11 @@ def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
 
 
 def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Floats, float]:
-    """Return places as exact as stamps in whole ticks give them, and their standard deviation.
+    """Return places with the rounding of stamps to whole ticks reduced by smoothing, and their standard deviation.
 
     A place rounded to a tick d is off by d / sqrt(12). A parabola through its neighbours keeps the share of its own
-    leverage of that variance; what scatters about it beyond rounding it takes from the truth. Where that is more, or a
-    place would be moved by more than rounding can do, the places stay as they are.
+    leverage of that variance; scatter beyond rounding is an error of the parabola. If that is larger, or a place would
+    be changed by more than rounding, the places are not changed.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)
@@ -332,7 +332,7 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
 
 def _without_jitter(number: Integers, place: Floats) -> Floats:
-    """Return places of a rate that varies slowly; of an even one, if what is smooth in them is no more than noise."""
+    """Return places of a rate that varies slowly; of a constant one, if the variation is not significant."""
     smooth, share = _smoothed(number, place)
     line = np.asarray(np.polyval(np.polyfit(number, place, 1), number), dtype=np.float64)
     noise = float(np.std(place - smooth)) * np.sqrt(share)
