@@ -161,7 +161,7 @@ def without_repeats(
     """Add a warning about repeated frames, and number the other frames without inserted ones.
 
     A regular conversion preserves the duration of a film: if the capture rate is that of the file, the rate of the
-    camera is smaller by the share of original frames. Otherwise it is the rate of the original frames.
+    camera is its product with the share of original frames. Otherwise it is the rate of the original frames.
     """
     if not found.again.any():
         return times, rate

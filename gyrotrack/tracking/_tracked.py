@@ -108,11 +108,11 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
 
     Notes
     -----
-    A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
+    A hub displaced by e causes an error e / r once per turn at radius r, so that the halves at r1 and r2 differ by
     e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
     its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
     angle itself: too small a distance of the hub enlarges all angles of a pendulum. Values below three standard errors
-    counts as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    count as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
     """
     if np.ptp(angle) > _MANY_TURNS * TURN:
         return 0.0
