@@ -1,8 +1,8 @@
 """Long columns in an anonymous memory-mapped file, so that memory use does not grow with the length of the film.
 
-The columns are ordinary arrays, but only the pages in use occupy memory: `set_down` releases the pages that were read
-or written, and the operating system reads them from the file again on the next access. Columns of short films, and all
-columns where the system does not support such files, are plain arrays.
+The columns are ordinary arrays, but only the pages in use occupy memory: `release_pages` releases them, and the
+operating system reads them from the file again on the next access. Columns of short films, and all columns where the
+system does not support such files, are plain arrays.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 LEAST_BYTES = 1 << 18
-"""Smallest size of a table that is kept in a file [bytes]."""
-STRETCH = 4096
-"""Rows of a block; columns are processed in blocks."""
+"""Smallest size of a table that is stored in a file [bytes]."""
+BLOCK_ROWS = 4096
+"""Rows of a block, in which columns are processed."""
 _BLOCKS_PER_RELEASE = 8
 """Blocks of rows between two releases of pages; each release takes time."""
 MOST_FILES = 128
@@ -56,25 +56,25 @@ def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeL
     }
 
 
-def put_away(columns: Mapping[str, Array]) -> dict[str, Array]:
+def in_file(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return copies of columns of equal length in a file."""
     rows = len(next(iter(columns.values()))) if columns else 0
-    kept = new_columns(rows, {name: (values.shape[1:], values.dtype) for name, values in columns.items()})
+    stored = new_columns(rows, {name: (values.shape[1:], values.dtype) for name, values in columns.items()})
     for name, values in columns.items():
-        kept[name][...] = values
-    set_down()
-    return kept
+        stored[name][...] = values
+    release_pages()
+    return stored
 
 
-def stretches(rows: int) -> Iterator[slice]:
-    """Yield slices of `STRETCH` rows that cover all rows; release pages after every few slices."""
-    for count, start in enumerate(range(0, rows, STRETCH), start=1):
-        yield slice(start, min(start + STRETCH, rows))
+def row_blocks(rows: int) -> Iterator[slice]:
+    """Yield slices of `BLOCK_ROWS` rows that cover all rows; release pages after every `_BLOCKS_PER_RELEASE` slices."""
+    for count, start in enumerate(range(0, rows, BLOCK_ROWS), start=1):
+        yield slice(start, min(start + BLOCK_ROWS, rows))
         if count % _BLOCKS_PER_RELEASE == 0:
-            set_down()
+            release_pages()
 
 
-def set_down() -> None:
+def release_pages() -> None:
     """Release the memory of all columns; their values remain in the file."""
     for file in list(_files):
         if _DONTNEED is not None:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import stretches
+from gyrotrack._column_store import row_blocks
 from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def local_fit(
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
-    for part in stretches(n):  # in blocks: a fit stores dozens of numbers per point
+    for part in row_blocks(n):  # in blocks: a fit stores dozens of numbers per point
         around = slice(max(part.start - half, 0), min(part.stop + half, n))
         beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
         padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)

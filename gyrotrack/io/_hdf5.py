@@ -18,7 +18,7 @@ from typing import Any
 
 import h5py
 
-from gyrotrack._column_store import put_away
+from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file, refuse_special
@@ -180,7 +180,7 @@ def _write_recording_group(group: Any, recording: Recording) -> None:
 
 def load_recording(group: Any) -> Recording:
     """Read a recording from its group."""
-    frame: dict[str, Any] = dict(put_away(read_table(child_group(group, "frame"), layout.FRAME)))
+    frame: dict[str, Any] = dict(in_file(read_table(child_group(group, "frame"), layout.FRAME)))
     index = frame.pop("index")
     del frame["frame"]
     return Recording(
@@ -195,14 +195,14 @@ def load_recording(group: Any) -> Recording:
 
 
 def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:
-    columns: dict[str, Any] = dict(put_away(read_table(group, layout.MARKER)))
+    columns: dict[str, Any] = dict(in_file(read_table(group, layout.MARKER)))
     if len(columns.pop("frame")) != frames:
         raise DatasetError(f"{group.file.filename}: marker '{name}' and the clip differ in length.")
     return MarkerTrack(name=name, **read_attributes(group, layout.MARKER.attributes), **columns)
 
 
 def _load_body(group: Any, name: str) -> BodyTrack:
-    columns: dict[str, Any] = dict(put_away(read_table(group, layout.BODY)))
+    columns: dict[str, Any] = dict(in_file(read_table(group, layout.BODY)))
     return BodyTrack(name=name, **read_attributes(group, layout.BODY.attributes), **columns)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic_core import to_jsonable_python
 
-from gyrotrack._column_store import set_down
+from gyrotrack._column_store import release_pages
 from gyrotrack._errors import DatasetError
 from gyrotrack._versions import __version__, versions
 from gyrotrack.io import _schema as layout
@@ -44,7 +44,7 @@ def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -
         dataset.attrs["long_name"] = f.long_name
         for key, value in f.attributes.items():
             dataset.attrs[key] = np.asarray(value, dtype=f.dtype) if isinstance(value, list) else value
-        set_down()
+        release_pages()
     for f in table.fields:
         _attach_scales(group, f, arrays[f.name].shape)
     group.attrs["NX_class"] = "NXdata"

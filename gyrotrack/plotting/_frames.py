@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import set_down
+from gyrotrack._column_store import release_pages
 from gyrotrack._errors import OutputError, UsageError, VideoError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.io._records import MarkerTrack, Recording
@@ -344,7 +344,7 @@ def _write_film(
             frame.pts = index
             container.mux(stream.encode(frame))
             if index % 100 == 0:
-                set_down()
+                release_pages()
                 if progress is not None:
                     progress(index, recording.frames_decoded)
         container.mux(stream.encode(None))

@@ -1,12 +1,12 @@
-"""Acquisition: which marker turns about which centre, and how it looks.
+"""Acquisition of the scene: centre of rotation, disc and markers.
 
-Nothing is known beforehand but the names of colours. First blobs that change from frame to frame are
-collected for each colour, and the point that they circle; then the disc at that point; then, in rings
-unrolled about it, each marker with its radii, width and true shade (`find_markers`).
+Only the names of the colours are known beforehand. First, blobs that change from frame to frame are collected for each
+colour, and the common centre of their circles is found; then the disc at that point; then, in rings unrolled about it,
+each marker with its radii, width and measured shade (`find_markers`).
 
-A centre that is wrong by n makes a marker's radius wrong by -n . r, with r the direction of the marker: a marker on
-one side seems too near, one on the other too far. Encoders hold the disc at the centre in place while it creeps, and
-then its own image has no information on it, but the radii of all markers over some dozen frames do.
+An error n of the centre changes the radius of a marker by -n . r, with r the unit vector towards the marker. Video
+encoders keep a slowly moving disc fixed in the picture; its image then does not show the motion of the centre, but the
+radii of all markers over some dozen frames do (`refine_centre`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
@@ -31,25 +31,25 @@ Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
 
 REACH = 1.2
-"""Angle in rad to each side of a marker that is cut out."""
+"""Half width of the region cut out about a marker [rad]."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a patch stands above half of its height.
+    """Region in which a patch exceeds half of its maximum.
 
     Attributes
     ----------
     rows : ndarray of bool
         Rows of the ring on the marker.
     inner, outer : float
-        The radii between which it lies, in px.
+        Inner and outer radius [px].
     half_width : float
-        Half its width in rad.
+        Half width at half maximum [rad].
     lean : int
-        Columns by which its middle is displaced from the middle of the patch.
+        Displacement of its middle from the middle of the patch, in columns.
     foot : float
-        Angle in rad from its middle to where it has fallen to a tenth of its height.
+        Half width at a tenth of the maximum [rad].
     """
 
     rows: npt.NDArray[np.bool_]
@@ -60,15 +60,15 @@ class Extent:
     foot: float = 0.0
 
     def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
-        """Return the pixels of a patch that lie well on the marker, (rows, columns)."""
+        """Return the mask of the pixels well inside the marker, (rows, columns)."""
         x = (np.arange(columns) - columns // 2 - self.lean) * step
         return np.asarray(self.rows[:, None] & (np.abs(x) < 0.6 * self.half_width)[None, :])
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the mean of the middle quarter of the strips about a marker, `REACH` to each side: (rows, columns).
+    """Return the trimmed mean (middle quarter) of the strips about a marker, `REACH` to each side: (rows, columns).
 
-    A hand in a few of the samples does not change it.
+    It is robust against a hand that covers the marker in a few of the samples.
     """
     columns = score.shape[2]
     reach = int(REACH / (2.0 * np.pi) * columns)
@@ -80,7 +80,7 @@ def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bo
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
-    """Measure where a patch stands above half of its height; None where nothing stands out."""
+    """Measure where a patch exceeds half of its maximum; None where its score is not positive."""
     middle = patch.shape[1] // 2
     near = max(int(0.05 / ring.step), 1)
     along = patch[:, middle - near : middle + near + 1].mean(axis=1)
@@ -103,13 +103,13 @@ def extent_of(patch: Floats, ring: Ring) -> Extent | None:
 
 
 def half_maximum(curve: Floats, start: int, part: float = 0.5) -> tuple[float, float]:
-    """Return where a curve falls to half (or another part) of its height near `start`, on both sides of it."""
+    """Return where a curve falls to half (or another part) of its maximum near `start`, on both sides of it."""
     half = part * float(curve[max(start - 1, 0) : start + 2].max())
     return start - _fall(curve[start::-1], half), start + _fall(curve[start:], half)
 
 
 def _fall(curve: Floats, level: float) -> float:
-    """Return where a curve first falls to a level, at its end if it never does."""
+    """Return where a curve first falls to a level; its last index if it never does."""
     below = np.flatnonzero(curve[1:] <= level)
     if not len(below):
         return float(len(curve) - 1)
@@ -120,12 +120,12 @@ def _fall(curve: Floats, level: float) -> float:
 LEAST_CONTRAST = 6.0
 """Grey levels by which a marker must differ from its surroundings."""
 LONGEST_DWELL = 0.3
-"""Share of the samples beyond which a marker over one direction spoils the median as a background."""
+"""Largest share of samples with a marker at one angle for which their median is used as the background."""
 
 
 @dataclass(frozen=True)
 class SampledMarker:
-    """One marker in the samples: the marker, its angle in each sample (rad), and where it was seen clearly."""
+    """One marker in the samples: the marker, its angle in each sample [rad], and in which samples it is distinct."""
 
     marker: Marker
     angle: Floats
@@ -133,32 +133,32 @@ class SampledMarker:
 
 
 class Rings:
-    """Unrolled chroma of the samples, and how it differs from what usually lies there.
+    """Unrolled chroma of the samples, and its difference from the background.
 
     Parameters
     ----------
     strips : ndarray of uint8, shape (2, n, rows, columns)
         Chroma of each sample.
     ring : Ring
-        Where they were unrolled.
+        Ring in which they were unrolled.
     """
 
     def __init__(self, strips: npt.NDArray[np.uint8], ring: Ring) -> None:
         self.strips, self.ring = strips, ring
 
     @cached_property
-    def usual(self) -> Strips:
-        """Median of the samples at every place, (2, rows, columns)."""
+    def background(self) -> Strips:
+        """Median over the samples at every pixel, (2, rows, columns)."""
         return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
 
     @cached_property
-    def unusual(self) -> Strips:
-        """Difference of each sample from it."""
-        return np.asarray(self.strips - self.usual[:, None], dtype=np.float32)
+    def foreground(self) -> Strips:
+        """Difference of each sample from `background`."""
+        return np.asarray(self.strips - self.background[:, None], dtype=np.float32)
 
     @cached_property
-    def uneven(self) -> Strips:
-        """Difference from the median round each ring, where something stands too long over one place."""
+    def ring_difference(self) -> Strips:
+        """Difference of each sample from the median along each row, for markers that hardly move."""
         ground = np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
         return np.asarray(self.strips - ground, dtype=np.float32)
 
@@ -166,17 +166,17 @@ class Rings:
 def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     """Find a coloured marker in rings about the centre.
 
-    The background is the median of the samples at every place; where the marker stood too long over one place,
-    the median round each ring instead.
+    The background is the median over the samples at every pixel. If the marker is at one angle in more than
+    `LONGEST_DWELL` of the samples, it is the median along each row.
     """
-    seen = _sight(rings.unusual, rings.ring, wanted)
+    seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL:
-        standing = _sight(rings.uneven, rings.ring, wanted)
-        seen = standing if standing is not None else seen
+        by_ring = _locate(rings.ring_difference, rings.ring, wanted)
+        seen = by_ring if by_ring is not None else seen
     return seen
 
 
-def _sight(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
+def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     direction = chroma_direction(wanted.colour, wanted.hue)
     score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
@@ -209,16 +209,16 @@ def _sight(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMark
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the brightest direction of each sample, and where it is about as bright as in most others."""
+    """Return the column with the largest score in each sample, and whether that score is typical."""
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
-    # Less than half of the samples show the marker hidden, and less than a third something brighter, as a hand.
+    # The marker is occluded in less than half of the samples, and a hand is brighter in less than a third.
     return column, peak > 0.5 * float(np.quantile(peak, 0.6))
 
 
 def _dwell(angle: Floats, reach: float) -> float:
-    """Return the largest share of the samples that lie within `reach` of one direction."""
+    """Return the largest share of the angles within `reach` of one of them."""
     apart = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None, :]))))
     return float((apart < reach).mean(axis=0).max())
 
@@ -242,10 +242,10 @@ def find_white(
     others: list[SampledMarker],
     least: float = LEAST_CONTRAST,
 ) -> Marker | None:
-    """Find a white marker by the coloured markers of the same body, `others`, as found in the samples `frames`.
+    """Find a white marker by means of the coloured markers of the same body, `others`, in the samples `frames`.
 
-    Every frame is turned back by the body's angle, after what stands still in the picture was taken off; in the
-    median of these, table, lamps and bar are gone.
+    The median background is subtracted from every frame, which is then rotated back by the angle of the body; the
+    median of the rotated frames contains neither table, lamps nor bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
@@ -263,7 +263,7 @@ def find_white(
 
 
 def _body_angles(others: list[SampledMarker], count: int) -> Floats:
-    """Combine observations into the body's angle in each of the first samples; NaN where none is clear."""
+    """Combine observations into the angle of the body in each of the first samples; NaN where none is distinct."""
     total = np.zeros(count, dtype=np.complex128)
     for seen in others:
         total += np.where(seen.clear[:count], np.exp(1j * (seen.angle[:count] - seen.marker.mount)), 0.0)
@@ -279,7 +279,7 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
 def _brightest_place(
     turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker], least: float
 ) -> Marker | None:
-    """Pick the bright patch that is most like the body's other markers in size and radius."""
+    """Return the brightest patch of the width and at the radii of the other markers of the body."""
     inner = min(seen.marker.inner for seen in others)
     outer = max(seen.marker.outer for seen in others)
     half_width = float(np.median([seen.marker.half_width for seen in others]))
@@ -309,29 +309,29 @@ def _brightest_place(
 
 
 FAINTEST = 0.12
-"""Share of the strongest marker's contrast below which a colour is only a tinge."""
+"""Smallest contrast of a marker, relative to that of the strongest marker."""
 LEAST_SIZE = 4.5
 """Smallest side of a marker in px."""
 WIDEST = 0.8
-"""Half width in rad beyond which a marker is smeared too far to be followed."""
+"""Largest half width [rad] of a marker that can be tracked despite motion blur."""
 
 
 def find_markers(
     samples: Samples, profile: Profile, centre: tuple[float, float], disc: Disc | None, radius: float | None
 ) -> tuple[dict[str, Marker], dict[str, tuple[float, float]]]:
-    """Find the markers of a profile; those that are not seen are left out. Also return `Scene.offsets`.
+    """Find the visible markers of a profile, and `Scene.offsets`.
 
-    Each body is searched in a ring about the hub, and again in a ring about the centre of its own orbits, if that is
-    another point.
+    Each body is searched in a ring about the hub, and again in a ring about the centre of its orbits if this differs
+    from the hub.
 
     Parameters
     ----------
     centre : tuple of float
         (x, y) in px.
     disc : Disc or None
-        What lies at the centre and is no marker.
+        The disc at the centre, which is excluded from the search.
     radius : float or None
-        The largest orbit that was seen, in px.
+        Radius of the largest orbit [px].
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -373,15 +373,15 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Angle in rad that the samples of a body's markers must cover before the centre of its orbits is measured."""
+"""Angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured."""
 LEAST_OFFSET = 1.0
-"""Offset in px below which rings about the hub serve as well."""
+"""Offset [px] below which rings about the hub are used."""
 
 
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
-    """Return where the centre of a body's orbits lies relative to the rings' centre, (x, y) in px, y downwards.
+    """Return the offset of the centre of a body's orbits from the centre of the rings, (x, y) in px, y downwards.
 
-    Least squares on the radii of its markers, r = rho_m + e . (cos theta, sin theta), without what lies beyond three
+    Least squares on the radii of its markers, r = rho_m + e . (cos theta, sin theta), without residuals beyond three
     standard deviations. None unless e exceeds three standard errors and `LEAST_OFFSET`.
     """
     rows, radii, directions = [], [], []
@@ -410,8 +410,8 @@ def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float
 
 
 def _radii(rings: Rings, seen: SampledMarker) -> Floats:
-    """Return the radius of the middle of a marker in each sample [px]; NaN where no edge shows on either side."""
-    difference = rings.uneven if seen.marker.dwell > LONGEST_DWELL else rings.unusual
+    """Return the radius of the middle of a marker in each sample [px]; NaN where an edge is not found."""
+    difference = rings.ring_difference if seen.marker.dwell > LONGEST_DWELL else rings.foreground
     u, v = seen.marker.contrast
     score = (u * difference[0] + v * difference[1]) / (u * u + v * v)
     step, ring = rings.ring.step, rings.ring
@@ -430,7 +430,7 @@ def _radii(rings: Rings, seen: SampledMarker) -> Floats:
 def search_ring(
     samples: Samples, centre: tuple[float, float], disc: Disc | None, radius: float | None
 ) -> Ring:
-    """Lay a ring that holds all markers: from the disc to beyond the largest orbit, in the picture."""
+    """Return a ring that contains all markers: from the disc to beyond the largest orbit, within the picture."""
     width, height = samples.size
     x, y = centre
     border = max(min(x, y, width - 1 - x, height - 1 - y), 8.0)
@@ -443,7 +443,7 @@ def search_ring(
 
 
 def is_marker_sized(marker: Marker) -> bool:
-    """Tell whether what was found is large enough, and not smeared too far to be followed."""
+    """Tell whether a patch is at least `LEAST_SIZE` large and not wider than `WIDEST`."""
     width = 2.0 * np.tan(min(marker.half_width, 1.4)) * marker.radius
     return bool(marker.half_width <= WIDEST and min(width, marker.outer - marker.inner) >= LEAST_SIZE)
 
@@ -463,7 +463,7 @@ def _placed(observations: dict[str, SampledMarker], profile: Profile) -> dict[st
 
 
 def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
-    """Measure where the markers of one body sit relative to the first one of them."""
+    """Measure the mount angles of the markers of one body relative to the first of them."""
     found = []
     for seen in observations:
         first = observations[0]
@@ -474,7 +474,7 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
 
 
 def _circular_mode(angle: Floats) -> float:
-    """Return the direction round which most angles lie: the mean of those within 0.15 rad of it."""
+    """Return the mean of the angles within 0.15 rad of the angle that has most neighbours."""
     turn = np.exp(1j * angle)
     near = np.abs(np.angle(turn[:, None] / turn[None, :])) < 0.15
     best = int(np.argmax(near.sum(axis=0)))
@@ -482,8 +482,8 @@ def _circular_mode(angle: Floats) -> float:
 
 
 LEAST_AGREEMENT = 1.0 / 3.0
-"""Share of the blobs, and of the samples, that must agree with an orbit: a quarter of random blobs agrees with one."""
-_NO_DISC = "no disc at the centre: the centre is taken from the markers' orbit"
+"""Share of the blobs, and of the samples, that must be inliers of an orbit; of random blobs a quarter are."""
+_NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 
 def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
@@ -499,8 +499,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
     if disc is None and orbit is None:
         raise TrackingError(
-            f"no markers found in {where}: nothing in the profile's colours turns about a centre",
-            "check the profile's colours (--profile); where nothing turns, a disc must mark the centre",
+            f"No markers found in {where}: nothing in the colours of the profile turns about a centre.",
+            "Check the colours of the profile (--profile). If nothing turns, mark the centre with a disc.",
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
@@ -508,8 +508,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
         raise TrackingError(
-            f"no markers found in {where}: none of {names} is seen about the centre",
-            "check the profile's colours (--profile)",
+            f"No markers found in {where}: none of {names} is visible about the centre.",
+            "Check the colours of the profile (--profile).",
         )
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     sought = profile.centre == "circle" and profile.hub is None
@@ -540,7 +540,7 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
-    """Find blobs above half of the typical peak of a colour, in every sample."""
+    """Find blobs above 0.4 of the typical peak of a colour in every sample."""
     peaks = np.array([np.percentile(score, 99.9) if score.size else 0.0 for score in scores])
     noise = float(np.median([np.percentile(score, 90) for score in scores]))
     threshold = max(6.0, 4.0 * noise, 0.4 * float(np.median(peaks)))
@@ -548,7 +548,7 @@ def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blo
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
-    """Find a disc whose chroma lies in a direction (U, V), well inside the orbit; None where there is none."""
+    """Find a disc whose chroma has the direction (U, V), well inside the orbit; None if there is none."""
     still = np.median(samples.chroma, axis=1).astype(np.float32)
     neutral = [_neutral(plane, samples, orbit) for plane in still]
     score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
@@ -575,7 +575,7 @@ def _neutral(plane: npt.NDArray[np.float32], samples: Samples, orbit: Orbit | No
 
 
 def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> npt.NDArray[np.float32]:
-    """Mask of what lies within 0.45 of the largest orbit around its centre."""
+    """Return the mask of the pixels within 0.45 of the largest radius from the centre of the orbits."""
     y, x = np.ogrid[: shape[0], : shape[1]]
     lx, ly = samples.scale * x + (samples.scale - 1) / 2.0, samples.scale * y + (samples.scale - 1) / 2.0
     reach = 0.45 * max(orbit.radii.values())
@@ -600,16 +600,16 @@ def _mean_chroma(
 
 
 HALF = 18
-"""Frames to both sides over which the centre's error is taken to be one and the same."""
+"""Half width [frames] of the window in which the error of the centre is assumed to be constant."""
 EXPECTED = 0.1
-"""How far in px a measured centre may be off: the weight of finding no error."""
+"""Standard deviation [px] of the prior of the error of the centre."""
 
 
 @dataclass(frozen=True)
 class Radii:
-    """One marker: its direction in each frame as seen (n,) [rad], and by how much its radius is too large [px].
+    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px].
 
-    `excess` is NaN where the marker is not to be used.
+    `excess` is NaN in frames that are not used.
     """
 
     direction: Floats
@@ -617,12 +617,12 @@ class Radii:
 
 
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
-    """Correct a centre by the radii of the markers about it.
+    """Correct the path of a centre by the radii of the markers about it.
 
     Notes
     -----
-    In a window about each frame n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED`^2, with s the
-    scatter of a marker's radius and w falling off to both sides. The uncertainty is that of this fit.
+    In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED`^2, with s the
+    scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))
@@ -631,7 +631,7 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
         if known.sum() < 20:
             continue
         scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
-        for part in stretches(count):
+        for part in row_blocks(count):
             weight = known[part] / scatter**2
             angle = np.where(known[part], wanted.direction[part], 0.0)
             x, y = np.cos(angle), -np.sin(angle)
@@ -641,7 +641,7 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     for row in (*normal, *right):
         row[:] = _windowed(row)
     better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
-    for part in stretches(count):
+    for part in row_blocks(count):
         (a, b, c), (u, v) = normal[:, part], right[:, part]
         a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
         determinant = a * c - b * b

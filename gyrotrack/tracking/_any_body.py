@@ -1,8 +1,8 @@
-"""Tracking of one body that turns, in any film: markers, dots and discs or nothing but its own look.
+"""Tracking of one rotating body in any film, by its markers or by its texture.
 
-What moves is found, places for its hub are proposed, each is tried by following the ring about it through some
-hundred frames, and the one that explains the change of brightness best is refined. See `_registration` for the
-measurement itself.
+The moving part of the picture is found and candidates for the hub are proposed. For each of them the ring about it is
+tracked through some hundred frames; the candidate that explains the change of brightness best is refined. See
+`_registration` for the measurement of the angle.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
-_TRIAL = 300  # frames on which a hub is tried
-_EXCERPT = 300  # frames from which a reading of a film is proposed
-_LEARNT = 300  # frames from which the body's picture is learnt
+_TRIAL = 300  # frames on which a candidate for the hub is evaluated
+_EXCERPT = 300  # frames that `read_excerpt` reads
+_LEARNT = 300  # frames from which the template is learnt
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4
-"""Share of the change of brightness that a turning body must explain; below it nothing is tracked."""
+"""Share of the change of brightness that the rotation must explain."""
 _OUTSIDE = 0.85
-"""The same for a hub outside the picture that was not given: a body that slides looks much like one that turns."""
+"""The same for a hub outside the picture that is not given, for which rotation resembles translation."""
 _AS_GOOD = 0.8
-"""Share of the best reading's explained change from which another body is as good."""
+"""Explained share of a second body, relative to that of the best candidate, from which the film is ambiguous."""
 _ELSEWHERE = 0.2
-"""Area that moves outside the best reading, over that within it, from which another body is sought."""
+"""Moving area outside the best ring, relative to that within it, from which a second body is searched for."""
 _STRETCH_SPAN = 3.0
-"""Motion in rad from which the ellipse of a tilted camera is sought."""
+"""Range of the angle [rad] from which the ellipse due to a tilted camera is fitted."""
 _STATIC_SPAN = 1.0
-"""Motion in rad from which a fixed picture is always part of the model ..."""
+"""Range of the angle [rad] from which a fixed picture is always part of the model ..."""
 _CLEARLY_BETTER = 0.02
-"""... and the share by which it must explain more where the body moves less, as a pendulum before a wall does."""
+"""... and the share by which it must explain more for smaller ranges, such as a pendulum before a wall."""
 
 
 class NothingMovesError(TrackingError):
@@ -67,10 +67,9 @@ class NothingMovesError(TrackingError):
 
 @dataclass(frozen=True)
 class _Trial:
-    """One reading of a film: a ring, a way to follow, and how well it explains what is seen.
+    """One interpretation of a film: a ring, a method of tracking, and the explained share of the change of brightness.
 
-    `static` states that the mean picture is subtracted to follow the body, `separate` that a fixed picture is part of
-    the model.
+    `static`: the mean picture is subtracted for tracking. `separate`: a fixed picture is part of the model.
     """
 
     ring: Ring
@@ -85,36 +84,35 @@ class _Trial:
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the body that turns in a film.
+    """Track the rotating body in a film.
 
     Parameters
     ----------
     film : Film
         The film.
     hub : tuple of float, optional
-        Its centre of rotation (x, y) [px], if it is known; it may be outside the picture.
+        Centre of rotation (x, y) [px], if known; it may be outside the picture.
     progress : callable, optional
         Called with (frames done, frames in all).
 
     Raises
     ------
     TrackingError
-        Nothing moves, nothing turns, or two readings of the film are possible.
+        Nothing moves, nothing turns, or two bodies turn.
     """
     usable = fresh_frames(film)
     if len(usable) < 12:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; 12 are needed to track a motion",
-            "give a longer film",
+            f"{film.path.name} has only {len(usable)} different frames; at least 12 are required to track a motion.",
+            "Give a longer film.",
         )
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))]
     sample = film.some(chosen)
     shake = camera_shake(sample, film.frames())
     if shake is not None:
         film.stabilise(shake)
-        with suppress(
-            NothingMovesError
-        ):  # what was taken for the background is the body, before a blank wall
+        # raised if the supposed background is the body, before a blank wall
+        with suppress(NothingMovesError):
             found = _track(
                 film, usable, film.some(chosen), hub, progress, margin=shake.margin(sample[0].shape)
             )
@@ -126,7 +124,7 @@ def track_body(
 def read_excerpt(
     path: Path, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> tuple[Film, Tracked] | None:
-    """Track a body by its picture through the first frames of a film; None where no body is found.
+    """Track a body by its texture through the first frames of a film; None if no body is found.
 
     Parameters
     ----------
@@ -145,11 +143,12 @@ def read_excerpt(
 
 
 def _with_shake(found: Tracked, shake: Shake) -> Tracked:
-    """Add the error of the compensation to the uncertainty: s / r for a displacement, and that of the roll."""
+    """Add the uncertainty of the compensation: s / r for a displacement, and that of the roll."""
     share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
-        f"features of the background compensate it. The uncertainty contains {1e3 * share:.2g} mrad for this."
+        f"features of the background are used to compensate this. "
+        f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
     return replace(found, sigma=np.hypot(found.sigma, share), warnings=(*found.warnings, text))
 
@@ -162,15 +161,17 @@ def _track(
     progress: Progress | None,
     margin: int = 0,
 ) -> Tracked:
-    """Track the body in a film whose camera stands still; `margin` [px] is left out at every edge."""
+    """Track the body in a film of a camera at rest; a margin [px] is excluded at every edge."""
     motion = Motion.of(sample, margin)
     if motion.moving.mean() < 2e-4:
-        raise NothingMovesError(f"nothing moves in {film.path.name}", "check that it is the right film")
+        raise NothingMovesError(f"Nothing moves in {film.path.name}.", "Check that it is the right film.")
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None:
         if not all(math.isfinite(v) for v in hub):
-            raise UsageError("The hub is not a place.", "Give it as --hub X,Y in px.")
+            raise UsageError(
+                "The coordinates of the hub are not finite numbers.", "Give the hub as --hub X,Y in px."
+            )
         proposals = [Proposal(hub, "given")]
     elif (loose := track_by_features(film, usable, motion, progress)) is not None:
         return loose
@@ -180,8 +181,8 @@ def _track(
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
         raise TrackingError(
-            f"no body that turns about a hub is found in {film.path.name}",
-            "give the centre of rotation with --hub X,Y",
+            f"No body that turns about a hub is found in {film.path.name}.",
+            "Give the centre of rotation with --hub X,Y.",
         )
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
@@ -192,23 +193,23 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         raise TrackingError(
-            f"no body that turns about a hub is found in {film.path.name}: the best reading explains "
-            f"{100 * max(best.score, 0):.0f} % of the change of brightness, {100 * needed:.0f} % are needed",
-            "give the centre of rotation with --hub X,Y",
+            f"No body that turns about a hub is found in {film.path.name}: the best candidate explains "
+            f"{100 * max(best.score, 0):.0f} % of the change of brightness; {100 * needed:.0f} % are required.",
+            "Give the centre of rotation with --hub X,Y.",
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
         raise TrackingError(
-            f"two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px",
-            "give the centre of the one to track with --hub X,Y",
+            f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
+            "Give the centre of the body to track with --hub X,Y.",
         )
     return _measure(film, usable, first, best, motion, progress)
 
 
 def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial | None:
-    """Return the reading of another body, apart from the best one, that is as well explained; None if there is none.
+    """Return a second body that does not overlap with the best one and is explained as well; None if there is none.
 
-    What moves outside of the ring of the best reading is searched as if there were nothing else.
+    The moving area outside the ring of the best candidate is searched by itself.
     """
     rows, columns = np.indices(motion.moving.shape)
     distance = np.hypot(columns - best.ring.hub[0], rows - best.ring.hub[1])
@@ -241,15 +242,15 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
             rough = follow(
                 polars, weight.astype(np.float32), mean if static else np.zeros_like(mean), ring, band=band
             )
-            if np.ptp(rough.angle) < 2e-3:
+            if np.ptp(rough) < 2e-3:
                 continue
-            separate = bool(np.ptp(rough.angle) > _STATIC_SPAN)
-            score, _ = _score(polars, rough.angle, allowed, ring, separate=separate)
+            separate = bool(np.ptp(rough) > _STATIC_SPAN)
+            score, _ = _score(polars, rough, allowed, ring, separate=separate)
             if not separate:
-                other, _ = _score(polars, rough.angle, allowed, ring, separate=True)
+                other, _ = _score(polars, rough, allowed, ring, separate=True)
                 separate = other > score + _CLEARLY_BETTER
                 score = other if separate else score
-            found.append(_Trial(ring, proposal.way, band, static, rough.angle, score, separate))
+            found.append(_Trial(ring, proposal.way, band, static, rough, score, separate))
     return found
 
 
@@ -262,7 +263,7 @@ def _score(
 
 
 def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
-    """Return the best readings whose motion differs, at most three."""
+    """Return the best candidates whose motions differ, at most three."""
     kept: list[_Trial] = []
     for trial in trials:
         if trial.score > 0.3 * trials[0].score and all(
@@ -275,7 +276,7 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
 
 
 def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: bool) -> _Trial:
-    """Improve radii, hub and angles of a reading on its block of frames."""
+    """Refine radii, hub and angles of a candidate on its block of frames."""
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
     _, rows = _score(polars, angle, ring.inside(area), ring, separate=trial.separate)
@@ -310,7 +311,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
         change: Floats = np.zeros(4)
         change[free] = ring_step(_placed(ring, place), few, angles, free, area, separate=trial.separate)
         factor, before, start = 1.0, best, place
-        while True:  # lengthen the step while that helps, for the learnt picture gives way
+        while True:  # lengthen the step while it improves the fit: the template adapts to the new place
             value, there = tried(start + factor * change, angles)
             if value > best:
                 best, place, angles, factor = value, start + factor * change, there, 1.7 * factor
@@ -331,7 +332,7 @@ def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: b
 
 
 def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
-    """Return which of hub (0, 1) and stretch (2, 3) of a ring are sought."""
+    """Return which of hub (0, 1) and stretch (2, 3) of a ring are fitted."""
     stretch = ring.span >= TURN and np.ptp(angle) > _STRETCH_SPAN
     return ([] if given else [0, 1]) + ([2, 3] if stretch else [])
 
@@ -339,7 +340,7 @@ def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
 def ring_step(
     ring: Ring, frames: Sequence[Plane], angles: Floats, free: Sequence[int], area: Area, *, separate: bool
 ) -> Floats:
-    """Return the Gauss-Newton step in hub and stretch (x, y, p, q), the learnt picture and the angles projected out."""
+    """Return the Gauss-Newton step in hub and stretch (x, y, p, q), with template and angles projected out."""
     allowed = ring.inside(area)
     polars = [ring.unwrap(frame) for frame in frames]
     template = learn(polars, angles, allowed, ring, separate=separate, plain=True)
@@ -390,7 +391,7 @@ def _measure(
     motion: Motion,
     progress: Progress | None,
 ) -> Tracked:
-    """Follow the body through all of the film, learn its picture, and measure every frame against it."""
+    """Track the body through the whole film, learn its template, and register every frame."""
     coarse = best.ring
     area = motion.area
     allowed = coarse.inside(area)
@@ -406,9 +407,9 @@ def _measure(
         weight = (coarse.area * allowed * (1.0 if static else moving)).astype(np.float32)
         fixed = mean if static else np.zeros_like(mean)
         found = np.zeros(len(polars))
-        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band).angle
+        found[first:] = follow(polars[first:], weight, fixed, coarse, band=band)
         if first:
-            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band).angle
+            found[first::-1] = follow(polars[first::-1], weight, fixed, coarse, band=band)
         score, _ = _score(polars, found, allowed, coarse, separate=best.separate)
         if score > share:
             angle, share = found, score
@@ -418,9 +419,9 @@ def _measure(
     share, _ = _score(polars, angle, allowed, coarse, separate=best.separate)
     if share < _EXPLAINED:
         raise TrackingError(
-            f"the body in {film.path.name} is followed through a part of the film only: its turning explains "
-            f"{100 * max(share, 0):.0f} % of the change of brightness, {100 * _EXPLAINED:.0f} % are needed",
-            "cut the film to the motion, or give the centre of rotation with --hub X,Y",
+            f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
+            f"{100 * max(share, 0):.0f} % of the change of brightness; {100 * _EXPLAINED:.0f} % are required.",
+            "Cut the film to the motion, or give the centre of rotation with --hub X,Y.",
         )
     best = replace(best, score=share)
     ring = replace(
@@ -470,7 +471,7 @@ def _measure(
 def _settle(
     polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring, *, separate: bool
 ) -> Floats:
-    """Improve the angles of all frames on the coarse ring."""
+    """Refine the angles of all frames on the coarse ring."""
     for _ in range(2):
         use = np.unique(np.linspace(0, len(polars) - 1, _LEARNT).astype(int))
         template = learn(
@@ -491,7 +492,7 @@ def _good(poses: Sequence[Pose]) -> Floats:
 
 
 def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
-    """Return the standard deviation of the hub's displacement [px]; 0 where it explains hardly anything."""
+    """Return the standard deviation of the displacement of the hub [px]; 0 if it is not significant."""
     fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
     moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
     gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)
@@ -518,21 +519,21 @@ def _finish(
     kept = (misfit < 6 * usual) & (np.abs(angle + rough) < 4 * ring.step + 0.1)
     scatter = white_noise(angle[kept], usable[kept])
     inflated = formal * np.sqrt(np.maximum(misfit / usual, 1.0))
-    scale = max(scatter / float(np.median(inflated[kept])), 1.0)  # no estimator is better than its bound
+    scale = max(scatter / float(np.median(inflated[kept])), 1.0)  # not below the Cramer-Rao bound
     warnings = list(film.warnings)
     repeated = len(film) - len(usable)
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
     lost = int((~kept).sum())
     if lost:
         warnings.append(
-            f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+            f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
     if correlated > float(np.median(scale * inflated[kept])):
         warnings.append(
-            f"The inner and the outer half of the ring differ as about a hub that is displaced: the uncertainty "
-            f"contains {1e3 * correlated:.2g} mrad for this."
+            f"The angles from the inner and the outer half of the ring differ as if the hub were displaced; "
+            f"the uncertainty contains {1e3 * correlated:.2g} mrad for this."
         )
     return Tracked(
         frame=usable[kept],

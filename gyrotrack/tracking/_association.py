@@ -1,9 +1,9 @@
 """Association: one coarse, unwrapped angle per frame.
 
-The input is a score over all directions, frame by frame: high where the body's markers would coincide with
-what is seen. A lock finds angle and speed from some frames at once; then each frame is searched only near
-its prediction, so that nothing else of the same colour can take over; after a loss the prediction runs on,
-then a new lock is sought.
+The input is a score over all angles in each frame, large where the markers of the body match the picture. A lock
+determines angle and angular rate from several frames. Each of the following frames is searched only near its
+prediction, so that no other object of the same colour is tracked. When the body is lost, the motion is extrapolated
+until a new lock is found.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128
-"""MarkerObservations that are kept."""
+"""Number of recent angles in the fit."""
 FEWEST = 16
 LONGEST_USE = 130
-"""Frames for which a fit is used before it is made anew."""
+"""Frames after which the fit is repeated."""
 LEAST_SCATTER = 1.5e-3
-"""Scatter in rad of a coarse angle that is assumed at least."""
+"""Lower limit of the scatter of a coarse angle [rad]."""
 VIEW_ERROR = 0.05
-"""How far in rad a correct_view view may move a marker once and twice a turn."""
+"""Prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes."""
 
 
 class Prediction:
-    """The last angles of a body, and an even motion through them as a correct_view camera sees it.
+    """Prediction of the angle of a body from its last angles, for a smooth motion seen by an oblique camera.
 
     Notes
     -----
     The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, with psi the
-    parabola alone. With X the rows of these functions, s the scatter about the fit and P the prior of d to g,
-    it is uncertain by s sqrt(x' (X'X + P)^-1 x).
+    parabola alone. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g
+    times s^2, the standard uncertainty is s sqrt(x' (X'X + P)^-1 x).
     """
 
     def __init__(self) -> None:
@@ -48,17 +48,17 @@ class Prediction:
         self._solution: Floats = np.zeros(7)
         self._inverse: Floats = np.eye(7)
 
-    def note(self, frame: Floats, angle: Floats, seen: Mask) -> None:
-        """Add the unwrapped angles of frames in which the body was seen."""
+    def add(self, frame: Floats, angle: Floats, seen: Mask) -> None:
+        """Add the unwrapped angles of the frames in which the body was seen."""
         self._frame = np.concatenate([self._frame, frame[seen]])[-MEMORY:]
         self._angle = np.concatenate([self._angle, angle[seen]])[-MEMORY:]
 
-    def forget(self) -> None:
-        """Start anew, after a loss."""
+    def reset(self) -> None:
+        """Discard all angles, after a loss."""
         self._frame, self._angle, self._origin = self._frame[:0], self._angle[:0], None
 
     def at(self, frame: Floats) -> tuple[Floats, float] | None:
-        """Return the angles at some frames and the largest uncertainty among them; None if too little is known."""
+        """Return the angles at some frames and the largest of their uncertainties; None with too few angles."""
         if len(self._frame) < FEWEST:
             return None
         if self._origin is None or frame[-1] - self._origin > LONGEST_USE:
@@ -86,7 +86,7 @@ class Prediction:
 
 
 def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
-    """Fit a linear model without what lies far off: coefficients, inverse of the normal matrix, scatter."""
+    """Fit a linear model without outliers: coefficients, inverse of the normal matrix, scatter."""
     weight = np.ones(len(value))
     scatter = VIEW_ERROR
     for _ in range(3):
@@ -97,19 +97,19 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
         before, scatter = scatter, max(1.4826 * median_of(left), LEAST_SCATTER)
         last, weight = weight, (left < 3.0 * scatter).astype(np.float64)
         if np.array_equal(weight, last) and (scatter == before or not prior.any()):
-            break  # the next round would find the same
+            break
     return solution, np.asarray(inverse, dtype=np.float64), scatter
 
 
 LOCK_FRAMES = 24
 LONGEST_COAST = 40
 REACH = 0.35
-"""Half width in rad of the window about a prediction."""
+"""Half width of the search window about a prediction [rad]."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where a body is: unwrapped angle [rad], step [rad / frame], frames since it was seen."""
+    """Motion of a body: unwrapped angle [rad], step [rad / frame], frames since it was last seen."""
 
     angle: float
     step: float
@@ -119,18 +119,18 @@ class Motion:
 def find_lock(
     score: Floats, threshold: float, hint: float = 0.0, place: Floats | None = None
 ) -> tuple[int, Motion] | None:
-    """Find the first run of frames whose best directions advance evenly.
+    """Find the first run of frames in which the angle of the largest score advances steadily.
 
     Parameters
     ----------
     score : ndarray, shape (n, columns)
-        Score of every direction in consecutive frames.
+        Score of every angle in consecutive frames.
     threshold : float
         Least score that counts as seen.
     hint : float
-        Step in rad a frame that is expected: of steps that differ by whole turns the nearest is taken.
+        Expected step [rad / frame]; of steps that differ by whole turns the nearest is chosen.
     place : ndarray, shape (n,), optional
-        When the frames were taken, in frames of the camera; evenly, if not given.
+        Times of the frames in periods of the camera; equally spaced if not given.
 
     Returns
     -------
@@ -139,8 +139,8 @@ def find_lock(
 
     Notes
     -----
-    The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]: frames in which
-    something else is brighter only lower the sum. A lock needs 70 % of the frames that were seen in phase.
+    The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]; frames in which another object is
+    brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase.
     """
     columns = score.shape[1]
     best = np.argmax(score, axis=1)
@@ -165,7 +165,7 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
     def power(steps: Floats) -> Floats:
         return np.asarray(np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame))
 
-    even = bool((frame == np.rint(frame)).all())  # only then do steps that differ by a turn look alike
+    even = bool((frame == np.rint(frame)).all())  # only then are steps that differ by a turn equivalent
     steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False) + (0.0 if even else hint)
     step, width = float(steps[np.argmax(power(steps))]), float(steps[1] - steps[0])
     for _ in range(3):
@@ -183,25 +183,25 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
 def follow(
     score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
 ) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
-    """Follow a body through consecutive frames from a known motion.
+    """Track a body through consecutive frames from a known motion.
 
     Parameters
     ----------
     score : ndarray, shape (n, columns)
-        Score of every direction.
+        Score of every angle.
     motion : Motion
         The prediction for frame 0.
     threshold : float
         Least score that counts as seen.
     advance : ndarray, shape (n,), optional
-        Frames of the camera from each frame to the next: more than 1 where frames are missing, 0 before one that
-        repeats it, and no whole number where the camera's rate varied.
+        Periods of the camera from each frame to the next: more than 1 where frames are missing, 0 before a repeated
+        frame, and not an integer where the rate of the camera varied.
 
     Returns
     -------
     angle, seen, motion
-        Unwrapped angle (n,) [rad], whether it was seen (n,), and the prediction for frame n. From the frame
-        on where the body was missed more than `LONGEST_COAST` times in a row the angles are NaN.
+        Unwrapped angle (n,) [rad], whether the body was seen (n,), and the prediction for frame n. After more than
+        `LONGEST_COAST` consecutive frames in which the body was not seen the angles are NaN.
     """
     count, columns = score.shape
     scale = columns / (2.0 * np.pi)
@@ -227,37 +227,37 @@ def follow(
 
 
 def _corrected(motion: Motion, place: float) -> Motion:
-    """Blend a prediction with what was seen (alpha-beta filter); the step learns slowly."""
+    """Update a prediction by an observation (alpha-beta filter)."""
     error = place - motion.angle
     return Motion(motion.angle + 0.6 * error, motion.step + 0.12 * error / (1 + motion.missed), 0)
 
 
 def _vertex(left: float, middle: float, right: float) -> float:
-    """Return the offset of the top of the parabola through three neighbours."""
+    """Return the offset of the vertex of the parabola through three neighbouring values."""
     bend = left - 2.0 * middle + right
     return 0.0 if bend >= 0.0 else float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
 
 
 def net_turn(angle: Floats) -> float:
-    """Return by how much an unwrapped angle with gaps (NaN) has grown from its first to its last value."""
+    """Return the difference of the last and the first known value of an unwrapped angle with gaps (NaN)."""
     known = angle[np.isfinite(angle)]
     return float(known[-1] - known[0]) if len(known) > 1 else 0.0
 
 
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
-    """Return the factor (+1 or -1) that makes the angles grow.
+    """Return the factor (+1 or -1) that makes the angles increase.
 
     Parameters
     ----------
     turns : dict of float
-        By how much each body has turned as seen [rad].
+        Net rotation of each body as seen [rad].
     given : int or None
-        The body stated in the profile; it is not questioned.
+        The sense stated in the profile, which has priority.
 
     Notes
     -----
-    The casing decides, since it never turns by half a turn between frames; where it hardly
-    moves, the rotor. If nothing moves the bodies are taken to turn clockwise as seen, as in the paper.
+    The casing determines the sense, since it never turns by half a turn between frames; if it hardly moves, the rotor.
+    If neither moves, the bodies are assumed to turn clockwise as seen, as in the paper.
     """
     if given is not None:
         return given
@@ -268,11 +268,10 @@ def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
 
 
 def unfold(angle: Floats, sense: int) -> tuple[Floats, bool]:
-    """Add a turn a frame to a body that seems to turn against the sense, as spokes do in a film.
+    """Resolve the aliasing of a body that seems to turn against the sense, by one turn per frame.
 
-    A body that turns by w between frames looks the same as one that turns by w - 2 pi. Friction carries both
-    bodies the same way round, so that the rotor's sense is the casing's. Returns the angle, and whether it
-    was changed.
+    A rotation by w between frames is indistinguishable from one by w - 2 pi. Friction drives both bodies in the same
+    sense, so that the rotor has the sense of the casing. Returns the angle, and whether it was changed.
     """
     turn = net_turn(angle)
     steps = max(int(np.isfinite(angle).sum()) - 1, 1)

@@ -1,4 +1,4 @@
-"""From the observations of one pass to the angles of the bodies."""
+"""Angles of the bodies from the observations of their markers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import set_down
+from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import TimeBase, jitter_is_real
 from gyrotrack.tracking._acquisition import Radii, refine_centre
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
@@ -25,7 +25,7 @@ from gyrotrack.video._time_base import FrameTimes
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# The corners of a marker reach as far as 0.7 of its smeared half width when it is not smeared.
+# Half width of a marker without motion blur, relative to its blurred half width.
 _CORNER = 0.7
 
 
@@ -40,7 +40,7 @@ class BodyView:
     observations : dict of MarkerObservations
         By name.
     inside, whole : dict of ndarray of bool, shape (n,)
-        Where a marker lies in the picture, and where it also is open and looks as it should.
+        Frames in which a marker is within the picture, and in which it is also unoccluded and plausible.
     """
 
     markers: tuple[Marker, ...]
@@ -55,15 +55,15 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers seen in the planes of colour, as the disc is; luma may be displaced by half a px."""
+        """The markers measured in the chroma planes, like the disc; luma may be displaced by half a px."""
         return tuple(p.name for p in self.markers if p.colour != "white")
 
     def place(self, name: str, centre: Floats) -> Floats:
-        """Return where a marker is relative to the centre, (n, 2) in px, y up."""
+        """Return the position of a marker relative to the centre, (n, 2) in px, y up."""
         away = self.observations[name].position(self.whole[name])
         away -= centre
         away[:, 1] *= -1.0
-        set_down()
+        release_pages()
         return away
 
     def flattening(self, centre: Floats) -> Flattening:
@@ -84,7 +84,7 @@ class BodyView:
         return v[self.whole[name] & np.isfinite(v).all(axis=1)]
 
     def radii(self, centre: Floats, flat: Flattening) -> Iterator[Radii]:
-        """Yield by how much each marker's radius is too large in each frame."""
+        """Yield the residual of the radius of each marker in each frame."""
         for marker in self.markers:
             v = flat.level(marker.name, self.place(marker.name, centre))
             radius = np.where(self.whole[marker.name], np.hypot(v[:, 0], v[:, 1]), np.nan)
@@ -92,7 +92,7 @@ class BodyView:
             yield Radii(np.arctan2(v[:, 1], v[:, 0]), radius - usual)
 
     def candidates(self, centre: CentrePath, flat: Flattening) -> dict[str, Candidate]:
-        """Return the markers' angles as seen from straight above, and how far to trust them."""
+        """Return the angles of the markers corrected for the oblique view, with their quality."""
         found = {}
         for marker in self.markers:
             v = flat.level(marker.name, self.place(marker.name, centre.centre))
@@ -114,14 +114,14 @@ def view(
 
 
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
-"""Errors by place in the picture where no body turns enough to show them, root mean squares over films of many
-kinds in which one does: of the encoder's blocks in px, of uneven light in rad."""
+"""Systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
+rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]."""
 
 
 def correct_view(
     centre: CentrePath, views: dict[str, BodyView], profile: Profile, *, marked: bool
 ) -> tuple[CentrePath, dict[str, Flattening]]:
-    """Find the slant of the view on each body's orbits; a marked centre is then corrected by the markers' radii."""
+    """Fit the oblique view of each body's orbits; a marked centre is then corrected by the radii of the markers."""
     if not profile.tilt_correction:
         return centre, dict.fromkeys(views, NO_FLATTENING)
     flat = _flattening(centre, views)
@@ -134,7 +134,7 @@ def correct_view(
 
 
 def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Flattening]:
-    """Find the slant on each body's orbits; a body that passes an arc only is given that of one that goes round."""
+    """Fit the flattening of each body's orbits; a body that covers an arc gets that of one with full orbits."""
     flat = {name: body_view.flattening(centre.centre) for name, body_view in views.items()}
     known = [
         name for name, body_view in views.items() if any(m in flat[name].offset for m in body_view.coloured)
@@ -142,9 +142,9 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     if not known:
         return flat
     body_view, reference = views[known[0]], flat[known[0]]
-    p, q = _beyond(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
+    p, q = _shrunk(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
     reference = replace(reference, p=float(p), q=float(q))
-    shift = _beyond(
+    shift = _shrunk(
         reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
     )
     found = {}
@@ -168,24 +168,24 @@ DEPTH = 0.5
 
 
 def _height_error(flat: Flattening, radius: float) -> float:
-    """Return by how much the casing's orbit may be off the hub, (px): a height h at a tilt t moves it by h sin t."""
+    """Return the uncertainty of the offset of the casing's orbit [px]; a height h at a tilt t moves it by h sin t."""
     return float(np.hypot(HEIGHT * flat.tilt * radius, LEAST_SIGMA))
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the usual error by place in px of the mean of so many markers: light pulls all of them alike."""
+    """Return the typical error by place of the mean of some markers [px]; that of illumination is common to them."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
-def _beyond(found: Floats, error: float) -> Floats:
-    """Return what is left of a vector, (2,), when as much of its square as errors would make is taken off."""
+def _shrunk(found: Floats, error: float) -> Floats:
+    """Return a vector, (2,), shrunk according to the standard uncertainty of its components (James-Stein)."""
     return np.asarray(found * max(1.0 - 2.0 * error**2 / float(found @ found + 1e-12), 0.0))
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
     """Return the systematic errors by place in px of a body, without the first harmonic that perspective causes.
 
-    Where that harmonic dominates, the rest is known no better than the usual error.
+    Where that harmonic dominates, the typical error is a lower limit.
     """
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
@@ -193,15 +193,15 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return how far in px the axis of a fast body by its angles differs from that by its radii, (2,), y up.
+    """Return the difference of the axes of a fast body from its angles and from its radii, (2,) in px, y up.
 
-    Both err by place; what such errors would make is taken off.
+    Both have errors by place; the difference is shrunk by their expected size.
     """
     off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
     if not off:
         return np.zeros(2)
     error = usual_error_by_place(body_view, len(off))
-    return _beyond(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
+    return _shrunk(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
 
 
 def separate_perspective(
@@ -211,31 +211,31 @@ def separate_perspective(
 
     Notes
     -----
-    A circle about e seen in perspective has its near half larger: its radius varies once a turn, as if about a + e,
-    with a proportional to the square of the radius, while its angles are those about e. The rotor's markers turn fast,
-    so that their angles show its e, and their radii a.
+    Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about
+    a + e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
+    turn fast, so that their angles determine e, and their radii a.
 
-    The casing's offset is measured by its radii less the perspective, and expected to be one of two: nil, as the disc
-    at the hub and the casing's marker are on one body (the rotor's offset is its own depth), or that of the rotor,
-    where the disc is above both; each within `_height_error`. All measurements have errors by place.
+    The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
+    and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or that of the
+    rotor, if the disc is above both; each within `_height_error`. All measurements have errors by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
     offset, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
-    # Perspective acts along the tilt; what the rotor shows across it is error.
+    # Perspective acts along the tilt; the component across it is an error.
     azimuth = 0.5 * np.arctan2(-reference.q, -reference.p)
     along = np.array([np.cos(azimuth), np.sin(azimuth)])
     off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
     if off:
         error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
     offset = along * float(along @ offset)
-    axis = _beyond(reference.shift(body_view.coloured) + offset, error)
+    axis = _shrunk(reference.shift(body_view.coloured) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
     size = _height_error(reference, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
-    if own.doubt:
+    if own.offset_covariance:
         tilted = replace(reference, p=own.p, q=own.q)
         arc = views["casing"].flattening_of_arc(centre.centre, tilted, expected + perspective, size)
         return arc.moved(-perspective)
@@ -247,23 +247,23 @@ def separate_perspective(
     means = [one + sure * (measured - one) for one in expected]
     evidence = [-0.5 * float(np.sum((measured - one) ** 2)) / (size**2 + noise) for one in expected]
     mean, covariance = mixture(means, [(1.0 - sure) * size**2 * np.eye(2)] * 2, evidence)
-    return replace(own.moved(np.array(mean) - shift), doubt=dict.fromkeys(own.offset, covariance))
+    return replace(own.moved(np.array(mean) - shift), offset_covariance=dict.fromkeys(own.offset, covariance))
 
 
 PERSPECTIVE = 0.05
-"""Radius of the casing's orbit over the distance of the camera, where no fast rotor shows it: 35 mm at 70 cm."""
+"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
-    """Return how far in px doubt about its slant leaves a body's markers uncertain along their orbit, (n,)."""
-    own = [np.nan_to_num(flat.pull(name, c.angle)) for name, c in candidates.items()]
+    """Return the uncertainty of a body's markers along their orbit due to the offsets, (n,) in px."""
+    own = [np.nan_to_num(flat.tangential_sigma(name, c.angle)) for name, c in candidates.items()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
 
 Integers = npt.NDArray[np.int64]
 
 _FAR = 0.05
-"""Share of the orbit's radius that a centre must move before it is taken to move at all."""
+"""Smallest range of a moving centre, relative to the radius of the orbit."""
 
 
 @dataclass(frozen=True)
@@ -277,9 +277,9 @@ class TrackedBodies:
     bodies : dict of BodyAngles
         Angles as seen.
     flattening : dict of Flattening
-        What the correct_view view does to each body's orbits.
+        Effect of the oblique view on each body's orbits.
     sense : int
-        Factor that makes the angles grow.
+        Factor that makes the angles increase.
     warnings : tuple of str
         What the user should know.
     """
@@ -294,8 +294,8 @@ class TrackedBodies:
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
     """Find the centre's path, and join the markers of each body about it.
 
-    Frames that are missing in the film get empty places, so that the motion is even in between; the result has
-    the film's frames only. A frame that repeats the one before it has no new information, and gets no angle.
+    Missing frames are inserted without data, so that the frames are equally spaced; the result contains only the
+    frames of the film. A frame that repeats the previous one has no angle.
     """
     if seen.times.again is None:
         return _join_fresh(seen, scene, profile, fps)
@@ -308,7 +308,7 @@ def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 
 def _picked(seen: FilmObservations, index: Integers) -> FilmObservations:
-    """Return the frames `index` alone."""
+    """Return the observations of the frames `index`."""
     bodies = {
         name: BodyObservations(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
         for name, body in seen.bodies.items()
@@ -327,14 +327,14 @@ def _join_fresh(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 
 def _time_base(times: FrameTimes) -> TimeBase | None:
-    """Return when frames were taken, also those that are missing, if that is from the stamps."""
+    """Return the times of all frames, also of missing ones; None if they are counted."""
     if times.place is None:
         return None
     return TimeBase(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
 
 
 def trusted_times(seen: FilmObservations, scene: Scene) -> FrameTimes:
-    """Return the times of a film without jitter of its stamps that the body that turns most does not follow."""
+    """Return the times of a film, smoothed unless the body that turns most follows the jitter of the stamps."""
     times = seen.times
     if times.place is None or times.smooth is None or not seen.bodies:
         return times
@@ -343,7 +343,7 @@ def trusted_times(seen: FilmObservations, scene: Scene) -> FrameTimes:
 
 
 def _with_gaps(seen: FilmObservations, index: Integers) -> FilmObservations:
-    """Put the frames where they belong on the camera's even grid; what lies between is NaN or False."""
+    """Place the frames on the equally spaced grid of the camera; missing frames are NaN or False."""
     count = int(index[-1]) + 1 if len(index) else 0
     if count == len(index):
         return seen
@@ -372,7 +372,7 @@ def _join_even(
         if changed:
             bodies[name] = replace(body, angle=angle)
             warnings.append(
-                f"the {name} turns by more than half a turn between frames; its sense is taken as known"
+                f"The {name} turns by more than half a turn between frames; its sense of rotation is assumed."
             )
     for name, body in bodies.items():
         bodies[name] = _zeroed(body, profile, sense)
@@ -388,10 +388,10 @@ def _followed(
     fps: float,
     time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Join the markers of each body; the casing twice, since the rotor's markers pass beneath its own.
+    """Join the markers of each body; the casing twice, since the markers of the rotor pass beneath its own.
 
-    A body that turns too little to show its errors by place is given those of the other one, in px: lamps, encoder and
-    picture are the same.
+    A body that turns too little for its errors by place to be measured gets those of the other body, in px:
+    illumination and encoder are the same.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -420,7 +420,7 @@ def _followed(
         if _credible(found):
             bodies[name] = found
         else:
-            warnings.append(f"the {name}'s markers cannot be followed; it is left out")
+            warnings.append(f"The markers of the {name} cannot be tracked; it is omitted.")
     if len(bodies) == 2 and seen.disc is not None:
         flattening["casing"] = separate_perspective(centre, views, flattening, bodies["rotor"])
         candidates["casing"] = views["casing"].candidates(centre, flattening["casing"])
@@ -433,8 +433,8 @@ def _followed(
 def _centre(seen: FilmObservations, scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
         return smooth_path(seen.disc)
-    sights = [s for body in seen.bodies.values() for s in body.markers.values()]
-    best = max(sights, key=lambda s: int(plausible(s).sum()))
+    observations = [s for body in seen.bodies.values() for s in body.markers.values()]
+    best = max(observations, key=lambda s: int(plausible(s).sum()))
     good = plausible(best) & best.open
     place, first = best.position(good), np.array(scene.centre)
     still = wandering_centre(place, good, first, still=True)
@@ -447,7 +447,7 @@ def _centre(seen: FilmObservations, scene: Scene, profile: Profile) -> CentrePat
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
-    """Move the body's zero to where the profile puts it by naming a mount angle, if it names one."""
+    """Shift the zero of the angle so that the mount angles of the profile hold, if it states any."""
     named = {
         m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
     }
@@ -460,6 +460,6 @@ def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
 
 
 def _credible(body: BodyAngles) -> bool:
-    """Tell whether a body was really followed: in at least a twentieth of the frames, and evenly."""
+    """Tell whether a body has angles in at least 5 % of the frames, with a median uncertainty below 0.2 rad."""
     used = np.isfinite(body.angle)
     return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)

@@ -1,7 +1,7 @@
-"""One body: followed coarsely through its markers together, then each marker measured.
+"""Tracking of one body: coarsely by all its markers together, then each marker is measured.
 
-Where the body will be is predicted, and only the neighbourhood of each marker is looked at. When the prediction
-is not sure enough, or its markers are not where it predicts them, the whole rings are searched.
+The angle of the body is predicted, and only the neighbourhood of each predicted marker is searched. If the uncertainty
+of the prediction is too large, or the markers are not found there, the whole rings are searched.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from gyrotrack.video._container import Frame
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-SEEN = 0.4
-"""Share of one marker's height that the score of a direction must reach."""
+LEAST_SCORE = 0.4
+"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker."""
 MARGIN = 0.05
-"""Largest distance in rad of a marker from its prediction."""
+"""Largest distance of a marker from its prediction [rad]."""
 CHECK_EVERY = 2
-"""Of so many frames one is looked at to see whether the body is where it was predicted."""
-SURE = 3.0
-"""Standard deviations of a prediction that must fit into the margin."""
+"""Every n-th frame is used to check the prediction."""
+COVERAGE_FACTOR = 3.0
+"""Factor on the standard uncertainty of a prediction, which must be within the margin."""
 
 
 class BodyTracker:
-    """Everything that is watched on one body.
+    """Tracker of one body.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class BodyTracker:
     Attributes
     ----------
     step : float
-        How far it turned from frame to frame of late [rad]; infinite as long as that is not known.
+        Recent mean rotation from frame to frame [rad]; infinite as long as it is unknown.
     """
 
     def __init__(
@@ -80,20 +80,20 @@ class BodyTracker:
         self._fresh = True
         self._cover = Occlusion(self._step, offset)
 
-    def aim(self, centre: tuple[float, float]) -> None:
-        """Put all rings about a centre."""
+    def centre_on(self, centre: tuple[float, float]) -> None:
+        """Move all rings to a centre."""
         for tracker in self.markers.values():
-            tracker.strip.aim(centre)
+            tracker.strip.centre_on(centre)
 
     @property
     def maps(self) -> list[AngleMap]:
-        """What was learnt of the light on each marker's ring, and of what hides the markers."""
+        """Learnt maps of the illumination on the ring of each marker, and of the occlusion."""
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Follow the body through some consecutive frames and cut its markers out, from `place` of the batch on.
+        """Track the body through consecutive frames and store the windows of its markers, from `place` of the batch on.
 
-        `advance` (n,) counts the camera's frames to each frame from the one before it, in parts where its rate varied.
+        `advance` (n,) is the time from the previous frame to each frame in periods of the camera.
         """
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
@@ -103,8 +103,8 @@ class BodyTracker:
             self._cut(frames, place, coarse)
             found = self._refined(coarse, slice(place, place + len(frames)))
             if np.isnan(coarse).any():
-                self._prediction.forget()
-            self._prediction.note(number, *found)
+                self._prediction.reset()
+            self._prediction.add(number, *found)
         else:
             self._missed = int(np.argmax(found[1][::-1]))
         self._frame = float(number[-1])
@@ -112,21 +112,21 @@ class BodyTracker:
         self._coarse[place : place + len(frames)] = found[0]
 
     def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
-        """Look where the body should be; None if that is not sure, or if it is not there."""
+        """Search near the prediction; None if its uncertainty is too large, or if the body is not found there."""
         prediction = self._prediction.at(number)
-        if prediction is None or SURE * prediction[1] > MARGIN:
+        if prediction is None or COVERAGE_FACTOR * prediction[1] > MARGIN:
             return None
         self._cut(frames, place, prediction[0])
         few = slice(0, len(frames), CHECK_EVERY)
         angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), CHECK_EVERY))
         if seen.mean() <= 0.5:
             return None
-        self._prediction.note(number[few], angle, seen)
+        self._prediction.add(number[few], angle, seen)
         off = float(np.median((angle - prediction[0][few])[seen]))
         return prediction[0] + off, np.repeat(seen, CHECK_EVERY)[: len(frames)]
 
     def _motion_at(self, number: float) -> Motion | None:
-        """Return the predicted motion at a frame as a `Motion`, when predictions were used so far."""
+        """Return the predicted motion at a frame, if the previous frames were tracked by prediction."""
         ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
         if ahead is None or self._missed is None:
             return None
@@ -139,20 +139,22 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Improve coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
+        """Refine coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
 
-        A marker that is partly hidden stands out less, and counts with the eighth power of that.
+        A marker is weighted by the eighth power of its height, which a partial occlusion reduces.
         """
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
-            off, height = strip.default_for(expected + strip.marker.mount, place)
-            own = np.where(height > SEEN, np.minimum(height, 1.2) ** 8, 0.0)
+            off, height = strip.locate(expected + strip.marker.mount, place)
+            own = np.where(height > LEAST_SCORE, np.minimum(height, 1.2) ** 8, 0.0)
             total, weight = total + own * off, weight + own
         seen = (weight > 1e-6) & np.isfinite(coarse)
         return np.where(seen, coarse + total / weight * self._step, coarse), seen
 
-    def digest(self, count: int, casing: Floats | None) -> tuple[Floats, dict[str, MarkerObservations]]:
+    def measure_batch(
+        self, count: int, casing: Floats | None
+    ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure the markers in the first `count` frames of the batch.
 
         Parameters
@@ -160,7 +162,7 @@ class BodyTracker:
         count : int
             Frames in the batch.
         casing : ndarray, shape (count,), or None
-            Angle as seen of the other body, whose bar may hide markers [rad].
+            Angle as seen of the other body, whose bar may occlude markers [rad].
 
         Returns
         -------
@@ -169,13 +171,15 @@ class BodyTracker:
         """
         coarse = self._coarse[:count].copy()
         windows = {
-            name: tracker.look(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
+            name: tracker.window(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
         }
         if casing is not None:
-            for name, look in windows.items():
+            for name, window in windows.items():
                 if not self.markers[name].strip.white:
-                    self._cover.learn(look, self.markers[name].expected(look), casing)
-        if self._fresh:  # the first batch is measured twice: once to learn from, once to give
+                    self._cover.learn(window, self.markers[name].expected(window), casing)
+        if (
+            self._fresh
+        ):  # the first batch is measured twice: the first time to learn templates and illumination
             self._fresh = False
             self._measured(windows, casing)
         return coarse, self._measured(windows, casing)
@@ -193,7 +197,7 @@ class BodyTracker:
         }
 
     def _searched(self, frames: list[Frame]) -> Floats:
-        """Return the joint score of all directions, (n, columns)."""
+        """Return the joint score of all angles, (n, columns)."""
         total = np.zeros((len(frames), self._coloured[0].ring.columns))
         for strip in self._coloured:
             around = np.clip(strip.whole(frames), -0.2, 1.3)
@@ -211,7 +215,7 @@ class BodyTracker:
                 begin = self._lock(score, begin, advance, coarse)
                 if begin == count:
                     break
-            angle, _, motion = follow(score[begin:], self._motion_now(), SEEN, advance[begin:])
+            angle, _, motion = follow(score[begin:], self._motion_now(), LEAST_SCORE, advance[begin:])
             self._motion = motion
             coarse[begin:] = angle
             lost = np.flatnonzero(np.isnan(angle))
@@ -222,13 +226,13 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body anew from frame `begin` on; fill in the frames before the lock by going backwards.
+        """Find the body again from frame `begin` on; the frames before the lock are tracked backwards.
 
-        Without a lock the old motion runs on, so that its turns are still counted when the body comes back.
+        Without a lock the previous motion is extrapolated, which preserves the number of turns until the next lock.
         """
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
-        lock = find_lock(score[begin:], SEEN, old.step if old else 0.0, place)
+        lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
         if lock is None:
             self._motion = old and _run_on(old, float(advance[begin:].sum()))
             return len(score)
@@ -239,7 +243,7 @@ class BodyTracker:
         if frame > begin:
             before = advance[begin:frame][::-1]
             back = Motion(motion.angle - float(before[0]) * motion.step, -motion.step)
-            angle, here, _ = follow(score[begin:frame][::-1], back, SEEN, np.append(before[1:], 0.0))
+            angle, here, _ = follow(score[begin:frame][::-1], back, LEAST_SCORE, np.append(before[1:], 0.0))
             coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
         self._motion = motion
         return frame

@@ -5,19 +5,18 @@ radius, delta = |P_2 - P_1| the base, beta the angle between the base and the ra
 the clip. Ideally delta and rho are constant and beta is a right angle. Then
 
     u_r  = |rho - mean(rho)| / mean(rho)                                 (relative, one for both corners)
-    u_1k = |angle(M +- mean(delta)/2 * e_base)  - angle(P_k)|            (average base, as it lies)
+    u_1k = |angle(M +- mean(delta)/2 * e_base)  - angle(P_k)|            (average base, measured direction)
     u_2k = |angle(M +- mean(delta)/2 * e_right) - angle(P_k)|            (average base at a right angle)
     sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
 
-with e_base along the base and e_right perpendicular to the radius. The datum is the mean of the corners'
-angles. Its parts are the root mean squares of the corners' parts, and its uncertainty, by the same formula,
-the root mean square of the corners' uncertainties: both corners err from the same causes, so averaging them
-is not taken to lessen it.
+with e_base along the base and e_right perpendicular to the radius. The angle is the mean of the angles of the corners.
+The components of its uncertainty are the root mean squares of those of the corners, and so, by the same formula, is the
+uncertainty: the errors of both corners have the same causes, so that averaging is not assumed to reduce them.
 
-In the unrolled ring a paper has two upright edges and a near edge that is almost level. Each edge is where
-the score crosses half of the marker's height; lines are fitted through these crossings in several bands of rows
-and columns, and the corners are where they meet. Half way is between the marker and what lies beyond that edge:
-a bar in a colour of its own under the marker is not as dark as the rest.
+In the unrolled ring a marker has two radial edges and a nearly tangential near edge. An edge is where the score crosses
+the level half way between the marker and the background beyond that edge, which may differ from edge to edge, as for a
+coloured bar under the marker. Lines are fitted through these crossings in several bands of rows and columns; the
+corners are their intersections.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, stretches
+from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._polar import Windows
@@ -36,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0
-"""The constants of the paper's formula."""
+"""The factors of the paper's formula."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +70,13 @@ def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> P
         `angle` is counter-clockwise as seen, wrapped to (-pi, pi].
     """
     found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
-    for part in stretches(len(corner)):
+    for part in row_blocks(len(corner)):
         _, middle, base = _seen_from(corner[part], centre[part])
         found.rho[part], found.delta[part] = np.abs(middle), np.abs(base)
     use = use & np.isfinite(found.rho)
     mean_rho = float(found.rho[use].mean()) if use.any() else np.nan
     mean_delta = float(found.delta[use].mean()) if use.any() else np.nan
-    for part in stretches(len(corner)):
+    for part in row_blocks(len(corner)):
         with np.errstate(invalid="ignore"):
             some = _from_corners(*_seen_from(corner[part], centre[part]), mean_rho, mean_delta)
         for f in fields(PaperAngle):
@@ -119,7 +118,7 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
 
 
 SIDE_BANDS, NEAR_BANDS = 4, 5
-"""Bands into which the rows of a side, and the columns of the near edge, are gathered."""
+"""Number of bands into which the rows of a side, and the columns of the near edge, are averaged."""
 _LEAST_FALL = 1e-9
 
 
@@ -142,7 +141,7 @@ def near_corners(
     Returns
     -------
     radius, angle : ndarray, shape (n, 2)
-        Polar coordinates of both corners, the lower angle first; NaN where an edge is not seen.
+        Polar coordinates of both corners, the lower angle first; NaN where an edge is not found.
     """
     left, right = _side_edges(window, radii, angles, inner, outer)
     if not np.isfinite(left[0] + right[0]).any():
@@ -162,7 +161,7 @@ def near_corners(
 def _side_edges(
     window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Fit angle = base + lean (r - inner) to each side over the nearer part of the paper."""
+    """Fit angle = base + lean (r - inner) to each side over the inner part of the marker."""
     length = outer - inner
     rows = np.flatnonzero((radii >= inner + 0.12 * length) & (radii <= inner + 0.85 * length))
     if len(rows) < 2:
@@ -220,9 +219,9 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
-    """Return where curves (n, k, size) that leave the marker at sample `first` end at its edge, (n, k) on the axis.
+    """Return the positions of the edge on curves (n, k, size) that start inside the marker at `first`, (n, k).
 
-    That is half way down to what lies beyond the edge; NaN where it is never reached.
+    The level is half way between the marker and the background beyond the edge; NaN where it is not reached.
     """
     outwards = values[:, :, first::step]
     beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, put_away, stretches
+from gyrotrack._column_store import in_file, new_columns, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
@@ -51,17 +51,17 @@ def marker_track(
     sense: int,
     size: tuple[int, int],
 ) -> MarkerTrack:
-    """Build the record of one marker; its corners are given only where nothing hides the marker."""
+    """Build the record of one marker; its corners are given only where it is unoccluded."""
     found = body.markers[marker.name]
     kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
     own = new_columns(len(found.angle), kinds)
-    for part in stretches(len(found.angle)):
+    for part in row_blocks(len(found.angle)):
         some, angle = seen.at(part), found.angle[part]
         own["status"][part] = status = _status(marker, some, np.isfinite(angle), size)
         own["corner"][part] = np.where((status == STATUS["ok"])[:, None, None], _corners(some), np.nan)
         own["angle_fine"][part] = wrapped(sense * angle)
     measured = paper_angle(own["corner"], centre, own["status"] == STATUS["ok"])
-    for part in stretches(len(found.angle)):
+    for part in row_blocks(len(found.angle)):
         measured.angle[part] = wrapped(sense * measured.angle[part])
     return MarkerTrack(
         name=marker.name,
@@ -92,11 +92,10 @@ def _corners(seen: MarkerObservations) -> Floats:
 def _status(
     marker: Marker, seen: MarkerObservations, used: npt.NDArray[np.bool_], size: tuple[int, int]
 ) -> Codes:
-    """Say for each frame how a marker was seen.
+    """Return the status of a marker in each frame.
 
-    ok: whole, with both corners. blurred: whole, but its corners are not to be made out. occluded: something
-    stands before a part of it. out_of_frame: a part lies outside the picture. lost: nothing like it where it
-    should be.
+    ok: unoccluded, with both corners. blurred: unoccluded, but its corners are not found. occluded: a part is occluded.
+    out_of_frame: a part is outside the picture. lost: not found where it is expected.
     """
     status = np.full(len(used), STATUS["lost"], dtype=np.int8)
     status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]
@@ -111,21 +110,21 @@ def body_track(
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
-    `sigma_paper` is the paper's uncertainty of the mean of the markers that were whole in a frame,
-    sqrt(sum sigma_m^2) / n, and NaN where there was none.
+    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame,
+    sqrt(sum sigma_m^2) / n, and NaN if there are none.
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
     columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
     columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
     columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
-    return BodyTrack(name=name, smoothing_width=WIDTH, **put_away(columns))
+    return BodyTrack(name=name, smoothing_width=WIDTH, **in_file(columns))
 
 
 def _paper_sigma(own: list[Floats]) -> Floats:
     """Return sqrt(sum sigma_m^2) / n over the n markers whose uncertainty is known, (n,); NaN where there is none."""
     out = np.empty(len(own[0]))
-    for part in stretches(len(out)):
+    for part in row_blocks(len(out)):
         sigma = np.stack([one[part] for one in own])
         known = np.isfinite(sigma)
         count = known.sum(axis=0)
@@ -135,8 +134,8 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-HARDLY = 0.5
-"""Turn in rad of all bodies up to which a film is taken to show none."""
+LEAST_TURN = 0.5
+"""Smallest range of an angle [rad] for which a body counts as turning."""
 
 
 def extract(
@@ -163,11 +162,12 @@ def extract(
         Frames per second of the camera; without it the profile's, the camera's tag, or the container's from
         100 fps.
     body : {"casing", "rotor", "both"}, optional
-        "casing" looks at nothing else. "rotor" and "both" fail when that body is not seen; with "rotor" the
-        casing is kept where it is seen, because synchronising needs it. Without it all that is seen is kept.
+        "casing" tracks the casing only. "rotor" and "both" fail if that body is not visible; with "rotor" the casing
+        is tracked as well if it is visible, because synchronisation needs it. By default all visible bodies are
+        tracked.
     times : {"auto", "stamps", "frames"}
-        Where the times are from: counted frames over the capture rate; the film's timestamps; or the stamps where
-        they are spaced as unevenly as a camera's whose rate varied, in a film that is not in slow motion.
+        Source of the times: counted frames over the capture rate ("frames"); the timestamps of the film ("stamps");
+        or the timestamps if they show that the rate of the camera varied and the film is not in slow motion ("auto").
     threads : int
         Threads of the decoder where one process tracks all.
     workers : int, optional
@@ -175,14 +175,14 @@ def extract(
     progress : callable, optional
         Called with (frames done, frames declared or None).
     journal : CheckpointFile, optional
-        Keeps what was measured on the way, and lets a run go on that was killed; made with `run_facts`.
+        Stores intermediate results, so that a killed run can be resumed; created with `run_facts`.
 
     Raises
     ------
     VideoError
         The film cannot be read, or its capture rate is unknown.
     TrackingError
-        No markers, or not the requested body.
+        No markers are found, or not those of the requested body.
 
     Examples
     --------
@@ -192,7 +192,8 @@ def extract(
     """
     if body not in BODIES:
         raise UsageError(
-            f"a body is casing, rotor or both, not {body}", "leave it out to keep all that is seen"
+            f"Unknown body {body!r}; use casing, rotor or both.",
+            "Omit the body to track all that are visible.",
         )
     video = Path(video)
     info = probe(video)
@@ -200,11 +201,12 @@ def extract(
     timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _seen(video, profile, threads, workers, progress, timing, journal)
+    scene, seen = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
-    if len(seen.pts_time) < FEWEST:  # damage may leave fewer than the samples promised
+    if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
         raise VideoError(
-            f"only {len(seen.pts_time)} frames of {video} can be decoded", "copy it from the camera again"
+            f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
+            "Copy the film from the camera again.",
         )
     found = judge_repeats(seen, scene)
     when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
@@ -215,7 +217,7 @@ def extract(
     return _recording(info, sha256, rate, scene, seen, joint)
 
 
-def _seen(
+def _observe(
     video: Path,
     profile: Profile,
     threads: int,
@@ -224,12 +226,12 @@ def _seen(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations]:
-    """Find the markers and watch them through the film; what they need is let go of with the end of this."""
+    """Find the markers and track them through the film; the memory for this is released on return."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
-        del samples  # as large as all that is held on the way
+        del samples  # as large as the buffers of the tracker
         release_memory()
         return scene, track_film(processes, video, scene, tracker, threads, progress, timing, journal)
 
@@ -237,7 +239,7 @@ def _seen(
 def _recording(
     info: ClipInfo, sha256: str, rate: CaptureRate, scene: Scene, seen: FilmObservations, joint: TrackedBodies
 ) -> Recording:
-    """Put together what the dataset keeps of a film."""
+    """Build the recording of a film."""
     time = seen.times.seconds(rate.fps)
     markers = {
         marker.name: marker_track(
@@ -249,11 +251,11 @@ def _recording(
     bodies = {
         name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
     }
-    still = _stillness(joint, info.path, marked=scene.disc is not None)
+    at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = _doubts(scene, bodies, len(time))
-    warnings = (*still, *film, *scene.warnings, *joint.warnings, *_odd_frames(markers), *doubts)
+    warnings = (*at_rest, *film, *scene.warnings, *joint.warnings, *_first_frame_warning(markers), *doubts)
     return Recording(
         source=info.path.name,
         source_sha256=sha256,
@@ -277,23 +279,23 @@ def _recording(
     )
 
 
-LEAST_KEPT = 0.8
-"""Share of the frames that must have an angle for a recording to be trusted without a look at it."""
+LEAST_TRACKED = 0.8
+"""Smallest share of frames with an angle for a recording without a doubt."""
 _STEPS = 12
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str, ...]:
-    """Return why a recording is not to be trusted as it is: lost frames, gaps that may hide a turn, missing markers.
+    """Return reasons to inspect a recording: lost frames, gaps with an undetermined number of turns, missing markers.
 
-    The turns in a gap follow from the angular rates before and after it. Where these lead to angles that differ by
-    more than half a turn, their number is not determined.
+    The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
+    predict angles that differ by more than half a turn.
     """
     found = []
     for name, track in bodies.items():
-        if len(track.time) < LEAST_KEPT * count:
+        if len(track.time) < LEAST_TRACKED * count:
             found.append(
-                f"the {name} has an angle in {len(track.time)} of {count} frames "
-                f"({len(track.time) / max(count, 1):.0%}); look at an overlay of the film (--overlay)."
+                f"The {name} has an angle in {len(track.time)} of {count} frames "
+                f"({len(track.time) / max(count, 1):.0%}). Inspect an overlay of the film (--overlay)."
             )
         step = np.diff(track.time)
         period = float(np.median(step)) if len(step) else np.inf
@@ -307,14 +309,15 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
         hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
         if hidden:
             found.append(
-                f"{len(hidden)} gaps of the {name} may hide a turn, the first of {step[hidden[0]]:.3g} s at "
-                f"{track.time[hidden[0]]:.3f} s: the rates before and after it differ by more than half a turn in it."
+                f"The number of turns of the {name} is not determined in {len(hidden)} gap(s), the first of "
+                f"{step[hidden[0]]:.3g} s at {track.time[hidden[0]]:.3f} s. The angular rates before and after the gap "
+                "predict angles that differ by more than half a turn."
             )
         absent = [m for m in scene.missing if scene.body_of.get(m) == name]
         if absent:
             found.append(
-                f"no {' and no '.join(absent)} marker is found on the {name}; "
-                "check the film and the profile (--profile)."
+                f"No {' and no '.join(absent)} marker is found on the {name}. "
+                "Check the film and the profile (--profile)."
             )
     return tuple(found)
 
@@ -334,7 +337,7 @@ def run_facts(video: Path, profile: Profile, body: str | None, times: str = "aut
 def _only_casing(profile: Profile) -> Profile:
     markers = profile.of("casing")
     if not markers:
-        raise UsageError(f"the profile {profile.name} has no marker on the casing", "leave out --body")
+        raise UsageError(f"The profile {profile.name} has no marker on the casing.", "Omit --body.")
     return profile.model_copy(update={"marker": markers})
 
 
@@ -343,35 +346,35 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
     for name in wanted:
         if name not in joint.bodies:
             raise TrackingError(
-                f"the {name} is not seen in {video}",
-                "check the profile's colours (--profile), or leave out --body",
+                f"The {name} is not visible in {video}.",
+                "Check the colours of the profile (--profile), or omit --body.",
             )
     if not joint.bodies:
         raise TrackingError(
-            f"no body can be followed in {video}: its markers do not move evenly about a centre",
-            "check the profile's colours (--profile) and look at the film",
+            f"No body can be tracked in {video}: its markers do not move steadily about a centre.",
+            "Check the colours of the profile (--profile) and inspect the film.",
         )
 
 
-def _stillness(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
-    """Tell of a film in which nothing turns; without a disc the centre that its angles are about is a guess."""
+def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
+    """Return a warning for a film in which nothing turns, where only a disc determines the centre."""
     turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
-    if max(turn.values()) >= HARDLY:
+    if max(turn.values()) >= LEAST_TURN:
         return ()
     most = " and ".join(f"the {name} by {by:.2f} rad" for name, by in turn.items())
-    about = "" if marked else ", and no disc marks their centre"
-    return (f"nothing turns in {video.name}: its angles move little ({most} in all){about}",)
+    about = "" if marked else " No disc marks the centre of rotation."
+    return (f"Nothing turns in {video.name}: the angles hardly change ({most} in total).{about}",)
 
 
-def _odd_frames(markers: dict[str, Any]) -> tuple[str, ...]:
-    """Report a first frame in which nothing is where the motion predicts it: a still before the film, a cut."""
+def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
+    """Return a warning if no marker of the first frame is where the motion predicts it, as after a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
     first = [
         m.status[0] == STATUS["lost"] and np.any(m.status[1:6] == STATUS["ok"]) for m in markers.values()
     ]
     return (
-        ("frame 0 does not belong to the motion that follows (a still?) and is left out",)
+        ("Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",)
         if all(first)
         else ()
     )
@@ -406,7 +409,7 @@ Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
 
 @dataclass(frozen=True)
 class ExtractionJob:
-    """One film, and what is wanted of it.
+    """The extraction of one film: input, output and settings.
 
     Attributes
     ----------
@@ -415,11 +418,11 @@ class ExtractionJob:
     profile : Profile
         Its markers.
     capture_fps : float, optional
-        Frames a second of the camera; the profile's or the film's own, if not given.
+        Frames per second of the camera; without it that of the profile or of the film.
     body : str, optional
         Track only this body.
     times : {"auto", "stamps", "frames"}
-        Where the times of the frames are from.
+        Source of the times; see `extract`.
     workers : int or None
         Processes that share the film; None: one for each core. The result does not depend on their number.
     """
@@ -434,7 +437,7 @@ class ExtractionJob:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What shaped the result, as the file keeps it."""
+        """The settings that determine the result, as stored in the file."""
         return {
             "video": self.video,
             "capture_fps": self.capture_fps,
@@ -444,7 +447,7 @@ class ExtractionJob:
         }
 
     def earlier(self) -> Recording | None:
-        """Return the output if it is there already, of this film and these settings.
+        """Return the existing output if it is of this film and these settings, else None.
 
         Raises
         ------
@@ -459,9 +462,8 @@ class ExtractionJob:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        with CheckpointFile(
-            self.target, {}
-        ) as journal:  # of a run that was killed just after it wrote the output
+        # left by a run that was killed just after it wrote the output
+        with CheckpointFile(self.target, {}) as journal:
             journal.discard()
         return recording
 
@@ -479,25 +481,25 @@ class ExtractionJob:
         Parameters
         ----------
         command : str
-            The words by which this was called, for the file.
+            The command line, which is stored in the file.
         bar : callable
-            Opens what shows (frames done, frames in all).
+            Context manager that yields a callable (frames done, total number of frames).
         tell : callable
-            Hears where the run begins, and what is kept of it when it is interrupted.
+            Called with messages: where a resumed run starts, and what is stored when the run is interrupted.
         resume : bool
-            Continue with the checkpoint of an earlier run, if there is one.
+            Continue from the checkpoint of an earlier run, if there is one.
         force : bool
             Replace an existing output.
 
         Returns
         -------
         tuple of (Recording, float)
-            What was written, and the frames done in a second.
+            The recording, and the frames tracked per second.
 
         Raises
         ------
         VideoError, TrackingError, OutputError
-            The film cannot be read, shows no markers, or the output cannot be written.
+            The film cannot be read or shows no markers, or the output cannot be written.
         """
         with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
@@ -520,17 +522,17 @@ class ExtractionJob:
                     )
             except KeyboardInterrupt:
                 if kept := frames_done(journal):
-                    tell(f"{kept} frames are kept; the same command with --resume goes on from there")
+                    tell(f"{kept} frames are stored. Continue with the same command and --resume.")
                 raise
-            time_base = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
+            rate = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
             journal.discard()
-        return recording, time_base
+        return recording, rate
 
 
 def _resumed(journal: CheckpointFile, taken: int) -> str:
     if taken:
-        return f"{taken} frames of an earlier run are kept"
+        return f"{taken} frames of an earlier run are used."
     if journal.other:
-        return f"{journal.path.name} was of another film, profile or version; starting from the first frame"
-    return "no unfinished run is there; starting from the first frame"
+        return f"{journal.path.name} belongs to another film, profile or version; tracking starts from the first frame."
+    return "There is no unfinished run; tracking starts from the first frame."

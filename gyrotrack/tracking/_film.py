@@ -14,9 +14,8 @@ from gyrotrack.video._decoder import Reader
 
 Plane = npt.NDArray[np.uint8]
 
-_HELD = (
-    600_000_000  # bytes of decoded pictures kept in memory; beyond it a film is decoded again for each pass
-)
+_HELD = 600_000_000
+"""Largest size of the decoded pictures that are kept in memory [bytes]."""
 
 
 class Film:
@@ -29,7 +28,7 @@ class Film:
     threads : int
         Threads of the decoder.
     most : int, optional
-        Frames after which the film is taken to end.
+        Largest number of frames that are read.
     """
 
     def __init__(self, path: Path, threads: int = 2, most: int | None = None) -> None:
@@ -62,11 +61,11 @@ class Film:
         return self.count
 
     def stabilise(self, shake: Shake | None) -> None:
-        """Take the motion of the camera out of all frames from now on; None: leave the frames as they are."""
+        """Compensate the motion of the camera in all frames from now on; None: do not."""
         self._shake = shake
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
-        """Give the luma of frames `first` to before `stop`."""
+        """Yield the luma of the frames from `first` to before `stop`."""
         stop = self.count if stop is None else min(stop, self.count)
         if self._kept is not None:
             for index, plane in enumerate(self._kept[first:stop], first):
@@ -91,7 +90,7 @@ class Film:
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
-    """Return the numbers of the frames that are no repetition of the one before."""
+    """Return the numbers of the frames that do not repeat the previous frame."""
     change = film.changes
     usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
     return np.flatnonzero(~(change < 0.1 * usual)).astype(np.int64) if usual > 0 else np.arange(len(change))

@@ -1,12 +1,13 @@
 """One pass through a film, part by part, in several processes.
 
-A film is split at key frames into parts that depend on the film alone. The light on the rings and the occlusion hold
-for all of the film, and are learnt from some frames of each part in a first pass: a part alone shows fewer passages of
-the markers, and its angles would be less precise. Each part is then tracked by a copy of the tracker that knows both,
-but nothing of the frames before: what it learns on the way (templates, the motion) stays in its part, and the result
-does not depend on how many processes share the parts.
-A part goes on for `OVERLAP` frames into the next one. From these frames follows by how many turns the unwrapped angles
-of the two differ; of their measurements those of the earlier part are kept, whose tracker is not new any more.
+A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common to
+the whole film and are learnt from some frames of each part in a first pass; learnt from one part alone, they would be
+based on fewer passages of the markers, and the angles would be less precise. Each part is then tracked by a copy of the
+tracker with these maps. Templates and motion are learnt within the part, so that the result does not depend on the
+number of processes.
+
+A part extends by `OVERLAP` frames into the next one. These frames determine the number of turns between the unwrapped
+angles of the two parts; the measurements are taken from the earlier part, whose templates are learnt already.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, set_down
+from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.io._checkpoint import CheckpointFile
 from gyrotrack.tracking import _film_tracker
@@ -53,9 +54,9 @@ Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 PART = 2500
-"""Frames of a part at most, but for the distance of key frames."""
+"""Largest number of frames of a part, up to the distance of key frames."""
 LEAST_PART = 400
-"""Frames of a part at least: from fewer the light on a ring and the templates are not learnt."""
+"""Smallest number of frames of a part, from which illumination and templates can be learnt."""
 OVERLAP = 64
 """Frames that two neighbouring parts share."""
 LEARNT = 256
@@ -79,8 +80,8 @@ def split(packets: Packets) -> tuple[Part, ...]:
 
     Notes
     -----
-    Their number is even, since machines have even numbers of cores. The part that begins with key frame k ends
-    `OVERLAP` frames behind the next part's key frame.
+    The number of parts is even, like most numbers of cores. Each part ends `OVERLAP` frames after the key frame of the
+    next part.
     """
     stamps, count = packets.stamps, len(packets.stamps)
     number = 2 * -(-count // (2 * PART))
@@ -100,7 +101,7 @@ def split(packets: Packets) -> tuple[Part, ...]:
 
 @dataclass(frozen=True)
 class Film:
-    """What is needed to track a part of a film in another process.
+    """Data with which a process tracks a part of a film.
 
     Attributes
     ----------
@@ -111,7 +112,7 @@ class Film:
     timing : Timing
         Origin of its times.
     tracker : bytes
-        A tracker of the scene, pickled, without a motion.
+        Pickled tracker of the scene that has not tracked any frame.
     """
 
     path: Path
@@ -122,7 +123,7 @@ class Film:
 
 @dataclass(frozen=True)
 class PartRows:
-    """What one part gives: rows and timestamps of its frames, packets that are damaged, frames that are."""
+    """Result of one part: rows and timestamps of its frames, numbers of damaged packets and of damaged frames."""
 
     rows: Rows
     stamps: npt.NDArray[np.int64]
@@ -131,7 +132,7 @@ class PartRows:
 
 
 class _Advance:
-    """How many usual periods lie between frames of the film, by the timestamps of the whole film."""
+    """Time between frames in median periods, from the timestamps of the whole film."""
 
     def __init__(self, stamps: npt.NDArray[np.int64], time_base: float, timing: Timing) -> None:
         times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)
@@ -154,11 +155,11 @@ def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None
     Parameters
     ----------
     film, part : Film, Part
-        What is tracked.
+        The part to track.
     threads : int
         Threads of the decoder.
     count : callable
-        Called with the number of frames of each batch that is done.
+        Called with the number of frames of each finished batch.
     """
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
     batches: list[Rows] = []
@@ -179,15 +180,15 @@ def _measured(work: FilmTracker, film: Film, reader: Reader) -> Iterator[Rows]:
         if work.full:
             work.take()
         if work.filled == _film_tracker.BATCH:
-            yield work.digest()
+            yield work.measure_batch()
     if work.held:
         work.take()
     if work.filled:
-        yield work.digest()
+        yield work.measure_batch()
 
 
 def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], None]) -> list[AngleMap]:
-    """Return what the first `LEARNT` frames of a part show of light and occlusion."""
+    """Return the maps of illumination and occlusion from the first `LEARNT` frames of a part."""
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
     last = min(part.first + LEARNT, len(film.packets.stamps) - 1)
     block = replace(part, stop=int(film.packets.stamps[last]))
@@ -252,7 +253,7 @@ class PartWorkers:
                     self.count - 1, context, initializer=_start_worker, initargs=(self._done,)
                 )
                 for _ in range(self.count - 1):
-                    self._executor.submit(int)  # the processes import their modules while the scene is sought
+                    self._executor.submit(int)  # the processes import their modules during the acquisition
             except (OSError, ImportError):  # no semaphores, or no memory for a process
                 self._executor = None
 
@@ -279,12 +280,12 @@ class PartWorkers:
         done: int = 0,
         total: int | None = None,
     ) -> Iterator[tuple[int, T]]:
-        """Do a task for some of the parts and yield (index, result) of each as it is done.
+        """Run a task for some of the parts and yield (index, result) as they finish.
 
         Parameters
         ----------
         task : callable
-            Called with (film, part, threads, count), count a function to call with the number of frames that are done.
+            Called with (film, part, threads, count), where count is to be called with numbers of finished frames.
         film : Film
             The film.
         todo : list of int
@@ -345,7 +346,7 @@ class PartWorkers:
     ) -> T:
         try:
             return future.result()
-        except BrokenProcessPool:  # a worker was killed, as for want of memory
+        except BrokenProcessPool:  # a worker was killed, for example for lack of memory
             return task(film, self.parts[index], 1, count)
 
 
@@ -364,26 +365,26 @@ def track_film(
     timing: Timing,
     journal: CheckpointFile | None = None,
 ) -> FilmObservations:
-    """Track everything in a film.
+    """Track all bodies in a film.
 
     Parameters
     ----------
     workers : PartWorkers
-        Its parts, and the processes that track them.
+        The parts of the film, and the processes that track them.
     path : Path
         The film.
     scene : Scene
         What is tracked.
     work : FilmTracker
-        New, of this scene.
+        Tracker of this scene that has not tracked any frame.
     threads : int
         Threads of the decoder where one process tracks all.
     progress : callable, optional
         Called with (frames done, frames declared or None).
     timing : Timing
-        Where the times of the frames are from.
+        Source of the times of the frames.
     journal : CheckpointFile, optional
-        Keeps the parts that are done; those that it holds are not tracked again.
+        Stores finished parts, which are not tracked again.
 
     Raises
     ------
@@ -393,7 +394,7 @@ def track_film(
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
     film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
-    kept = _Kept(workers.parts, packets, journal)
+    kept = _PartResults(workers.parts, packets, journal)
     done = kept.frames
     if progress is not None and done:
         progress(done, total)
@@ -436,8 +437,8 @@ def track_film(
     )
 
 
-class _Kept:
-    """Rows of the parts that are done, in memory or in a journal.
+class _PartResults:
+    """Results of finished parts, in memory or in a journal.
 
     Parameters
     ----------
@@ -446,7 +447,7 @@ class _Kept:
     packets : Packets
         Its packets.
     journal : CheckpointFile, optional
-        Where to keep the rows. One that does not fit the film is started anew.
+        Storage of the rows; it is cleared if it does not match the film.
     """
 
     def __init__(self, parts: tuple[Part, ...], packets: Packets, journal: CheckpointFile | None) -> None:
@@ -464,7 +465,7 @@ class _Kept:
                 break
 
     def add(self, index: int, found: PartRows) -> None:
-        """Keep the rows of a part."""
+        """Store the rows of a part."""
         facts = {
             "part": index,
             "parts": len(self._parts),
@@ -480,28 +481,28 @@ class _Kept:
             self._journal.append(facts, found.rows | {_STAMPS: found.stamps})
 
     def _own(self, index: int, stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-        """Return which frames of a part are not those of the part before it."""
+        """Return which frames of a part do not belong to the previous part."""
         stop = self._parts[index - 1].stop if index else None
         return np.ones(len(stamps), dtype=np.bool_) if stop is None else stamps >= stop
 
     @property
     def todo(self) -> list[int]:
-        """Indices of the parts that are not done."""
+        """Indices of unfinished parts."""
         return [i for i in range(len(self._parts)) if i not in self._facts]
 
     @property
     def frames(self) -> int:
-        """Frames of the parts that are done."""
+        """Number of frames of finished parts."""
         return sum(int(facts["frames"]) for facts in self._facts.values())
 
     @property
     def damage(self) -> tuple[int, int]:
-        """Damaged packets and damaged frames of all parts."""
+        """Numbers of damaged packets and damaged frames of all parts."""
         both = [(int(f["bad_packets"]), int(f["corrupt"])) for f in self._facts.values()]
         return sum(b for b, _ in both), sum(c for _, c in both)
 
     def rows(self, scene: Scene) -> Rows:
-        """Return the rows of all frames, with the angles of every part unwrapped on from those of the part before."""
+        """Return the rows of all frames, with the angles unwrapped across the parts."""
         out: Rows = {}
         place = 0
         last: dict[str, tuple[Floats, Floats]] = {}
@@ -530,7 +531,7 @@ class _Kept:
             for name, values in rows.items():
                 out[name][place : place + size] = values[own]
             place += size
-            set_down()
+            release_pages()
         return out
 
     def _part(self, index: int) -> tuple[Rows, npt.NDArray[np.int64]]:
@@ -544,20 +545,20 @@ class _Kept:
 
 
 def turns_between(frame: Floats, coarse: Floats, next_frame: Floats, next_coarse: Floats) -> Floats:
-    """Return what is to be added to the unwrapped angles of a part, (n,) [rad], multiples of a turn.
+    """Return the correction of the unwrapped angles of a part, (n,) [rad], in whole turns.
 
     Parameters
     ----------
     frame, coarse : ndarray, shape (m,)
-        Frames of the part before, and its unwrapped angles [rad], NaN where the body is lost.
+        Frames of the previous part, and its unwrapped angles [rad], NaN where the body is lost.
     next_frame, next_coarse : ndarray, shape (n,)
         The same of this part.
 
     Notes
     -----
-    In frames of both parts the difference is a number of turns, and, where the two have taken the motion between
-    frames for different ones that look alike, a number of turns more in every frame. Without such frames the angle
-    runs on with the mean of the rates before and after.
+    In common frames the difference is a whole number of turns, plus a whole number of turns per frame if the two parts
+    resolved the aliasing of the motion differently. Without common frames the angle is extrapolated with the mean of
+    the rates before and after.
     """
     turn = 2.0 * np.pi
     _, a, b = np.intersect1d(frame, next_frame, return_indices=True)

@@ -1,7 +1,7 @@
-"""The tracker of a film: every frame unrolled, every batch of frames measured.
+"""The tracker of a film: every frame is unrolled, every batch of frames is measured.
 
-The allocator of glibc keeps what is freed for later, and frames of some size that came and went leave it with a heap
-full of holes. Where many frames have been processed, it returns to the system what it can.
+The allocator of glibc retains freed memory, and its heap becomes fragmented by frames that are allocated and freed.
+`release_memory` returns it to the system after many frames.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gyrotrack.video._time_base import FrameTimes
 
 
 def release_memory() -> None:
-    """Give back to the system what was freed."""
+    """Return freed memory to the system."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another libc than glibc
             ctypes.CDLL(None).malloc_trim(0)
@@ -42,17 +42,17 @@ Progress = Callable[[int, int | None], None]
 
 BATCH = 512
 HOLD = 64
-"""Frames that are kept at a time, so that a body that is not where it was predicted can be searched in them."""
+"""Frames in memory at a time, in which a body that is not found at its prediction is searched."""
 HELD_BYTES = 64_000_000
 SLOW = 3.0 * LEAST_SCATTER
-"""Step in rad of the fastest body up to which frames that look alike are not taken for repeated ones."""
+"""Smallest step of the fastest body [rad] for which equal frames count as repeated."""
 _MOVE = 0.6
-"""Distance in px from the rings' centre to the disc's beyond which the rings are moved."""
+"""Distance of the disc from the centre of the rings [px] beyond which the rings are moved."""
 
 
 @dataclass(frozen=True)
 class BodyObservations:
-    """One body in all frames: unwrapped coarse angle as seen [rad], NaN where it was lost; its markers."""
+    """One body in all frames: unwrapped coarse angle as seen [rad], NaN where the body is lost; its markers."""
 
     coarse: Floats
     markers: dict[str, MarkerObservations]
@@ -60,7 +60,7 @@ class BodyObservations:
 
 @dataclass(frozen=True)
 class FilmObservations:
-    """All that one pass gives.
+    """Observations of one pass through a film.
 
     Attributes
     ----------
@@ -71,11 +71,11 @@ class FilmObservations:
     pts_time : ndarray, shape (n,)
         The stream's own timestamps [s].
     times : FrameTimes
-        When the frames were taken.
+        Times of the frames.
     again : ndarray of bool, shape (n,)
-        Which frames seem to repeat the one before them.
+        Frames that seem to repeat the previous one.
     warnings : tuple of str
-        What the reader found.
+        Warnings of the reader.
     size : tuple of int
         Width and height of the picture in px.
     """
@@ -90,9 +90,9 @@ class FilmObservations:
 
 
 class FilmTracker:
-    """Everything that is tracked in a film.
+    """Tracker of all bodies in a film.
 
-    A new tracker depends on the scene alone, so that copies of it track parts of the film in processes of their own.
+    A new tracker depends on the scene alone; copies of it track parts of the film in parallel processes.
     """
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
@@ -119,40 +119,41 @@ class FilmTracker:
         self.steps: list[float] = []
         self.again = np.zeros(BATCH, dtype=np.bool_)
         self.repeats: RepeatDetector | None = None
-        self.owed = 0.0
+        self.pending_step = 0.0
         self.hold = int(np.clip(HELD_BYTES // (1.5 * samples.frames[0].y.size), 8, HOLD))
 
     @property
     def maps(self) -> list[AngleMap]:
-        """What was learnt of light and occlusion, which holds for all of the film."""
+        """Learnt maps of illumination and occlusion, which are common to the whole film."""
         return [angle_map for body in self.bodies.values() for angle_map in body.maps]
 
     @property
     def full(self) -> bool:
-        """Whether enough frames are held to take them in."""
+        """Whether enough frames are held to be tracked."""
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
     def keep(self, frame: Frame, step: float, *, stamped: bool) -> None:
-        """Keep the next frame of the film until enough of them are held.
+        """Hold the next frame of the film until enough of them are held.
 
-        `step` counts the camera's frames from the one before. A frame that repeats that one shows the same moment, and
-        its step is owed by the next one: it stands in the place of a missing frame, unless such frames come regularly
-        in a film that is not timed by its stamps (`stamped`). Where hardly anything turns all pictures are alike.
+        `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
+        the same moment; its step is added to that of the next frame, because it replaces a missing frame, unless
+        repeated frames are regular in a film that is not timed by its stamps (`stamped`). Frames are not compared while
+        hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)
         again = again and max(body.step for body in self.bodies.values()) > SLOW
         inserted = self.repeats is not None and self.repeats.regular and not stamped
         self.again[self.filled + len(self.held)] = again
         self.held.append(frame)
-        self.steps.append(0.0 if again else step + self.owed)
-        self.owed = self.owed + step if again and not inserted else 0.0
+        self.steps.append(0.0 if again else step + self.pending_step)
+        self.pending_step = self.pending_step + step if again and not inserted else 0.0
 
     def take(self) -> None:
-        """Take in the frames that are held."""
+        """Track the bodies in the held frames, and store the windows of their markers."""
         advance = np.array(self.steps)
         if self.filled == 0 and self.disc is not None:
-            self.disc.aim(self.centre, self.held[0])
-            if self._new:  # the hub may be elsewhere than in the samples of the scene
+            self.disc.centre_on(self.centre, self.held[0])
+            if self._new:  # the hub may have moved since the samples of the scene
                 self.disc.take(self.held, 0)
                 self._move(self.disc.centres(len(self.held)))
         self._new = False
@@ -164,14 +165,14 @@ class FilmTracker:
         self.held.clear()
         self.steps.clear()
 
-    def digest(self) -> Rows:
-        """Measure the frames taken since the last time; one row a frame of every quantity."""
+    def measure_batch(self) -> Rows:
+        """Measure the frames stored since the last call; one row per frame of every quantity."""
         rows: Rows = {"again": self.again[: self.filled].copy()}
         if self.repeats is not None:
-            self.repeats.settle()
+            self.repeats.copy_last()
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, markers = body.digest(self.filled, casing)
+            coarse, markers = body.measure_batch(self.filled, casing)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
                 rows |= {
@@ -194,4 +195,4 @@ class FilmTracker:
             self.centre = (float(x), float(y))
             for name, body in self.bodies.items():
                 dx, dy = self._offsets[name]
-                body.aim((self.centre[0] + dx, self.centre[1] + dy))
+                body.centre_on((self.centre[0] + dx, self.centre[1] + dy))

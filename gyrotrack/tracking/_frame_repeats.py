@@ -1,10 +1,10 @@
-"""Repeated frames: whether the bodies stand still in them.
+"""Confirmation of repeated frames by the motion of the bodies.
 
-A picture that looks like the one before may do so because nothing turns. Where a body should have moved by more than
-its scatter, and has not, a frame is a repetition, and no measurement. The frame after it decides. If the body
-has moved on by the step of the repeated frame too, the repetition stands in the place of a frame that was missed, and
-all other times are right. If it has not, the repetition was put between two frames of the camera, as a conversion to a
-higher rate does: frames are then numbered without it.
+Two pictures may be equal because nothing turns. If a body should have moved by more than its scatter and has not, the
+frame is a repetition and contains no measurement. The next frame shows its origin. If the body has also moved on by the
+step of the repeated frame, the repetition replaces a missing frame, and all other times are right. If it has not, the
+repetition was inserted between two frames of the camera, as in a conversion to a higher rate, and the frames are
+numbered without it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
-"""Frames to each side from which the step of a body is known."""
+"""Frames to each side from which the typical step of a body is determined."""
 CLEAR = 6.0
-"""Standard deviations of its steps by which a body must move in a frame for a repetition to be detected: half a step,
-below which it counts as still, is then three of them."""
+"""Smallest step of a body, in standard deviations of its steps, for which a repetition can be detected: half a step,
+below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
 
 
@@ -41,11 +41,11 @@ class Repetition:
     Attributes
     ----------
     again : ndarray of bool, shape (n,)
-        Which frames repeat the one before them.
+        Frames that repeat the previous one.
     inserted : bool
-        They stand between frames of the camera, not in the place of missing ones.
+        They were inserted between frames of the camera, and do not replace missing ones.
     period : float
-        Frames from one run of them to the next, NaN if these do not come regularly.
+        Period of the runs of repeated frames [frames], NaN if they are not regular.
     """
 
     again: Mask
@@ -53,8 +53,8 @@ class Repetition:
     period: float = float("nan")
 
     @property
-    def kept(self) -> float:
-        """The share of the frames that are the camera's own, where some are repeated regularly."""
+    def original_share(self) -> float:
+        """Share of the original frames of the camera, if frames are repeated regularly."""
         run = float(self.again.sum()) / max(len(_runs(self.again)), 1)
         return 1.0 - run / self.period
 
@@ -65,19 +65,19 @@ def turning_most(seen: FilmObservations) -> str:
 
 
 def seen_angle(seen: FilmObservations, scene: Scene, name: str) -> Floats:
-    """Return the angle of a body by all its markers that are seen well, (n,) [rad]; NaN where there is none."""
+    """Return the mean angle of a body from its plausible markers, (n,) [rad]; NaN where there are none."""
     body = seen.bodies[name]
     total, count = np.zeros((2, len(body.coarse)))
     for marker in scene.of(name):
-        sights = body.markers[marker.name]
-        good = plausible(sights) & sights.open & np.isfinite(body.coarse)
-        total += np.where(good, wrapped(np.nan_to_num(sights.angle - marker.mount - body.coarse)), 0.0)
+        observations = body.markers[marker.name]
+        good = plausible(observations) & observations.open & np.isfinite(body.coarse)
+        total += np.where(good, wrapped(np.nan_to_num(observations.angle - marker.mount - body.coarse)), 0.0)
         count += good
     return body.coarse + np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
-    """Find which frames that look repeated are so, since a body that should move does not, and what they stand for."""
+    """Confirm the frames that seem repeated by the motion of the bodies, and determine their origin."""
     again = seen.again.copy()
     if not again.any() or not seen.bodies:
         return Repetition(again & False)
@@ -91,7 +91,7 @@ def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
 
 
 class _Steps:
-    """An angle's steps between frames that repeat nothing."""
+    """Steps of an angle between frames that are not repeated."""
 
     def __init__(self, angle: Floats, again: Mask) -> None:
         self.angle = angle
@@ -99,7 +99,7 @@ class _Steps:
         self._steps = np.diff(angle[self._fresh])
 
     def around(self, frame: int) -> tuple[float, bool]:
-        """Return the usual step about a frame, and whether it stands out of the scatter of such steps."""
+        """Return the median step about a frame, and whether it is significant."""
         place = int(np.searchsorted(self._fresh, frame))
         known = self._steps[max(place - AROUND, 0) : place + AROUND]
         known = known[np.isfinite(known)]
@@ -109,12 +109,12 @@ class _Steps:
         return usual, abs(usual) > CLEAR * (1.4826 * median_of(np.abs(known - usual)) + 1e-6)
 
     def still(self, frame: int) -> bool | None:
-        """Tell whether the body has not moved since the frame before; None if it is not seen in both."""
+        """Tell whether the body has not moved since the previous frame; None if it is not seen in both."""
         step = abs(self.angle[frame] - self.angle[frame - 1])
         return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
 
     def shares(self, runs: list[tuple[int, int]]) -> list[float]:
-        """Return by how many usual steps it moves on beyond one from before a run to behind it, a repeated frame."""
+        """Return the additional motion across each run, in typical steps per repeated frame."""
         found = []
         for first, after in runs:
             usual, clear = self.around(first)
@@ -125,7 +125,7 @@ class _Steps:
 
 
 def _period(runs: list[tuple[int, int]]) -> float:
-    """Return after how many frames a run follows the one before, NaN if they do not come regularly."""
+    """Return the period of the runs [frames], NaN if they are not regular."""
     first = np.array([run[0] for run in runs])
     if len(first) < FEWEST:
         return float("nan")
@@ -135,13 +135,13 @@ def _period(runs: list[tuple[int, int]]) -> float:
 
 
 def _runs(again: Mask) -> list[tuple[int, int]]:
-    """Return the runs of repeated frames: their first one, and the one after their last."""
+    """Return the runs of repeated frames as (first, last + 1)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
-    """Return what was seen without the observations of repeated frames."""
+    """Return the observations without those of repeated frames."""
     if times.again is None:
         return replace(seen, times=times)
     fresh, count = np.flatnonzero(~times.again), len(times.again)
@@ -158,39 +158,40 @@ def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
 def without_repeats(
     times: FrameTimes, found: Repetition, rate: CaptureRate, info: ClipInfo
 ) -> tuple[FrameTimes, CaptureRate]:
-    """Tell of the repeated frames, and number the others without those that were inserted.
+    """Add a warning about repeated frames, and number the other frames without inserted ones.
 
-    A regular conversion keeps the length of a film: where the capture rate is the file's, the camera's was less by the
-    share of repeated frames. Otherwise it is that of the frames that are left.
+    A regular conversion preserves the duration of a film: if the capture rate is that of the file, the rate of the
+    camera is its product with the share of original frames. Otherwise it is the rate of the original frames.
     """
     if not found.again.any():
         return times, rate
     count, first = int(found.again.sum()), int(np.argmax(found.again))
-    warning = f"{count} frames repeat the one before them, the first is frame {first}; they are left out"
+    warning = f"{count} frames repeat the previous frame (the first is frame {first}) and are omitted."
     if not found.inserted:
-        warning += ", and fill the places of missing frames: the bodies have moved on after them"
+        warning += " They replace missing frames: the bodies have moved on in the frames that follow."
     elif times.place is not None:
         warning += (
-            "; the bodies have not moved on after them, so that the timestamps are not the camera's, and times are "
-            "wrong (--times frames counts the other frames)"
+            " The bodies have not moved on in the frames that follow, so the timestamps are not those of the camera "
+            "and the times are wrong; count the other frames with --times frames."
         )
     else:
         times = replace(times, number=times.number - np.cumsum(found.again))
         rate, more = _slower(rate, found, info)
         warning += (
-            f", and the others are counted without them: the bodies have not moved on after them; {more}"
+            " The other frames are counted without them: the bodies have not moved on in the frames that "
+            f"follow. {more}"
         )
     return replace(times, again=found.again, warnings=(*times.warnings, warning)), rate
 
 
 def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[CaptureRate, str]:
     """Return the capture rate of a film with inserted frames, and a warning about it."""
-    stored, true = info.container_fps, info.container_fps * found.kept
+    stored, true = info.container_fps, info.container_fps * found.original_share
     of_file = abs(rate.fps / stored - 1.0) < min(LIVE, np.nan_to_num(abs(rate.fps / true - 1.0), nan=np.inf))
     if of_file and np.isfinite(true):
         warning = (
-            f"a film of {true:.5g} frames/s was converted to {stored:.5g}, and times are from the former"
+            f"A film of {true:.5g} frames/s was converted to {stored:.5g}; times are from the original rate."
         )
         return CaptureRate(true, "repeated frames"), warning
-    doubt = "; if that is not the camera's rate, give it with --capture-fps" if of_file else ""
-    return rate, f"their rate is taken for {rate.fps:g} frames/s{doubt}"
+    hint = " If that is not the rate of the camera, give it with --capture-fps." if of_file else ""
+    return rate, f"Their rate is assumed to be {rate.fps:g} frames/s.{hint}"

@@ -1,23 +1,22 @@
-"""From the observations of the markers to the angle of their body.
+"""Fusion of the markers of a body into its angle.
 
-The coarse path that followed the body counts the turns; each marker adds its fine angle as a small residual
-from it. Markers are brought together by where they sit on the body, weighted by how much each one scatters
-about the smooth motion; one that departs from the others is flagged and left out.
+The coarse angle of the body gives the number of turns; the fine angle of each marker is a small residual about it. The
+markers are combined with their mount angles, weighted by the inverse variance of their scatter about the smooth motion;
+outliers are rejected.
 
-Systematic errors repeatable with angle are removed first. Lamps that mirror in the metal pull a marker the same way
-whenever it passes the same place; the edge of the bar and its shadow do so whenever it passes the bar. Such errors are
-curves over an angle, and are learnt from the distance of the marker from the smooth motion of its body, as a smooth
-closed curve: the c that minimises
+Systematic errors repeatable with angle are removed first. Reflections of lamps in the metal displace a marker equally
+whenever it passes the same place, and so do the edge of the bar and its shadow whenever it passes the bar. Such errors
+are functions of an angle. They are estimated from the residuals of the marker about the smooth motion of its body, as a
+smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
-with B hat functions on evenly spaced knots, s the scatter, D2 second differences round the circle.
+with B linear hat functions on equally spaced knots, s the scatter, D2 cyclic second differences.
 
-Real motion of a body must not be taken for an error. An unbalance or a tilted table changes the motion once or twice
-per turn of the body, for all its markers together. A body that turns fast does not follow such torques: an amplitude A
-of its acceleration appears as A / omega^2 in its angle. Where there are fast frames, curves are learnt from them and
-hold for all; where there are none, that part (orders 1 and 2 over the body's angle) is not removed
-(`without_common_motion`).
+Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
+the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration is an
+amplitude A / omega^2 of its angle. If there are fast frames, the curves are learnt from these and used for all frames;
+otherwise the common harmonics of orders 1 and 2 in the angle of the body are not removed (`without_common_motion`).
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, stretches
+from gyrotrack._column_store import in_file, row_blocks
 from gyrotrack._smoothing import (
     HALF_WINDOW,
     TimeBase,
@@ -61,7 +60,7 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
     """
     low_low, high_high, both = np.zeros((3, KNOTS))
     right = np.zeros(KNOTS)
-    for some in stretches(len(angle)):
+    for some in row_blocks(len(angle)):
         use = (weight[some] > 0) & np.isfinite(residual[some])
         place = np.mod(angle[some][use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
         low = np.floor(place).astype(np.int64) % KNOTS
@@ -87,7 +86,7 @@ def curve_at(curve: Floats, angle: Floats) -> Floats:
 
 
 def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -> dict[str, Floats]:
-    """Take out of the curves what all markers do together once or twice a turn of their body."""
+    """Remove from the curves the harmonics of orders 1 and 2 that all markers have in common."""
     knots = np.arange(KNOTS) * 2.0 * np.pi / KNOTS
     together = np.mean([curve_at(curve, knots + mounts[name]) for name, curve in curves.items()], axis=0)
     spectrum = np.fft.rfft(together)
@@ -97,25 +96,25 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
 
 
 def once_a_turn(curve: Floats) -> complex:
-    """Return the displacement of the axis from the assumed one that makes a curve: x + i y over the radius.
+    """Return the displacement of the axis that a curve corresponds to, (x + i y) over the radius.
 
-    A marker at v = e + r (cos a, sin a), y up, is seen about the axis assumed at 0 at the angle
+    About an axis assumed at 0, a marker at v = e + r (cos a, sin a), y up, has the angle
     a + (e_y cos a - e_x sin a) / r.
     """
     first = complex(np.fft.rfft(curve)[1]) * 2.0 / KNOTS
     return complex(first.imag, first.real)
 
 
-MOSTLY = 0.5
-"""Share of the frames in which a body must turn round for its errors by place to be known."""
-ENOUGH = 0.2
-"""Share of the frames that must be fast for curves to be learnt from these alone."""
+LEAST_TURNING = 0.5
+"""Smallest share of frames within whole turns for which errors by place are known."""
+LEAST_FAST = 0.2
+"""Smallest share of fast frames for which curves are learnt from these alone."""
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:
-    """Learn each marker's error by its place in the picture (see the module docstring)."""
+    """Learn the error of each marker as a function of its place in the picture (see the module docstring)."""
     fast = state.turning & state.fast
-    geometry_only = fast.sum() > ENOUGH * state.turning.sum()
+    geometry_only = fast.sum() > LEAST_FAST * state.turning.sum()
     when = fast if geometry_only else state.turning
     curves = {}
     for name, c in state.candidates.items():
@@ -126,7 +125,7 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
     else:
         curves = without_common_motion(curves, state.mounts)
     for name, curve in curves.items():
-        for part in stretches(len(state.path)):
+        for part in row_blocks(len(state.path)):
             place = np.nan_to_num(state.candidates[name].angle[part])
             state.by_place[name][part] = curve_at(curve - curve.mean(), place)
 
@@ -134,23 +133,23 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
 def learn_neighbours(
     state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
 ) -> None:
-    """Learn each marker's error by its angle to the other body (see the module docstring).
+    """Learn the error of each marker as a function of its angle to the other body (see the module docstring).
 
-    Markers below it err where it hides a part of them. Markers above it (`above`) err wherever the other body's
-    own markers pass next to them; that is learnt where these pass so fast that no motion follows them. Where they
-    pass nearly in step with the frames, a curve over their angle may creep as slowly as a motion: what of it a
-    local polynomial (`window`: half width and degree) can follow is taken for motion, and left in.
+    Markers below the other body have errors where they are partly occluded. Markers above it (`above`) have errors
+    wherever its markers pass next to them; these are learnt from frames in which the markers pass too fast for a real
+    motion. If they pass nearly in step with the frames, the error may vary as slowly as a motion: the part that a local
+    polynomial (`window`: half width and degree) fits is treated as motion and not removed.
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (state.speed(other - state.path) > FAST)
-    if above and passing.sum() <= ENOUGH * state.turning.sum():
+    if above and passing.sum() <= LEAST_FAST * state.turning.sum():
         return
     for name, c in state.candidates.items():
         difference = np.nan_to_num(c.angle - other)
         near = state.use[name] & np.isfinite(other)
         when = near & (passing if above else state.turning)
         curve = _curve(state, name, difference, state.by_place[name], smooth, when)
-        for part in stretches(len(near)):
+        for part in row_blocks(len(near)):
             shown = near[part] & (above | ~c.open[part])
             state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
         if above:
@@ -159,19 +158,19 @@ def learn_neighbours(
 
 
 def places_passed(state: Residuals) -> float:
-    """Return how many places with errors of their own the body passes, where it does not turn round."""
+    """Return the number of places with independent errors that the body passes outside whole turns."""
     path = state.path[~state.turning & np.isfinite(state.path)]
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
 
 def place_error(state: Residuals) -> float:
-    """Return the usual size of the errors by place that were learnt, of the marker that errs least [rad].
+    """Return the rms of the learnt errors by place of the marker for which it is smallest [rad].
 
-    A marker that is faint or smeared errs more than the place makes it, and so does one next to a bar that stands
-    nearly still, in some places only: then the core's standard deviation is taken. NaN if none could be learnt,
-    or if the markers come back to the same few places.
+    Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
+    errors at some places only; therefore a robust standard deviation is used if it is smaller. NaN if no error could be
+    learnt, or if the markers are seen at a few angles only.
     """
-    if state.turning.mean() < MOSTLY:
+    if state.turning.mean() < LEAST_TURNING:
         return float("nan")
     learnt = []
     for name, c in state.candidates.items():
@@ -185,9 +184,9 @@ def place_error(state: Residuals) -> float:
 def _curve(
     state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
 ) -> Floats:
-    """Learn a closed curve over an angle from what a marker departs from the smooth motion."""
+    """Fit a closed curve over an angle to the residuals of a marker about the smooth motion."""
     off, weight = np.empty((2, len(over)))
-    for part in stretches(len(over)):
+    for part in row_blocks(len(over)):
         ahead = state.candidates[name].angle[part] - state.path[part] - state.mounts[name] - known[part]
         off[part] = wrapped(ahead) - smooth[part]
         weight[part] = np.where(use[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
@@ -199,7 +198,7 @@ ROUNDS = 5
 
 @dataclass(frozen=True)
 class MarkerAngles:
-    """One marker: angle as seen, wrapped, its uncertainty, its place [rad]; NaN where not used."""
+    """One marker: wrapped angle as seen, its uncertainty, its mount angle [rad]; NaN where not used."""
 
     angle: Floats
     sigma: Floats
@@ -210,9 +209,8 @@ class MarkerAngles:
 class BodyAngles:
     """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
 
-    `place_error` is the usual size of the errors by place that were learnt and taken out [rad], of the marker
-    that errs least; NaN if none could be. `axis_off` gives for each marker of a fast body how far from the assumed
-    axis it turns, x + i y (y up) over its radius.
+    `place_error` is the size of the errors by place that were removed [rad] (see `place_error`). `axis_off` is the
+    displacement of the axis from the assumed one for each marker of a fast body, (x + i y) over its radius, y up.
     """
 
     angle: Floats
@@ -223,7 +221,7 @@ class BodyAngles:
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
-        """Put the frames at the places `index` of `count`; what lies between has no angle."""
+        """Place the frames at `index` of `count` frames; the others have no angle."""
         number = np.zeros(count, dtype=np.int64)
         number[index] = self.count
         angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
@@ -234,7 +232,7 @@ class BodyAngles:
         return replace(self, angle=angle, sigma=sigma, count=number, markers=markers)
 
     def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
-        """Return the frames `index` alone."""
+        """Return the frames `index`."""
         markers = {
             name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
         }
@@ -269,48 +267,47 @@ def join(
     fps : float
         Frames per second of the camera.
     other : ndarray, shape (n,), optional
-        Angle as seen of the body that hides the markers now and then, or passes beneath them [rad].
+        Angle as seen of the body that occludes the markers at times, or passes beneath them [rad].
     floor, axis : float or ndarray, shape (n,)
-        Uncertainties in rad of what does not show as scatter because the body does not turn round: errors by place, as
-        far as they are not seen on the way, and an axis that is off.
+        Uncertainties [rad] that are not visible as scatter outside whole turns: errors by place, as far as they are not
+        observed, and the displacement of the axis.
     above : bool
         Whether the markers lie above the other body.
     time_base : TimeBase, optional
-        When the frames were taken, if that was not evenly.
+        Times of the frames, if they are not equally spaced.
     """
     state = Residuals(coarse, candidates, fps, time_base)
     half, degree = learning_window(state.path)
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(short)
-        state.judge(short, leverage)
+        state.reject_outliers(short, leverage)
         smooth, _ = state.smooth(half, degree)
-        state.note_turns(short, smooth, half)
+        state.mark_whole_turns(short, smooth, half)
         learn_places(state, smooth)
         if other is not None:
             learn_neighbours(state, smooth, other, (half, degree), above=above)
-    state.judge(*state.smooth(HALF_WINDOW))
+    state.reject_outliers(*state.smooth(HALF_WINDOW))
     return _result(state, half, degree, floor, axis)
 
 
 def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
-    late = state.late()
-    if isinstance(late, np.ndarray):
-        state.set_apart(late)
+    from_time = state.time_sigma()
+    if isinstance(from_time, np.ndarray):
+        state.subtract_time_scatter(from_time)
     residual, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, residual - smooth)
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - float(np.nansum(leverage)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
 
     def calibrated(residual: Floats, sigma: Floats, share: float) -> Floats:
-        """Raise or lower uncertainties until they are the size of the residuals about the smooth motion.
+        """Scale uncertainties to the residuals about the smooth motion.
 
-        Errors that stay alike for some frames look like motion in part: the smooth motion follows them by its leverage
-        times their correlation factor.
+        The smooth motion absorbs a part of correlated errors: its leverage times their correlation factor.
         """
-        whole = np.hypot(np.hypot(sigma, unlearnt), late)
+        whole = np.hypot(np.hypot(sigma, unlearnt), from_time)
         off = np.where(state.turning, (residual - smooth) / whole, np.nan)
         alike = correlation_factor(np.nan_to_num(off))
         off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))
@@ -319,7 +316,7 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
 
     own = {"angle": state.path + residual, "sigma": calibrated(residual, sigma, 1.0), "count": count}
     del residual, sigma, count
-    body = put_away(own)
+    body = in_file(own)
     markers = {}
     for name, c in state.candidates.items():
         use = state.use[name]
@@ -329,5 +326,5 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
             np.where(use, state.sigma(name), np.nan),
             1.0 / len(state.candidates),
         )
-        markers[name] = MarkerAngles(mount=state.mounts[name], **put_away(own))
+        markers[name] = MarkerAngles(mount=state.mounts[name], **in_file(own))
     return BodyAngles(markers=markers, place_error=place_error(state), axis_off=state.axis_off, **body)

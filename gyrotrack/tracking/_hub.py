@@ -1,13 +1,13 @@
 """The path of the centre of rotation.
 
-The noise of a compressed film is not independent from frame to frame, so that what predicts the next frame
-best is not the true path. The path is therefore taken as a slow curve (local parabolas, their width chosen
-by how well they predict points at least `HOLE` frames away) plus whatever stands out as a line in the
-spectrum of the rest: a precession or a wobble with the turn of the casing.
+The noise of a compressed film is correlated between frames, so that the best predictor of the next frame is not the
+true path. The path of a disc is therefore modelled as a slow curve (local parabolas, their width chosen by
+cross-validation on points at least `HOLE` frames away) plus significant spectral lines of the residuals: a precession
+or a wobble at the frequency of the casing.
 
-The marker's position is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation constrains where c(t)
-lies along its own radius; over half a turn that fixes both coordinates. c(t) is a broken line with about one
-knot a turn.
+Without a disc, the position of a marker is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation
+constrains c(t) along its radius; over half a turn both coordinates are determined. c(t) is piecewise linear with about
+one knot per turn.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import stretches
+from gyrotrack._column_store import row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import local_fit
 from gyrotrack.tracking._polar import CHROMA_SHIFT
@@ -29,7 +29,7 @@ from gyrotrack.video._container import Frame
 Floats = npt.NDArray[np.float64]
 
 _TOGETHER = 64
-"""Frames measured at a time: their windows fit into the processor's own memory."""
+"""Frames measured at a time, whose windows fit into the cache of the processor."""
 
 
 class DiscWindow:
@@ -38,7 +38,7 @@ class DiscWindow:
     Parameters
     ----------
     disc : Disc
-        Where it was found, how large it is, and its chroma.
+        Its position, size and chroma.
     capacity : int
         Frames of a batch.
     """
@@ -50,8 +50,8 @@ class DiscWindow:
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
         self._corner = (0, 0)
 
-    def aim(self, centre: tuple[float, float], frame: Frame) -> None:
-        """Put the window about a centre (luma px), inside the picture."""
+    def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
+        """Move the window to a centre (luma px), inside the picture."""
         height, width = frame.u.shape
         side = 2 * self.half + 1
         x = int(np.clip(round((centre[0] - CHROMA_SHIFT[0]) / 2.0) - self.half, 0, max(width - side, 0)))
@@ -69,7 +69,7 @@ class DiscWindow:
             v[:] = frame.v[box]
 
     def centres(self, count: int) -> Floats:
-        """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where hidden."""
+        """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where it is occluded."""
         u, v = self.disc.chroma
         norm = u * u + v * v
         place = kernels.discs(self._pixels[:count], (u / norm, v / norm), self.disc.radius / 2.0)
@@ -79,12 +79,12 @@ class DiscWindow:
 Complexes = npt.NDArray[np.complex128]
 
 HOLE = 8
-"""Frames over which the errors of a compressed film hang together."""
+"""Correlation length of the errors of a compressed film [frames]."""
 _HALVES = (24, 48, 96, 192)
-_STANDS_OUT = 7.0
+_LINE_POWER = 7.0
 _PIECES = 64
 LEAST_SIGMA = 0.05
-"""Uncertainty in px that no smoothing beats: encoders hold a disc in place while it creeps."""
+"""Lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class CentrePath:
 
 
 def smooth_path(measured: Floats) -> CentrePath:
-    """Smooth a measured path, (n, 2) in px, NaN where there is none."""
+    """Smooth a measured path, (n, 2) in px, NaN where it is unknown."""
     known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
     if not known.any():
         return CentrePath(measured, np.full(len(measured), np.nan), 0)
@@ -113,13 +113,13 @@ def smooth_path(measured: Floats) -> CentrePath:
     slow = _fitted(z, weight, half)
     path = slow + _lines(np.where(known, z - slow, 0.0))
     left = (z - path)[known]
-    sigma = _left_error(left, half)
+    sigma = _path_sigma(left, half)
     gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
     return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
 
 
 def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:
-    """Take the mean for a clip of a few frames."""
+    """Return the mean as the path of a clip of a few frames."""
     mean = z[known].mean()
     scatter = float(np.sqrt(np.mean(np.abs(z[known] - mean) ** 2) / 2.0))
     centre = np.tile([mean.real, mean.imag], (len(z), 1))
@@ -134,7 +134,7 @@ def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexe
 
 
 def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
-    """Return the trimmed mean squared error of predicting points from others at least `HOLE` frames away."""
+    """Return the trimmed mean square error of the prediction of points from others at least `HOLE` frames away."""
     error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
     inner = slice(half // 2, len(z) - half // 2)
     core = np.sort(error[inner][weight[inner] > 0])
@@ -142,7 +142,7 @@ def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
 
 
 def _lines(rest: Complexes) -> Complexes:
-    """Keep what stands out of the spectrum of a series, piece by piece (Hann windows, half overlapping)."""
+    """Return the spectral lines of a series by short-time Fourier transform (Hann windows, half overlapping)."""
     n = len(rest)
     if n < 96:
         return np.zeros(n, dtype=np.complex128)
@@ -160,29 +160,29 @@ def _lines(rest: Complexes) -> Complexes:
     out = np.zeros(len(padded), dtype=np.complex128)
     for some, spectra in _spectra(padded, window, starts):
         power = np.abs(spectra) ** 2
-        kept = spectra * np.where(power > _STANDS_OUT * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
+        kept = spectra * np.where(power > _LINE_POWER * floor, 1.0 - floor / np.maximum(power, 1e-12), 0.0)
         for start, piece in zip(some, np.fft.ifft(kept, axis=1) * window, strict=True):
             out[start : start + size] += piece
     return out[size : size + n]
 
 
 def _spectra(series: Complexes, window: Floats, starts: range) -> Iterator[tuple[range, Complexes]]:
-    """Yield the spectra of the pieces that begin at `starts`, (m, size), some at a time."""
+    """Yield the spectra of the pieces that begin at `starts`, (m, size), in groups."""
     for k in range(0, len(starts), _PIECES):
         some = starts[k : k + _PIECES]
         yield some, np.fft.fft(np.stack([series[s : s + len(window)] * window for s in some]), axis=1)
 
 
 def _floor(power: Floats) -> Floats:
-    """Return the level of a spectrum without its lines: a running median, raised to the mean of noise."""
+    """Return the noise floor of a spectrum: a running median, scaled to the mean of exponential noise."""
     reach = 8
     wrapped = np.concatenate([power[-reach:], power, power[:reach]])
     around = np.stack([wrapped[k : k + len(power)] for k in range(2 * reach + 1)])
     return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
 
 
-def _left_error(left: Complexes, half: int) -> float:
-    """Return what remains of the noise in the smoothed path: its rms, lessened by averaging."""
+def _path_sigma(left: Complexes, half: int) -> float:
+    """Return the standard uncertainty of the smoothed path: rms residual, reduced by averaging correlated noise."""
     rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
     lags = min(48, len(left) // 4)
     base = float(np.mean(np.abs(left) ** 2)) + 1e-12
@@ -192,7 +192,7 @@ def _left_error(left: Complexes, half: int) -> float:
 
 
 _TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
-_NOTHING = 1e-9
+_RIDGE = 1e-9
 
 
 def wandering_centre(
@@ -207,15 +207,15 @@ def wandering_centre(
     weight : ndarray of bool, shape (n,)
         Trusted observations.
     start : ndarray, shape (2,)
-        First guess of the centre in px.
+        Start value of the centre [px].
     still : bool
-        The centre stays where it is.
+        The centre does not move.
 
     Notes
     -----
     Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
     rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
-    free here so that it does not leak into the path, and is fitted again, with its tilt, by
+    free here so that it does not bias the path, and is fitted again, with the tilt, by
     `fit_flattening`.
     """
     n = len(place)
@@ -229,12 +229,12 @@ def wandering_centre(
         solution, error = _robust(place, path, use, knots)
         for part, ends, share in _spans(n, knots):
             path[part] += _between(solution[: 2 * knots].reshape(knots, 2), ends, share)
-    # The residual of the radius bounds the remaining error of the centre; sideways that turns the marker.
+    # The scatter of the radius is an upper limit of the error of the centre; tangentially that changes the angle.
     return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(knots - 1, 1))
 
 
 def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
-    """Return how many knots lie about one turn apart; 1 for fewer than three."""
+    """Return the number of knots at a distance of about one turn; 1 for fewer than three."""
     theta = np.unwrap(np.arctan2(-v[use, 1], v[use, 0]))
     turns = float(np.abs(np.diff(theta)).sum()) / (2.0 * np.pi)
     knots = int(np.clip(turns / _TURNS_PER_KNOT, 1, _MOST_KNOTS))
@@ -242,9 +242,9 @@ def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
 
 
 def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]]:
-    """Yield the frames between each two knots: where they are, the two knots, and the share of the second one."""
+    """Yield the frames between neighbouring knots: slice, the two knots, and the weight of the second one."""
     if knots == 1:
-        for part in stretches(n):
+        for part in row_blocks(n):
             yield part, (0, 0), np.zeros(part.stop - part.start)
         return
     begins = np.ceil(np.linspace(0, n - 1, knots)).astype(np.int64)
@@ -255,13 +255,13 @@ def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]
 
 
 def _between(values: Floats, ends: tuple[int, int], share: Floats) -> Floats:
-    """Return the broken line between two knots, (m, 2)."""
+    """Interpolate linearly between two knots, (m, 2)."""
     low, high = (values[end] for end in ends)
     return np.asarray((1.0 - share)[:, None] * low + share[:, None] * high)
 
 
 def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int) -> tuple[Floats, float]:
-    """Fit knots (x and y in turn), rho, p and q without what lies far off; return them and the scatter."""
+    """Fit knots (x and y alternating), rho, p and q without outliers; return them and the scatter."""
     away = np.full(len(place), np.nan)
     away[use] = np.hypot(*(place[use] - path[use]).T)
     typical = float(np.median(away[use]))
@@ -272,9 +272,7 @@ def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int)
             kept = rows[keep[part]]
             normal[np.ix_(at, at)] += kept.T @ kept
             right[at] += kept.T @ (away[part] - typical)[keep[part]]
-        normal += _NOTHING * np.eye(
-            len(right)
-        )  # of all knots that fit as well, those nearest to where they were
+        normal += _RIDGE * np.eye(len(right))  # undetermined knots keep their place
         size = np.sqrt(normal.diagonal())
         solution = np.linalg.solve(normal / np.outer(size, size), right / size) / size
         left = away - typical
@@ -289,7 +287,7 @@ def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int)
 def _rows(
     place: Floats, path: Floats, knots: int, typical: float
 ) -> Iterator[tuple[slice, npt.NDArray[np.int64], Floats]]:
-    """Yield the linear model span by span: its frames, its unknowns, and the rows (m, unknowns)."""
+    """Yield the linear model of each span: its frames, its unknowns, and the rows (m, unknowns)."""
     for part, ends, share in _spans(len(place), knots):
         v = place[part] - path[part]
         theta = np.arctan2(-v[:, 1], v[:, 0])

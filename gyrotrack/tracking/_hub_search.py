@@ -1,8 +1,8 @@
-"""Proposals for the hub of a body that turns, from the film alone.
+"""Candidates for the hub of a rotating body, from the film alone.
 
-Three independent ways, each blind to what another one sees: the centre towards which the edges of the mean picture
-point (many turns smear a body into circles); the fixed point of the similarity of two frames (features of a textured
-body); the centre of the orbit of a compact spot. Which of them is right is decided by registration, not here.
+Three independent methods for different kinds of bodies: the point of convergence of the gradients of the mean picture
+(a body that turns many times is blurred into circles); the fixed point of the similarity between two frames (features
+of a textured body); the centre of the orbit of a compact spot. Registration selects the right one.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Plane = npt.NDArray[np.uint8]
 _PAIRS = 40
 _LAGS = (1, 4, 16)
 _FEATURES = 400
-_STRAY = 8.0  # px from the similarity at which a feature is given up
-_NEAR = 640.0  # width of the picture over the distance from a similarity within which features agree with it
+_STRAY = 8.0  # residual from the similarity at which a feature is discarded [px]
+_NEAR = 640.0  # width of the picture over the largest residual of an inlier
 _FEWEST = 12  # features that a similarity needs
 _UNIFORM = 1.5  # grey levels by which a bar at the side of a picture may vary
-_FARTHEST = 6.0  # picture sizes; a hub farther off than that has no curvature that could be measured
+_FARTHEST = 6.0  # largest distance of the hub in picture sizes; beyond it the curvature is not measurable
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves in a film.
+    """The moving part of a film.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Motion:
 
     @classmethod
     def of(cls, frames: Sequence[Plane], margin: int = 0) -> Motion:
-        """Compare frames from all of a film; at every edge `margin` px are left out."""
+        """Compare frames from the whole film; at every edge `margin` px are excluded."""
         total = np.zeros(frames[0].shape)
         square = np.zeros(frames[0].shape)
         for frame in frames:
@@ -80,7 +80,7 @@ class Motion:
 
 
 def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:
-    """Return the first column of a picture and the one after its last, without uniform bars that never change."""
+    """Return the first and the last-plus-one column of a picture without constant uniform bars."""
     uniform = (mean.std(axis=0) < _UNIFORM) & (deviation.mean(axis=0) < _UNIFORM)
     ends = []
     for flat, level in ((uniform, mean.mean(axis=0)), (uniform[::-1], mean.mean(axis=0)[::-1])):
@@ -101,14 +101,14 @@ def spatial_noise(frames: Sequence[Plane]) -> float:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A hub (x, y) [px] and the way by which it was found."""
+    """A hub (x, y) [px] and the method by which it was found."""
 
     hub: tuple[float, float]
     way: str
 
 
 def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
-    """Return the ring about a hub in which the picture moves, an arc if most of it is outside the picture."""
+    """Return the ring about a hub in which the picture moves; an arc if the hub is outside the picture."""
     height, width = motion.mean.shape
     y, x = np.mgrid[0:height, 0:width]
     distance = np.hypot(x - hub[0], y - hub[1])
@@ -139,14 +139,14 @@ def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | 
 
 
 def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
-    """Return places where the hub may be, those that agree within a hundredth of the picture given once.
+    """Return candidates for the hub that are at least 0.4 % of the picture apart.
 
     Parameters
     ----------
     frames : sequence of ndarray, shape (height, width)
         Consecutive frames.
     motion : Motion
-        What moves in the film.
+        The moving part of the film.
     """
     height, width = motion.mean.shape
     found: list[Proposal] = []
@@ -169,7 +169,7 @@ def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
 
 
 def edge_hub(motion: Motion) -> tuple[float, float] | None:
-    """Return the point to which the gradients of the mean picture point where the body has moved."""
+    """Return the point of convergence of the gradients of the mean picture in the moving area."""
     grad_x = cv2.Sobel(motion.mean, cv2.CV_64F, 1, 0, ksize=3) / 8
     grad_y = cv2.Sobel(motion.mean, cv2.CV_64F, 0, 1, ksize=3) / 8
     size = np.hypot(grad_x, grad_y)
@@ -192,8 +192,8 @@ def edge_hub(motion: Motion) -> tuple[float, float] | None:
 
 
 def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
-    """Return the centre of the circle on which the most striking moving spot goes, or None."""
-    x, y, weight = [], [], []
+    """Return the centre of the circular path of the largest spot that differs from the mean picture, or None."""
+    x, y = [], []
     limit = max(6.0 * motion.noise, 0.35 * float(np.quantile(motion.deviation, 0.999)))
     for frame in frames[:: max(1, len(frames) // 200)]:
         away = np.abs(frame - motion.mean)
@@ -204,12 +204,11 @@ def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | 
         if stats[best, cv2.CC_STAT_AREA] >= 6:
             x.append(middle[best][0])
             y.append(middle[best][1])
-            weight.append(1.0)
     return fit_circle(np.array(x), np.array(y))
 
 
 def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
-    """Return the centre of the circle through points, robust against outliers; None if they do not make one."""
+    """Return the centre of the circle through points, robust against outliers; None without enough inliers."""
     from skimage.measure import CircleModel, ransac
 
     if len(x) < 8 or np.hypot(np.ptp(x), np.ptp(y)) < 4:
@@ -230,13 +229,14 @@ def similarity_hubs(
     Returns
     -------
     near, far : tuple of float or None
-        The hub (x, y) [px] that suits a body about it, and that of a body which moves at a distance from it.
+        The hub (x, y) [px] for a body around it, and that for a body at a distance from it.
 
     Notes
     -----
-    A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b suit a body that surrounds its hub.
-    A small body far from it, as a pendulum's ball, shows its displacement d = (1 - a)(h - c), c its centroid, precisely
-    and its rotation badly: errors of a pull the hub towards the body. There h is fitted to a = 1 - d / (h - c).
+    A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
+    hub. For a small body far from it, such as the ball of a pendulum, the displacement d = (1 - a)(h - c), c its
+    centroid, is precise and the rotation is not: errors of a bias the hub towards the body. There h is fitted to
+    a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
@@ -272,7 +272,7 @@ def distant_hub(
     shift: npt.NDArray[np.complex128],
     centroid: npt.NDArray[np.complex128],
 ) -> tuple[float, float] | None:
-    """Return the hub that makes 1 - a = d / (h - c) for all pairs of frames; None for a body about its hub."""
+    """Fit the hub h to 1 - a = d / (h - c) for all pairs of frames; None for a body around its hub."""
     middle, spread = complex(np.median(centroid.real), np.median(centroid.imag)), float(np.abs(shift).max())
     if abs(start - middle) < spread:
         return None
@@ -293,9 +293,9 @@ def distant_hub(
 
 
 def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex, complex] | None:
-    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and the centroid of these.
+    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and their centroid.
 
-    None where they do not agree.
+    None with too few inliers.
     """
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
@@ -304,8 +304,8 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     flow: Any = cv2.calcOpticalFlowPyrLK
     there, status, _ = flow(first, second, points, None, **options)
     back, again, _ = flow(second, first, there, None, **options)
-    sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
-    start, end = points[sure, 0], there[sure, 0]
+    tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
+    start, end = points[tracked, 0], there[tracked, 0]
     moves = np.hypot(*(end - start).T) > 0.3
     if moves.sum() < 6:
         return None
@@ -327,14 +327,14 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
 def follow_features(
     frames: Iterable[Plane], motion: Motion
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
-    """Follow the features of a body by optical flow from frame to frame; None where too few are left.
+    """Track the features of a body by optical flow from frame to frame; None with too few inliers.
 
     Returns
     -------
     a, b : ndarray, shape (n,)
         z -> a z + b, |a| = 1, from the first frame to each.
     since : ndarray of int, shape (n,)
-        Frame in which the features that are followed were chosen: new ones continue with the error of the last ones.
+        Frame in which the tracked features were selected: new features inherit the error of the previous ones.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
@@ -361,8 +361,8 @@ def follow_features(
             continue
         there, status, _ = flow(before, frame, now, None, **options)
         back, again, _ = flow(frame, before, there, None, **options)
-        sure = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
-        start, now = start[sure], there[sure]
+        tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
+        start, now = start[tracked], there[tracked]
         before = frame.copy()
         if len(start) < _FEWEST:
             return None
@@ -374,9 +374,7 @@ def follow_features(
             return None
         z0, z1 = (points[use, 0] @ np.array([1, 1j]) for points in (start, now))
         weight = np.ones(len(z0))
-        for _ in range(
-            8
-        ):  # a window that holds some still background is dragged: Tukey's weights leave it out
+        for _ in range(8):  # Tukey's weights reject features biased by background in their window
             middle_0, middle_1 = np.average(z0, weights=weight), np.average(z1, weights=weight)
             a = complex(np.vdot((z0 - middle_0) * weight, z1 - middle_1))
             a /= max(abs(a), 1e-12)
@@ -401,7 +399,7 @@ def follow_features(
 
 
 def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
-    """Return the point of the body, by its place in the first frame, that moves least."""
+    """Return the point of the body, by its position in the first frame, that moves least."""
     left = turn - turn.mean()
     right = -(moved - moved.mean())
     place = complex(np.vdot(left, right) / max(float(np.sum(np.abs(left) ** 2)), 1e-12))

@@ -1,9 +1,8 @@
-"""Uneven illumination and occlusion of a marker at each angle.
+"""Uneven illumination and occlusion of a marker as functions of the angle.
 
-Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the height that is
-seen there, relative to the expected one, gives the brightness of the light (angles fixed in the picture) or
-whether something stands before it (angles fixed on the other body): h = sum(a T p) / sum((a T)^2) over all
-passages.
+Both are learnt from the marker itself. When a marker with profile a T(x) passes an angle, its measured height relative
+to the expected one, h = sum(a T p) / sum((a T)^2) over all passages, gives the illumination (angles fixed in the
+picture) or shows an occlusion (angles fixed on the other body).
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ class AngleMap:
     layers, columns : int
         Rows of the map (parts of the radius) and angles in a full turn.
     ground : ndarray, shape (columns,), optional
-        What was taken off as background, in heights of the marker. A marker has light of its own, and does not show
-        the lamps that mirror in the metal beneath it: what it has above nothing is even, and is averaged; its
-        height, what it has above the background, is not.
+        Background that was subtracted, in heights of the marker. A marker does not show the lamps that are reflected
+        in the metal beneath it: its own brightness varies little and is averaged, its height above the background
+        varies.
     """
 
     def __init__(self, layers: int, columns: int, ground: Floats | None = None) -> None:
@@ -37,7 +36,7 @@ class AngleMap:
         self._bottom = np.zeros((layers, columns))
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
-        """Add passages: arrays of column, height expected (0: do not use), height seen above the background."""
+        """Add passages: arrays of column, expected height (0: do not use), measured height above the background."""
         use = expected > 0.0
         column, expected, value = column[use], expected[use], value[use]
         weighted = expected * (value + expected * self._ground[column])
@@ -50,14 +49,14 @@ class AngleMap:
         self._bottom += other._bottom
 
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
-        """Return the heights relative to their upper middle (layers, columns); NaN where nothing has passed.
+        """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.
 
         Parameters
         ----------
         blur : int
-            Half width in columns of the mean that is taken.
+            Half width of the moving average in columns.
         prior : float
-            Weight, in full passages of a column, with which a height of 1 is mixed in.
+            Weight of a prior height of 1, in full passages of a column.
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
@@ -70,20 +69,20 @@ class AngleMap:
 
 
 HIDDEN, CLEAR = 0.55, 0.95
-"""Relative heights below which a marker counts as hidden, and above which as clear of what hides it."""
+"""Relative heights below which a marker counts as occluded, and above which as free of shadows."""
 WIDEST_EDGE = 8
-"""Columns over which the edge of what hides a marker may be blurred by its motion, or cast a shadow."""
+"""Largest width of the blurred edge or the shadow of an occluding object, in columns."""
 
 
 def even_light(light: AngleMap, reach: int) -> Floats:
-    """Return the relative brightness at each column, 1 where nothing is known; between 0.55 and 2.
+    """Return the relative illumination of each column, between 0.55 and 2; 1 where it is unknown.
 
     Parameters
     ----------
     reach : int
-        Half the width of a marker in columns, or half the way between places where it is seen, if that is more. Light
-        is not resolved more finely: where a marker comes back to the same few places turn after turn, or creeps about
-        them, an error of its displacement looks like a slope of the light under it, and would confirm itself.
+        Half the width of a marker in columns, or half the distance between the angles at which it is seen, if that is
+        larger. This is the resolution: if a marker is seen at the same few angles in every turn, or moves slowly about
+        them, an error of its displacement is indistinguishable from a gradient of the illumination.
     """
     columns = light.columns
     height = light.heights(max(reach, 1), prior=4.0)[0]
@@ -96,14 +95,14 @@ def even_light(light: AngleMap, reach: int) -> Floats:
 
 
 FEWEST_PLACES = 64
-"""Frames from which on the gaps between places seen at random are no wider than a marker."""
+"""Frames from which the gaps between random angles are not wider than a marker."""
 
 
 def places_apart(column: Integers, columns: int) -> int:
-    """Return how far apart, in columns, a marker was seen that comes back to the same few places.
+    """Return the distance in columns between the angles of a marker that is seen at the same few angles.
 
-    The widest gap but one, as the widest may be what a slow body does not reach; 0 for few frames, whose gaps are
-    chance.
+    This is the second largest gap, as the largest may be the range that a slow body does not reach; 0 for few frames,
+    whose gaps are random.
     """
     if len(column) < FEWEST_PLACES:
         return 0
@@ -112,17 +111,17 @@ def places_apart(column: Integers, columns: int) -> int:
     return int(gaps[-2]) if len(gaps) > 1 else 0
 
 
-def unlit(light: AngleMap) -> npt.NDArray[np.bool_]:
-    """Return at which angles something that stands still hides the marker, or outshines it."""
+def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
+    """Return at which angles an object at rest occludes the marker, or glare exceeds it."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
 
 def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
-    """Return at which angles nothing stands before the marker, in any layer; unknown angles count as open.
+    """Return at which angles the marker is unoccluded in all layers; unknown angles count as open.
 
-    What is hidden is grown by a column, because an edge is never sharp; for a marker that `shadows` pull, as far as
-    the adjacent height still rises.
+    Occluded regions are dilated by one column because of their blurred edges. With `shadows` they are extended over
+    adjacent columns with a height below `CLEAR`.
     """
     height = np.nan_to_num(cover.heights(1), nan=1.0)
     hidden, dim = (np.asarray((height < limit).any(axis=0)) for limit in (HIDDEN, CLEAR))
@@ -136,7 +135,7 @@ def _grown(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def _upper_middle(values: Floats) -> float:
-    """Return the value that 60 % of the values do not exceed."""
+    """Return the 60 % quantile."""
     ordered = np.sort(values)
     place = 0.6 * (len(ordered) - 1)
     k = int(place)
@@ -158,47 +157,46 @@ _SCALE = _COLUMNS / (2.0 * np.pi)
 
 
 class Occlusion:
-    """The map of what lies over a body, learnt from the passages of its markers.
+    """Map of the occlusion of a body by the other one, learnt from the passages of its markers.
 
     Parameters
     ----------
     step : float
         Angle in rad from one column of the rings to the next.
     offset : tuple of float
-        Centre of the rings relative to the other body's axis, (x, y) in px, y downwards: what hides the markers turns
-        about that axis.
+        Centre of the rings relative to the axis of the other body, (x, y) in px, y downwards.
     """
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset
         self.map = AngleMap(LAYERS, _COLUMNS)
 
-    def learn(self, look: MarkerWindow, expected: Floats, casing: Floats) -> None:
-        """Add what the windows of a marker show; `expected` is its profile in them (n, m), `casing` (n,) in rad."""
-        known = (look.known & np.isfinite(casing))[:, None]
+    def learn(self, window: MarkerWindow, expected: Floats, casing: Floats) -> None:
+        """Add the windows of a marker with its expected profile (n, m) and the angles of the other body (n,) [rad]."""
+        known = (window.known & np.isfinite(casing))[:, None]
         core = np.where(known & (expected > 0.7), expected, 0.0)
-        column = self._relative(look, casing)
-        for layer in range(look.layers.shape[1]):
-            self.map.learn(layer, column, core, np.clip(look.layers[:, layer], -0.2, 1.5))
+        column = self._relative(window, casing)
+        for layer in range(window.layers.shape[1]):
+            self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
-    def open(self, look: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
-        """Return which samples of the windows nothing hides, (n, m); all, where the other body is unknown.
+    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
+        """Return which samples of the windows are unoccluded, (n, m); all where the other body is unknown.
 
-        With `shadows`, only those are open that also lie beyond the soft edge of what hides.
+        With `shadows`, samples in the shadow of the occluding object are excluded, too.
         """
-        everything = np.ones(look.raw.shape, dtype=np.bool_)
+        everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything
         known = np.isfinite(casing)[:, None]
         open_ = open_columns(self.map, shadows=shadows)
-        return np.where(known, open_[self._relative(look, casing)], everything)
+        return np.where(known, open_[self._relative(window, casing)], everything)
 
-    def _relative(self, look: MarkerWindow, casing: Floats) -> Integers:
-        """Columns of the map for the samples of the windows."""
-        angle = look.first[:, None] * self._step + np.arange(look.raw.shape[1]) * self._step
+    def _relative(self, window: MarkerWindow, casing: Floats) -> Integers:
+        """Return the columns of the map for the samples of the windows."""
+        angle = window.first[:, None] * self._step + np.arange(window.raw.shape[1]) * self._step
         x, y = self._offset
         if x or y:
-            right, up = look.radius * np.cos(angle) + x, look.radius * np.sin(angle) - y
+            right, up = window.radius * np.cos(angle) + x, window.radius * np.sin(angle) - y
             angle = np.arctan2(up, right)
         column = (angle - np.nan_to_num(casing)[:, None]) * _SCALE
         return np.rint(column).astype(np.int64) % _COLUMNS

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._corners import near_corners
-from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, unlit
+from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, shaded_columns
 from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Marker
@@ -27,7 +27,7 @@ Mask = npt.NDArray[np.bool_]
 
 ROUNDS = 8
 FINENESS = 8
-"""Displacements a sample at which the template is tabulated; in between the fit is linear."""
+"""Displacements per sample at which the template is tabulated; it is interpolated linearly."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Match:
     gain, offset : ndarray, shape (n,)
         a and b, in units of the profiles.
     misfit : ndarray, shape (n,)
-        rms of what the template leaves over in the open samples, relative to the gain.
+        rms residual in the open samples, relative to the gain.
     weakness : ndarray, shape (n,)
-        How much larger the uncertainty of d is than with all samples open and a gain of 1 (from the
-        curvature of the fit); inf where d cannot be found.
+        Uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit); inf
+        where d is not determined.
     """
 
     shift: Floats
@@ -60,13 +60,13 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
     Parameters
     ----------
     profile : ndarray, shape (n, m)
-        One profile a frame.
+        One profile per frame.
     template : ndarray, shape (m,)
         T on the same samples.
     start : ndarray, shape (n,)
-        First guess of the displacement in samples.
+        Start value of the displacement in samples.
     seen : ndarray of bool, shape (n, m)
-        Samples that nothing hides.
+        Samples that are not occluded.
     """
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
@@ -86,7 +86,7 @@ def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match
 
 
 def displaced(curve: Floats, shift: Floats) -> Floats:
-    """Return curve(x - shift) for every shift, (n, m); beyond the ends the end values."""
+    """Return curve(x - shift) for every shift, (n, m); the ends are repeated."""
     m = len(curve)
     place = np.arange(m)[None, :] - shift[:, None]
     return np.asarray(np.interp(place.ravel(), np.arange(m), curve).reshape(place.shape))
@@ -114,14 +114,14 @@ def shifted(profile: Floats, shift: Floats) -> Floats:
 
 
 def _with_ends(rows: Floats, reach: int) -> Floats:
-    """Go on with the first and the last value of each row, so far to both sides."""
+    """Extend each row by `reach` copies of its first and last value."""
     return np.concatenate([rows[:, :1].repeat(reach, 1), rows, rows[:, -1:].repeat(reach, 1)], axis=1)
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the template that the open samples of the frames in `use` suggest, top at 1 and foot at 0.
+    """Return the mean profile of the open samples of the frames in `use`, normalised to 0 at its ends and 1 at its top.
 
-    None if there are fewer than three frames, or a part of the profile that none of them shows.
+    None with fewer than three frames; NaN where no frame has an open sample.
     """
     if use.sum() < 3:
         return None
@@ -139,7 +139,7 @@ def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmet
 
 
 def _clipped_mean(values: Floats, seen: Mask) -> Floats:
-    """Mean of each column over its seen values, without those beyond 2.5 standard deviations; NaN if none."""
+    """Return the mean of each column over its seen values within 2.5 standard deviations; NaN if there are none."""
     for _ in range(2):
         count = seen.sum(axis=0)
         safe = np.maximum(count, 1)
@@ -152,17 +152,17 @@ def _clipped_mean(values: Floats, seen: Mask) -> Floats:
 
 
 def flat_top(half_width: float, length: int) -> Floats:
-    """Return a first template: 1 within `half_width` samples of the middle, falling to 0 over three."""
+    """Return an initial template: 1 within `half_width` samples of the middle, falling to 0 over three."""
     x = np.abs(np.arange(length) - (length - 1) / 2.0)
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))
 
 
 MOST_SHAPES = 96
-"""Frames of a batch from which the template is learnt."""
+"""Largest number of frames of a batch from which the template is learnt."""
 
 
 class MarkerTracker:
-    """The templates of a marker and the light on its ring, carried from batch to batch."""
+    """The templates of a marker and the illumination of its ring, updated from batch to batch."""
 
     def __init__(self, marker: Marker, strip: MarkerStrip) -> None:
         self.marker = marker
@@ -171,36 +171,37 @@ class MarkerTracker:
         self._along: Floats | None = None
         self.light = AngleMap(1, strip.ring.columns, strip.ground if strip.white else None)
 
-    def look(self, coarse: Floats) -> MarkerWindow:
-        """Take the windows about the coarse angles (rad, NaN: not followed) out of the buffer."""
+    def window(self, coarse: Floats) -> MarkerWindow:
+        """Return the windows about the coarse angles (rad, NaN: lost) in the buffer."""
         return MarkerWindow(self.strip, coarse)
 
-    def expected(self, look: MarkerWindow) -> Floats:
-        """Return the profile across that is expected where the marker is expected, (n, m)."""
-        return displaced(self.template(look.raw.shape[1]), look.fraction)
+    def expected(self, window: MarkerWindow) -> Floats:
+        """Return the tangential profile at the expected angle of the marker, (n, m)."""
+        return displaced(self.template(window.raw.shape[1]), window.fraction)
 
-    def measure(self, look: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
+    def measure(self, window: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
-        A shadow dims a colour with all that is seen of it; next to a white marker it darkens the metal, which pulls
-        the marker's foot. Where nothing hides such a marker, only samples that are `clear` of shadows are used.
+        A shadow reduces the chroma of a coloured marker as a whole; next to a white marker it darkens the metal, which
+        distorts the edge of the profile. Where such a marker is unoccluded, only samples that are `clear` of shadows
+        are used.
         """
-        dark = unlit(self.light)
+        dark = shaded_columns(self.light)
         if dark.any():
-            open_ = open_ & (look.here(dark) == 0)
-        whole = (open_ | ~self._matters(look)).all(axis=1) & look.known
+            open_ = open_ & (window.here(dark) == 0)
+        whole = (open_ | ~self._matters(window)).all(axis=1) & window.known
         if clear is not None:
             open_ = open_ & (clear | ~whole[:, None])
-        found = self._matched_across(look, open_, whole)
-        along = self._matched_along(look, found, whole)
-        radius, angle = self._corners(look, found, whole)
+        found = self._matched_across(window, open_, whole)
+        along = self._matched_along(window, found, whole)
+        radius, angle = self._corners(window, found, whole)
         ring = self.strip.ring
-        hide = np.where(look.known, 0.0, np.nan)
+        hide = np.where(window.known, 0.0, np.nan)
         spacing = float(ring.radii[1] - ring.radii[0])
         return MarkerObservations(
-            angle=(look.start + found.shift) * ring.step + hide,
+            angle=(window.start + found.shift) * ring.step + hide,
             radius=self.marker.radius + along.shift * spacing + np.where(whole, 0.0, np.nan),
-            corner_angle=angle + (look.start * ring.step)[:, None],
+            corner_angle=angle + (window.start * ring.step)[:, None],
             corner_radius=radius,
             gain=found.gain + hide,
             misfit=found.misfit + hide,
@@ -209,53 +210,56 @@ class MarkerTracker:
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )
 
-    def _matters(self, look: MarkerWindow) -> Mask:
-        """Return the samples of the windows in which the marker itself may show, (n, m)."""
+    def _matters(self, window: MarkerWindow) -> Mask:
+        """Return the samples of the windows within the extent of the marker, (n, m)."""
         step, half = self.strip.ring.step, self.strip.half
         x = np.abs(np.arange(-half, half + 1)) * step
         reach = 1.15 * self.marker.half_width + 2.0 * step
         if self._across is not None:
             reach = float(x[self._across > 0.12].max(initial=self.marker.half_width)) + step
-        place = np.arange(-half, half + 1)[None, :] - look.fraction[:, None]
+        place = np.arange(-half, half + 1)[None, :] - window.fraction[:, None]
         return np.asarray(np.abs(place) * step <= reach)
 
     def template(self, count: int) -> Floats:
-        """Return the profile across that is expected, on the samples of the window."""
+        """Return the tangential template on the samples of the window."""
         if self._across is None:
             return flat_top(self.marker.half_width / self.strip.ring.step, count)
         return self._across
 
-    def _matched_across(self, look: MarkerWindow, open_: Mask, whole: Mask) -> Match:
+    def _matched_across(self, window: MarkerWindow, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
         ring = self.strip.ring
         reach = max(
-            round(self.marker.half_width / ring.step), places_apart(look.start[look.known], ring.columns) // 2
+            round(self.marker.half_width / ring.step),
+            places_apart(window.start[window.known], ring.columns) // 2,
         )
-        template = self.template(look.profile.shape[1])
-        found = match(look.profile, template, look.fraction, open_)
+        template = self.template(window.profile.shape[1])
+        found = match(window.profile, template, window.fraction, open_)
         for _ in range(rounds):
-            good = _good(found, whole, look.known)
+            good = _good(found, whole, window.known)
             few = _some(good, MOST_SHAPES)
-            better = mean_profile(look.profile, found, few, open_, symmetric=True)
+            better = mean_profile(window.profile, found, few, open_, symmetric=True)
             if better is not None and np.isfinite(better).all():
                 self._across = better if self._across is None or rounds > 1 else 0.5 * (self._across + better)
             if good.any():
-                self._learn_light(look, displaced(template, found.shift), found.offset, open_ & good[:, None])
-                look.apply_light(even_light(self.light, reach))
-            template = self.template(look.profile.shape[1])
-            found = match(look.profile, template, found.shift, open_)
+                self._learn_light(
+                    window, displaced(template, found.shift), found.offset, open_ & good[:, None]
+                )
+                window.apply_light(even_light(self.light, reach))
+            template = self.template(window.profile.shape[1])
+            found = match(window.profile, template, found.shift, open_)
         return found
 
-    def _learn_light(self, look: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
+    def _learn_light(self, window: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
         expected = np.where((expected > 0.4) & use, expected, 0.0)
-        column = look.column(self.strip.ring.columns)
-        self.light.learn(0, column, expected, look.raw - offset[:, None])
+        column = window.column(self.strip.ring.columns)
+        self.light.learn(0, column, expected, window.raw - offset[:, None])
 
-    def _matched_along(self, look: MarkerWindow, found: Match, whole: Mask) -> Match:
-        columns = np.arange(look.window.shape[2]) - self.strip.half
+    def _matched_along(self, window: MarkerWindow, found: Match, whole: Mask) -> Match:
+        columns = np.arange(window.scores.shape[2]) - self.strip.half
         reach = max(0.5 * self.marker.half_width / self.strip.ring.step, 1.0)
         weight = np.clip(reach + 0.5 - np.abs(columns[None, :] - found.shift[:, None]), 0.0, 1.0)
-        profile = look.along(weight / weight.sum(axis=1)[:, None])
+        profile = window.along(weight / weight.sum(axis=1)[:, None])
         nothing, everything = np.zeros(len(profile)), np.ones(profile.shape, dtype=np.bool_)
         if self._along is not None:
             return match(profile, self._along, nothing, everything)
@@ -272,12 +276,12 @@ class MarkerTracker:
             along = match(profile, better, along.shift, everything)
         return along
 
-    def _corners(self, look: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
+    def _corners(self, window: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
         ring = self.strip.ring
         radius, angle = np.full((2, len(whole), 2), np.nan)
         use = whole & (found.gain > 0.1)
         if use.any():
-            shaped = look.shaped(use, found.gain[use], found.offset[use])
+            shaped = window.shaped(use, found.gain[use], found.offset[use])
             angles: Floats = np.arange(-self.strip.half, self.strip.half + 1.0) * ring.step
             r, phi = near_corners(shaped, ring.radii, angles, self.marker.inner, self.marker.outer)
             likely = self._likely(r, phi, found.shift[use] * ring.step)
@@ -285,7 +289,7 @@ class MarkerTracker:
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
-        """Tell which pairs of corners fit the marker in place and width, (n, 1)."""
+        """Tell which pairs of corners are consistent with the place and width of the marker, (n, 1)."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         known = np.isfinite(half)
         if not known.any():
@@ -299,7 +303,7 @@ class MarkerTracker:
 
 
 def _some(use: Mask, most: int) -> Mask:
-    """Keep at most about so many of the frames in use, spread evenly."""
+    """Return about `most` of the frames in use, equally spaced."""
     chosen = np.flatnonzero(use)
     few = np.zeros(len(use), dtype=np.bool_)
     few[chosen[:: max(len(chosen) // most, 1)]] = True
@@ -307,7 +311,7 @@ def _some(use: Mask, most: int) -> Mask:
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
-    """Frames that may shape a template: high, with no more left over than usual."""
+    """Return the frames that may enter a template: large gain, and a typical misfit at most."""
     usable = known & (found.gain > 0.25) & (found.gain < 4.0) & (found.weakness < 4.0)
     good = whole & usable
     if good.sum() < 6:

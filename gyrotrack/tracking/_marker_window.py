@@ -20,11 +20,11 @@ Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
 CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5
-"""Spacing of the samples in luma px."""
+"""Spacing of the samples [luma px]."""
 
 
 def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> int:
-    """Return the number of columns in a full turn that suits all markers of a body."""
+    """Return the number of columns in a full turn for all markers of a body."""
     radius = max(marker.outer for marker in markers)
     return ring_for(centre, 0.7 * radius, radius, CHROMA_PIXEL).columns
 
@@ -32,24 +32,22 @@ def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> 
 class MarkerStrip:
     """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
-    A score is linear in the planes of the film. It is formed on the few pixels that a window needs, and only
-    these are unrolled.
+    A score is linear in the planes of the film. It is computed and unrolled only for the pixels of the windows.
 
     Parameters
     ----------
     marker : Marker
-        What is looked at.
+        The marker.
     samples : Samples
-        Frames from which the background is taken: their median at every place, or round each ring where the marker
-        hardly moved.
+        Frames of which the background is the median, at every pixel, or along each row if the marker hardly moves.
     centre : tuple of float
         Centre of the ring in px.
     keep_out : float
-        Radius in px below which nothing is looked at (the disc at the centre).
+        Smallest radius [px] of the windows (the disc at the centre).
     columns : int
         Samples in a full turn.
     margin : float
-        Largest distance in rad of a marker from where it is expected.
+        Largest distance of a marker from its expected angle [rad].
     capacity : int
         Frames of a batch.
     """
@@ -71,7 +69,7 @@ class MarkerStrip:
         grid = ring_for(centre, max(marker.inner - edge, keep_out, 2.0), marker.outer + edge, pixel)
         ring = Ring(centre, grid.inner, grid.outer, grid.rows, columns)
         self.slack = int(np.ceil(margin / ring.step)) + 1
-        # Marker and smear of equal width make a triangle twice as wide at its foot as at half its height.
+        # Motion blur of the width of the marker gives a triangle, whose base is twice its width at half maximum.
         foot = float(np.clip(marker.foot, 1.1 * marker.half_width, 2.0 * marker.half_width))
         self.half = int(np.ceil((foot + max(0.06, 4.0 * ring.step)) / ring.step)) + self.slack
         self.half = min(self.half, (columns - 1) // 2)
@@ -97,30 +95,30 @@ class MarkerStrip:
         self.__dict__.update(state)
         self.windows = np.zeros(state["windows"], dtype=np.float32)
 
-    def aim(self, centre: tuple[float, float]) -> None:
-        """Put the ring about another centre."""
+    def centre_on(self, centre: tuple[float, float]) -> None:
+        """Move the ring to another centre."""
         self.ring = self.ring.moved(centre)
 
     @property
     def ground(self) -> Floats:
-        """Mean over the rows of the marker of what is taken off as background, (columns,)."""
+        """Mean of the subtracted background over the rows of the marker, (columns,)."""
         return np.asarray(self._ground_mean[: self.ring.columns], dtype=np.float64)
 
     @property
     def grid(self) -> Grid:
-        """Where the samples of the ring lie in the planes."""
+        """Positions of the samples of the ring in the planes."""
         if self._grid.ring is not self.ring:
             self._grid = Grid(self.ring, self.width, self._score)
         return self._grid
 
     @property
     def rows(self) -> slice:
-        """Rows that lie well on the marker, away from its near and far edge."""
+        """Rows well inside the marker, away from its near and far edge."""
         return slice(*self._rows)
 
     @property
     def _every_second(self) -> slice:
-        """Every second row of them, enough to find the marker by."""
+        """Every second row of the marker, for its detection."""
         return slice(*self._rows, 2)
 
     def _rows_on(self, ring: Ring) -> tuple[int, int]:
@@ -141,15 +139,14 @@ class MarkerStrip:
         grid.cut(frames, first, self._under, self.windows[here])
 
     def whole(self, frames: list[Frame]) -> Singles:
-        """Return the mean score over the rows of the marker in all directions, (n, columns)."""
+        """Return the mean score over the rows of the marker at all angles, (n, columns)."""
         seen = self.grid.turns(frames, self._every_second).mean(axis=1) - self._ground_mean
         return np.asarray(seen[:, : self.ring.columns])
 
-    def default_for(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
-        """Return by how many columns the marker is displaced from given angles (n,) [rad] in frames of the batch.
+    def locate(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
+        """Return the displacement of the marker from given angles (n,) [rad] in frames of the batch, in columns.
 
-        It is looked for as far as the margin goes. The second array is its mean score there, 0 if the best place is
-        the farthest one.
+        It is searched within the margin. The second array is the mean score at the maximum, 0 if that is at the limit.
         """
         half, reach = max(int(self.marker.half_width / self.ring.step), 1), self.slack
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
@@ -168,26 +165,26 @@ class MarkerStrip:
 
 
 LAYERS = 3
-"""Parts of the radius in which a marker can be hidden by itself."""
+"""Parts of the radius for which the occlusion is measured separately."""
 
 
 class MarkerWindow:
-    """What the windows of one marker show.
+    """Scores and profiles in the windows of one marker.
 
     Attributes
     ----------
     known : ndarray of bool, shape (n,)
-        Frames in which the body was followed.
+        Frames in which the body is tracked.
     start, fraction : ndarray, shape (n,)
-        Column in the middle of the window, and by how many columns from it the marker is expected.
+        Column in the middle of the window, and the expected displacement of the marker from it in columns.
     first : ndarray of int, shape (n,)
         First column of the window, within the full turn.
-    window : ndarray, shape (n, rows, m)
+    scores : ndarray, shape (n, rows, m)
         Scores.
     raw, profile : ndarray, shape (n, m)
-        Mean over the rows of the marker, as seen and under even light.
+        Mean over the rows of the marker, without and with correction of the illumination.
     layers : ndarray, shape (n, layers, m)
-        The same for parts of the radius, as seen.
+        The same for parts of the radius, without the correction.
     """
 
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
@@ -197,14 +194,14 @@ class MarkerWindow:
         self.start = strip.starts[:count].copy()
         self.fraction = np.where(self.known, coarse / strip.ring.step - self.start, 0.0)
         self.first = (self.start - strip.half) % strip.ring.columns
-        self.window = strip.windows[:count]
+        self.scores = strip.windows[:count]
         rows = np.arange(strip.rows.start, strip.rows.stop)
         parts = np.array_split(rows, min(LAYERS, len(rows)))
         self._sizes = np.array([len(part) for part in parts]) / len(rows)
-        mixing = np.zeros((len(parts), self.window.shape[1]))
+        mixing = np.zeros((len(parts), self.scores.shape[1]))
         for line, part in zip(mixing, parts, strict=True):
             line[part] = 1.0 / len(part)
-        self.layers = Windows.plain(self.window).rows(mixing)
+        self.layers = Windows.plain(self.scores).rows(mixing)
         self.raw: Floats = np.einsum("l,nlm->nm", self._sizes, self.layers)
         self.profile = self.raw
         self._light: Floats | None = None
@@ -219,17 +216,17 @@ class MarkerWindow:
         self._light, self.profile = here, self.raw * here
 
     def here(self, around: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        """Return what is known of every column of the ring for the samples of the windows, (n, m)."""
+        """Return values per column of the ring for the samples of the windows, (n, m)."""
         m = self.raw.shape[1]
         return sliding_window_view(np.concatenate([around, around[:m]]), m)[self.first]
 
     def along(self, weight: Floats) -> Floats:
-        """Return the mean over the columns with weights (n, m), of sum 1, under even light: (n, rows)."""
+        """Return the mean over the columns with weights (n, m) of sum 1, corrected for illumination: (n, rows)."""
         lit = weight if self._light is None else weight * self._light
-        plain = Windows.plain(self.window)
+        plain = Windows.plain(self.scores)
         return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
 
     def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> Windows:
-        """Return the windows of some frames under even light, background at 0 and marker at 1."""
-        light = np.ones((len(gain), self.window.shape[2])) if self._light is None else self._light[use]
-        return Windows(self.window, np.flatnonzero(use), light, offset, 1.0 / gain)
+        """Return the windows of some frames, corrected for illumination, background at 0 and marker at 1."""
+        light = np.ones((len(gain), self.scores.shape[2])) if self._light is None else self._light[use]
+        return Windows(self.scores, np.flatnonzero(use), light, offset, 1.0 / gain)

@@ -1,4 +1,4 @@
-"""Moving colours of a film, and the markers that they make."""
+"""Moving colours of a film, and candidates for markers."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ Images = npt.NDArray[np.float32]
 
 BINS = 120
 APART = np.deg2rad(24.0)
-"""Hues closer than this are one colour."""
+"""Smallest difference between two hues that count as different [rad]."""
 SECTOR = np.deg2rad(45.0)
 LEAST_CHANGE = 6.0
-"""Grey levels of chroma by which a pixel must change to count as moving colour."""
+"""Smallest change of chroma of a moving colour [grey levels]."""
 LEAST_SHARE = 0.004
-"""Share of all moving colour that a hue must have."""
+"""Smallest share of a hue in the total change of chroma."""
 MOST = 8
 
 
 @dataclass(frozen=True)
 class MovingColour:
-    """Sample frames as differences of chroma from the resting picture.
+    """Differences of chroma of sample frames from their median.
 
     Attributes
     ----------
     change : ndarray, shape (2, n, height, width)
-        Chroma of each sample less the median of all, only where the colour grew stronger.
+        Chroma of each sample minus the median of all, where the saturation increases; 0 elsewhere.
     hues : tuple of float
         Directions in the chroma plane (U, V) of the colours that move [rad], the strongest first.
     """
@@ -51,7 +51,7 @@ class MovingColour:
     hues: tuple[float, ...]
 
     def scores(self, hue: float) -> Images:
-        """Return how much of a hue each pixel of each sample shows, (n, height, width), nearer to it than to others."""
+        """Return the score of a hue in each pixel of each sample, (n, height, width), 0 if another hue is nearer."""
         score = hue_score(self.change[0], self.change[1], direction_of(hue))
         limit = min((0.5 * apart(hue, other) for other in self.hues if other != hue), default=SECTOR)
         if limit < SECTOR:
@@ -62,10 +62,10 @@ class MovingColour:
 
 
 def moving_colour(samples: Samples) -> MovingColour:
-    """Find what moves in sample frames, and the hues of it.
+    """Find the moving colours of sample frames.
 
-    A marker shows as a change towards its own hue. Where it lay in most of the samples, the others show the opposite:
-    such changes make the colour weaker and are left out.
+    A marker causes a change towards its hue. At a place that it covers in most of the samples, the other samples have
+    the opposite change, which decreases the saturation and is excluded.
     """
     chroma = samples.chroma.astype(np.float32)
     still = np.median(chroma, axis=1, keepdims=True)
@@ -107,21 +107,21 @@ def apart(a: float, b: float) -> float:
 
 
 TRIALS = 1500
-"""Triples of points tried for a centre; more than for a known profile, as most colours may be chance."""
-_TWIN = 0.35
-"""Contrast times share of samples, relative to the first patch, from which a second one of the hue is no accident."""
+"""Random triples of points for a centre; more than for a known profile, as most points may be outliers."""
+_AMBIGUOUS = 0.35
+"""Smallest contrast times share of samples of a second patch of a hue, relative to the first one."""
 _SAME_HUE = 18.0
 _DISC_HUES = range(0, 360, 30)
 _LEAST_DISC = 14.0
-"""Chroma in grey levels that makes a disc: metal mirrors a tinge of its surroundings."""
+"""Smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly."""
 _OFF_CENTRE = 0.3
-"""Share of the smallest orbit's radius by which a disc may be off the centre of the orbits."""
+"""Largest distance of a disc from the centre of the orbits, relative to the smallest radius."""
 
 
 def find_orbit(
     samples: Samples, moving: MovingColour, hub: tuple[float, float] | None = None
 ) -> Orbit | None:
-    """Find the centre that coloured blobs circle, whatever else moves in the picture; or their circles about a hub."""
+    """Find the common centre of the circles of coloured blobs, or their circles about a given hub."""
     points: list[tuple[float, float]] = []
     group: list[int] = []
     for label, hue in enumerate(moving.hues):
@@ -152,7 +152,7 @@ class Circle:
 
 
 def find_circle(samples: Samples, orbit: Orbit) -> Circle | None:
-    """Find a coloured disc at the centre of the orbits, of whatever colour; None where there is none."""
+    """Find a coloured disc at the centre of the orbits, of any colour; None if there is none."""
     limit = max(_OFF_CENTRE * min(orbit.radii.values()), 4.0)
     best: Circle | None = None
     for hue in _DISC_HUES:
@@ -180,23 +180,23 @@ class Candidate:
     hue : float
         In degrees.
     sampled : SampledMarker
-        How it was seen.
-    twin : bool
-        Another patch of the same hue is there, so that the two can be taken for each other.
+        The marker in the samples.
+    ambiguous : bool
+        There is another patch of the same hue, and the two may be confused.
     """
 
     hue: float
     sampled: SampledMarker
-    twin: bool = False
+    ambiguous: bool = False
 
     @property
     def colour(self) -> Hue:
-        """Nearest name."""
+        """Name of the nearest colour."""
         return nearest_colour(self.hue)
 
     @property
     def contrast(self) -> float:
-        """Chroma against what lies around it, in grey levels."""
+        """Difference of chroma from the background [grey levels]."""
         return float(np.hypot(*self.sampled.marker.contrast))
 
 
@@ -213,7 +213,7 @@ def find_candidates(
         if one is None:
             continue
         other = _candidate(_without(rings, one.sampled), one.hue)
-        found.append(replace(one, twin=other is not None and _alike(one, other)))
+        found.append(replace(one, ambiguous=other is not None and _alike(one, other)))
     return ring, found
 
 
@@ -226,14 +226,14 @@ def _candidate(rings: Rings, hue: float) -> Candidate | None:
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
-    """Tell whether a second patch has the hue of the first, and stands out too often to be an accident."""
+    """Tell whether a second patch has the hue of the first and is significant."""
     share = other.contrast / one.contrast * float(other.sampled.clear.mean())
-    return share > _TWIN and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
+    return share > _AMBIGUOUS and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
 
 def _without(rings: Rings, seen: SampledMarker) -> Rings:
-    """Return the rings with what usually lies there in the place of a marker."""
-    usual = rings.usual
+    """Return the rings with a marker replaced by the background."""
+    usual = rings.background
     if seen.marker.dwell > LONGEST_DWELL:  # the median shows the marker itself
         usual = np.broadcast_to(np.median(usual, axis=2, keepdims=True), usual.shape)
     column = np.arange(rings.ring.columns) * rings.ring.step
@@ -246,10 +246,10 @@ def _without(rings: Rings, seen: SampledMarker) -> Rings:
 Mask = npt.NDArray[np.bool_]
 
 EVEN = 0.6
-"""Share of the observations that must be in phase with an even motion."""
+"""Smallest share of the observations that are in phase with a steady rotation."""
 TOGETHER = 0.75
-"""Share of the samples in which two markers of one body keep their distance."""
-_STANDS, _MOVED = 2e-3, 0.25
+"""Smallest share of the samples in which two markers of one body have the same distance."""
+_REST_STEP, _MOVED = 2e-3, 0.25
 _NEAR = 0.2
 _FEWEST = 8
 
@@ -264,15 +264,15 @@ class SteadyRotation:
 
 @dataclass(frozen=True)
 class Group:
-    """Markers that keep their distance, and how they move."""
+    """Markers with constant angular distances, and their rotation."""
 
     members: tuple[Candidate, ...]
     rotation: SteadyRotation
 
     @property
-    def stands(self) -> bool:
-        """Whether it does not turn, in the first frames nor in the course of the film."""
-        if abs(self.rotation.step) > _STANDS:
+    def is_at_rest(self) -> bool:
+        """Whether it turns neither in the first frames nor in the course of the film."""
+        if abs(self.rotation.step) > _REST_STEP:
             return False
         seen = self.members[0].sampled
         turn = np.exp(1j * seen.angle[seen.clear])
@@ -280,12 +280,12 @@ class Group:
 
     @property
     def weight(self) -> float:
-        """How much there is to see of it."""
+        """Sum of contrast times share of distinct samples over its markers."""
         return sum(c.contrast * float(c.sampled.clear.mean()) for c in self.members)
 
 
 def rotation(angle: Floats, use: Mask) -> SteadyRotation:
-    """Find the step that brings most angles of consecutive frames, (n,) in rad, into phase."""
+    """Find the step for which most angles of consecutive frames, (n,) in rad, are in phase."""
     frame = np.flatnonzero(use)
     if len(frame) < _FEWEST:
         return SteadyRotation(0.0, 0.0)
@@ -299,19 +299,19 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
-    """Put markers that move together into groups, the strongest group first; also return those that move unevenly."""
+    """Group markers that move together, the strongest group first; also return those that do not move steadily."""
     groups: list[list[Candidate]] = []
-    paces = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
-    uneven = [c for c in candidates if paces[id(c)].share < EVEN]
+    rotations = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
+    uneven = [c for c in candidates if rotations[id(c)].share < EVEN]
     for one in sorted(candidates, key=lambda c: -c.contrast):
         if any(one is other for other in uneven):
             continue
-        home = next((g for g in groups if _together(one, g[0])), None)
-        if home is None:
+        group = next((g for g in groups if _together(one, g[0])), None)
+        if group is None:
             groups.append([one])
         else:
-            home.append(one)
-    made = [Group(tuple(g), max((paces[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
+            group.append(one)
+    made = [Group(tuple(g), max((rotations[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
     return sorted(made, key=lambda g: -g.weight), uneven
 
 

@@ -1,8 +1,8 @@
-"""Tracking of a body whose hub moves: a table that hangs on threads, a puck that slides, a cylinder that rolls.
+"""Tracking of a body whose hub moves: a table suspended by threads, a sliding puck, a rolling cylinder.
 
-The path of the hub is found first: from the features of a body that stays in its place, or from the outlines of what
-differs from the still background. The picture of the body about this path is then registered against its own learnt
-mean, which measures the angle and the rest of the displacement together.
+The path of the hub is found first: from the features of a body that hardly moves, or from the outlines of the
+difference from the background. The picture of the body about this path is then registered against its learnt mean,
+which measures the angle and the remaining displacement together.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _EXPLAINED = 0.4
 """Share of the change of brightness about the path that the rotation must explain."""
 _COARSE = 48.0
 _MIDDLE = 100.0
-_LEARNT = 150  # frames from which the body's picture is learnt
-_ROUNDS = 10  # times that picture and poses are estimated in turn, at most ...
+_LEARNT = 150  # frames from which the template is learnt
+_ROUNDS = 10  # largest number of iterations between template and poses ...
 _SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
 _HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the body
 _LARGEST_STEP = 2.0  # px that a registration may correct the path by
@@ -44,27 +44,27 @@ _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from
 _FAINTEST = 0.1  # ... and the share of the strongest contrast
 _FEWEST = 12  # frames of a path
 _SMALLEST = 24.0  # area of a body [px2]
-_LOST = 5  # frames after which a body that is not seen is given up; bodies that collide start new paths
-_AREA = 0.3  # relative change of the area from which bodies touch each other or are hidden
-_GATE = 0.7  # diameters between a body and where it is expected
+_LOST = 5  # frames without the body after which a path ends; colliding bodies start new paths
+_AREA = 0.3  # relative change of the area from which bodies touch or are occluded
+_GATE = 0.7  # largest distance of a body from its prediction in diameters
 _TRAVEL = 0.5  # diameters that a free body moves at least
 _SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
 _TURNING = 3.0  # ... rms change of its picture over the noise, and ...
-_TURNED = 0.2  # ... over its largest change: what a codec makes of a body at rest is larger than the noise
+_TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest exceed the noise
 _STEADY = 9  # frames of which most show the motion
 _WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
 _BODIES = 4  # paths of which the rotation is measured, at most
 _TURNS = 5.0
-"""Standard uncertainties of one angle by which the angles of a body that turns scatter at least."""
+"""Smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle."""
 
 
 def track_by_features(
     film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
 ) -> Tracked | None:
-    """Track a body without an axle, such as a hanging table, by its features; None for any other film.
+    """Track a body without an axle, such as a suspended table, by its features; None for any other film.
 
-    A body on an axle is left to registration, which uses the whole picture: features are for a hub that moves by more
-    than a pixel and a turn of less than a radian to both sides.
+    This is for a hub that moves by about a pixel or more and a range of angles below 2 rad. A body on an axle is
+    tracked by registration, which uses the whole picture.
     """
     wanted = set(usable.tolist())
     found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
@@ -95,8 +95,8 @@ def track_by_features(
     if share < _EXPLAINED:
         return None
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
-    # features at the body's edge are dragged by the background: the whole picture decides, and the difference between
-    # the two is an uncertainty that neighbouring frames share; new features continue with the error of the last ones
+    # features at the edge of the body are biased by the background: the result is that of registration, and the
+    # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
     for start in np.unique(followed):
@@ -107,12 +107,12 @@ def track_by_features(
         *film.warnings,
         *tracked.warnings,
         (
-            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms and is measured; features and "
-            f"registration of the picture differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
+            f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
         ),
     ]
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the one before them and are left out.")
+        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
     return replace(
         tracked,
         sigma=np.hypot(tracked.sigma, correlated),
@@ -125,15 +125,15 @@ def track_by_features(
 def track_free_body(
     film: Film, near: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the rotation of a body that moves across the picture before a still background.
+    """Track the rotation of a body that moves across the picture in front of a fixed background.
 
     Parameters
     ----------
     film : Film
         The film.
     near : tuple of float, optional
-        A point (x, y) [px] that the body passes, to choose one of several. Without it the body that turns furthest is
-        tracked.
+        A point (x, y) [px] that the body passes, to select one of several. By default the body with the largest range
+        of angles is tracked.
     progress : callable, optional
         Called with (frames done, frames in all).
 
@@ -160,12 +160,12 @@ def track_free_body(
             *tracked.warnings,
             (
                 f"The body moves across the picture by {np.hypot(*np.ptp(path.place, axis=0)):.0f} px; the centroid of "
-                f"its outline is the centre of rotation, seen whole in {len(path.frame)} of {len(film)} frames."
+                f"its outline, complete in {len(path.frame)} of {len(film)} frames, is the centre of rotation."
             ),
         ]
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
-            warnings.append(f"Another body moves, too: --hub {x:.0f},{y:.0f} tracks it.")
+            warnings.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
         return replace(
             tracked,
             sigma=np.hypot(tracked.sigma, correlated),
@@ -174,8 +174,8 @@ def track_free_body(
             warnings=tuple(warnings),
         )
     raise TrackingError(
-        f"no body that turns while it moves across the picture is found in {film.path.name}",
-        "give the centre of rotation, or a point that the body passes, with --hub X,Y",
+        f"No body that turns while it moves across the picture is found in {film.path.name}.",
+        "Give the centre of rotation, or a point that the body passes, with --hub X,Y.",
     )
 
 
@@ -186,7 +186,7 @@ class Path:
     Attributes
     ----------
     frame : ndarray of int, shape (m,)
-        Frames in which the outline is whole.
+        Frames in which the outline is complete.
     place : ndarray, shape (m, 2)
         Centroid of the outline (x, y) [px].
     radius : float
@@ -217,7 +217,7 @@ class _Link:
         return float(np.median([o.area for o in self.outline[-10:]]))
 
     def expected(self, frame: int) -> Floats:
-        """Return where the body is expected at the velocity of its last steps."""
+        """Extrapolate the position with the velocity of the last steps."""
         last = self.outline[-1].place
         if len(self.frame) < 3:
             return last
@@ -266,7 +266,7 @@ def _changed(film: Film, usable: Frames, limit: float) -> Floats:
 
 
 def _outlines(differs: Bools) -> list[_Outline]:
-    """Return what differs from the background, without what the edge of the picture cuts."""
+    """Return the regions that differ from the background and do not touch the edge of the picture."""
     closed = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     height, width = differs.shape
@@ -283,7 +283,7 @@ def _outlines(differs: Bools) -> list[_Outline]:
 
 
 def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
-    """Join the outlines of a frame to the bodies of the frames before, the nearest pair first."""
+    """Assign the outlines of a frame to the bodies of the previous frames, the nearest pair first."""
     recent = [link for link in links if index - link.frame[-1] <= _LOST]
     pairs = []
     for link in recent:
@@ -305,7 +305,7 @@ def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
 
 
 def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats, Floats] | None:
-    """Follow the angle of a body along its path; None where rotation does not explain how its picture changes."""
+    """Track the angle of a body along its path; None if rotation does not explain the change of its picture."""
     hub = path.place.mean(axis=0)
     ring = Ring.about(
         (float(hub[0]), float(hub[1])), max(1.0, 0.1 * path.radius), _WITHIN * path.radius, finest=_COARSE
@@ -313,7 +313,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     shift = path.place - hub
     where = {int(frame): k for k, frame in enumerate(path.frame)}
     polars = [ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where]
-    # before it starts and after it has come to rest a body says nothing, and a codec copies it without noise
+    # frames of a body at rest are excluded: they carry no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
     least = max(_TURNING * noise, _TURNED * float(np.quantile(turning, 0.95)))
@@ -330,7 +330,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     best, angle = 0.0, np.zeros(len(polars))
     some = slice(None, None, max(1, len(polars) // 100))
     for band in ("low", "middle", "high"):
-        rough = follow(polars, weight, nothing, ring, band=band).angle
+        rough = follow(polars, weight, nothing, ring, band=band)
         template = learn(polars[some], rough[some], allowed, ring, separate=False, plain=True)
         share, _ = explained(polars, rough, template)
         if share > best:
@@ -347,7 +347,7 @@ def _along_path(
     area: Area | None,
     progress: Progress | None,
 ) -> Tracked:
-    """Register a body about a path that is roughly known, the angle and the displacement of the hub together.
+    """Register a body about an approximate path; angle and displacement of the hub are fitted together.
 
     Parameters
     ----------
@@ -383,8 +383,8 @@ def _along_path(
         if np.std(theta[use] - before) < _SETTLED * np.std(theta):
             break
     polars = unwrapped()
-    # samples keep equal variances: over a small turn flat parts of the body, in which only shading that is fixed in the
-    # image changes, would seem the most precise ones
+    # equal variances for all samples: over a small range of angles uniform parts of the body, in which only shading
+    # that is fixed in the image changes, would have the smallest ones
     template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
     parts = template.halves()
     every: list[Pose] = []
@@ -404,10 +404,10 @@ def _along_path(
     usual = float(np.median(misfit))
     kept = misfit < _HIDDEN * usual
     formal = np.array([p.formal for p in every]) * np.sqrt(np.maximum(misfit / usual, 1.0))
-    # no estimator is better than its bound
+    # not below the Cramer-Rao bound
     scale = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
     lost = int((~kept).sum())
-    text = f"{lost} of {len(kept)} frames do not show the body as the others do and are left out."
+    text = f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
     return Tracked(
         frame=frames[kept],
         angle=angle[kept],

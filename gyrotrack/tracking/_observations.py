@@ -1,8 +1,8 @@
 """Observations of one marker, frame by frame, and which of them are usable.
 
-Glints, shadows and blocks of the encoder leave their mark on a profile and shift it too. How far they shift it
-depends on the film, and is learnt from the marker's own scatter: with x the squared misfit of an observation relative
-to the usual one, less 1, its variance is s^2 (1 + share x), and `share` is the most likely one.
+Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation depends on the film and
+is estimated from the scatter of the marker: with x the squared misfit of an observation relative to the median, minus
+1, its variance is s^2 (1 + share x), and `share` is the maximum-likelihood estimate.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, stretches
+from gyrotrack._column_store import in_file, row_blocks
 from gyrotrack._native import _kernels as kernels
 
 Floats = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MarkerObservations:
-    """One marker in consecutive frames, about the ring's centre; NaN where its body was not followed.
+    """One marker in consecutive frames, about the centre of the ring; NaN where its body is lost.
 
     Attributes
     ----------
@@ -31,11 +31,11 @@ class MarkerObservations:
     corner_angle, corner_radius : ndarray, shape (n, 2)
         The near corners about the ring's centre.
     gain, misfit : ndarray, shape (n,)
-        Height relative to the typical one, and rms of what the template leaves over, relative to the gain.
+        Height relative to the typical one, and rms residual from the template relative to the gain.
     weakness : ndarray, shape (n,)
-        Factor on the uncertainty for what is hidden or dim; see `matching.Match`.
+        Factor on the uncertainty for occlusion and low gain; see `Match`.
     open : ndarray of bool, shape (n,)
-        Nothing is known to stand before any part of the marker.
+        No part of the marker is known to be occluded.
     centre : ndarray, shape (n, 2)
         Centre of the ring in px.
     """
@@ -50,28 +50,18 @@ class MarkerObservations:
     open: Mask
     centre: Floats
 
-    @staticmethod
-    def joined(parts: list[MarkerObservations]) -> MarkerObservations:
-        """Put batches one after the other."""
-        return MarkerObservations(
-            **{
-                f.name: np.concatenate([getattr(p, f.name) for p in parts])
-                for f in fields(MarkerObservations)
-            }
-        )
-
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
-        """Put the frames at the places `index` of `count`; see `spread_out`."""
+        """Place the frames at `index` of `count` frames; see `spread_out`."""
         return MarkerObservations(
-            **put_away(
+            **in_file(
                 {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
             )
         )
 
     def picked(self, index: npt.NDArray[np.int64]) -> MarkerObservations:
-        """Return the frames `index` alone."""
+        """Return the frames `index`."""
         return MarkerObservations(
-            **put_away({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
+            **in_file({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
         )
 
     def at(self, part: slice) -> MarkerObservations:
@@ -81,7 +71,7 @@ class MarkerObservations:
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return where a part of the marker lies outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
-        for part in stretches(len(found)):
+        for part in row_blocks(len(found)):
             for radius in (inner, outer):
                 for side in (-half_width, half_width):
                     x = self.centre[part, 0] + radius * np.cos(self.angle[part] + side)
@@ -91,7 +81,7 @@ class MarkerObservations:
         return found
 
     def position(self, good: Mask) -> Floats:
-        """Return where the middle of the marker is, (n, 2) in px; at its usual radius where not good."""
+        """Return the position of the middle of the marker, (n, 2) in px; at its median radius where not good."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
         place = np.empty(self.centre.shape)
@@ -101,7 +91,7 @@ class MarkerObservations:
 
 
 def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    """Put rows at the places `index` of `count` rows; the others are NaN, or False."""
+    """Place rows at `index` of `count` rows; the others are NaN or False."""
     out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
     if values.dtype != np.bool_:
         out[:] = np.nan
@@ -110,25 +100,25 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 
 
 LARGEST = 24.0
-"""Excess of a squared misfit beyond which it is not informative."""
+"""Upper limit of the excess of a squared misfit."""
 FEWEST = 30
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 _FAULT = 5.0
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
-    """Return by how much squared misfits exceed the usual one, relative to it, (n,); 0 for usual ones."""
+    """Return the relative excess of squared misfits over the typical one, (n,), at least 0."""
     ratio = np.nan_to_num(misfit, nan=0.0) / max(usual, 1e-9)
     return np.asarray(np.clip(ratio**2 - 1.0, 0.0, LARGEST))
 
 
 def variance_inflation(off: Floats, excess: Floats) -> float:
-    """Return the share of the excess with which normal residuals are most likely, between 0 and 1.
+    """Return the maximum-likelihood share of the excess for normal residuals, between 0 and 1.
 
     Parameters
     ----------
     off : ndarray, shape (n,)
-        Residuals of any one scale; faults beyond five standard deviations count as five.
+        Residuals of arbitrary scale, clipped at five standard deviations.
     excess : ndarray, shape (n,)
         From `excess_misfit`.
     """
@@ -141,29 +131,29 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
 
 
 LARGEST_MISFIT = 0.12
-"""Misfit that light alone can cause: something that hides a tenth of a marker leaves more."""
+"""Misfit that illumination alone can cause; occlusion of a tenth of a marker causes more."""
 WEAKEST = 4.0
-"""Factor on the uncertainty beyond which a partly hidden marker is not used."""
+"""Factor on the uncertainty beyond which a partly occluded marker is not used."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Fine angles of one marker before they are joined.
+    """Fine angles of one marker before the fusion.
 
     Attributes
     ----------
     angle : ndarray, shape (n,)
         As seen, wrapped [rad].
     good : ndarray of bool, shape (n,)
-        Where it is to be trusted by its looks.
+        Where its height and profile are plausible.
     open : ndarray of bool, shape (n,)
-        Nothing stands before any part of it.
+        No part of it is occluded.
     weak : ndarray, shape (n,)
-        Factor on its uncertainty for what is hidden or dim.
+        Factor on its uncertainty for occlusion and low gain.
     misfit_excess : ndarray, shape (n,)
-        By how much its profile fits less well than usual; see `variance_inflation`.
+        Excess of the misfit of its profile; see `variance_inflation`.
     mount : float
-        First value of where it sits on the body, as seen [rad].
+        Start value of its mount angle, as seen [rad].
     """
 
     angle: Floats
@@ -175,7 +165,7 @@ class Candidate:
 
 
 def plausible(seen: MarkerObservations) -> Mask:
-    """Frames in which a marker stands out at its usual height, with its usual profile where it is open."""
+    """Return the frames in which a marker has a plausible height and profile."""
     known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
     whole = known & seen.open
     if not whole.any():
@@ -188,14 +178,14 @@ def plausible(seen: MarkerObservations) -> Mask:
 
 
 def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float) -> Candidate:
-    """Make a candidate from observations and their corrected angle."""
+    """Return a candidate from observations and their corrected angle."""
     columns = {
         "angle": angle,
         "good": good,
         "weak": seen.weakness / _usual(seen, seen.weakness),
         "misfit_excess": excess_misfit(seen.misfit, _usual(seen, seen.misfit)),
     }
-    return Candidate(open=seen.open, mount=mount, **put_away(columns))
+    return Candidate(open=seen.open, mount=mount, **in_file(columns))
 
 
 def _usual(seen: MarkerObservations, values: Floats) -> float:

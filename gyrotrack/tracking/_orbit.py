@@ -2,14 +2,14 @@
 
 All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
 
-A circle seen from a slant is an ellipse, and a mark that lies higher than the disc at the centre circles a
-point next to it. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+A circle seen obliquely is an ellipse, and a marker above the disc at the centre circles a point next to the disc. With
+v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
 with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both
-show in the radius and both bend the angle: uncorrected, e shifts it by |e| / rho once a turn, (p, q) by
-hypot(p, q) twice a turn.
+change radius and angle: uncorrected, e causes an error of the angle of |e| / rho once per turn, (p, q) one of
+hypot(p, q) twice per turn.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Orbit:
-    """Circles with one centre: (x, y), the radius of each group, and how many points agree."""
+    """Concentric circles: centre (x, y), radius of each group, number of inliers, covered angle [rad]."""
 
     centre: tuple[float, float]
     radii: dict[int, float]
@@ -38,25 +38,25 @@ class Orbit:
 
 
 def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int = 400) -> Orbit | None:
-    """Find the point that the groups of points circle, though some points belong to no circle.
+    """Find the common centre of the circles of groups of points, robust against outliers.
 
     Parameters
     ----------
     points : ndarray, shape (n, 2)
         Positions in px.
     group : ndarray of int, shape (n,)
-        Which circle a point may lie on (its colour).
+        Group of each point (its colour); each group has its own radius.
 
     Returns
     -------
     Orbit or None
-        None when the points do not go round: too few, not spread over at least 1.5 rad, or no circle.
+        None with too few inliers, or if they cover less than 1.5 rad.
 
     Notes
     -----
-    Random triples of one group give circles. The centre is kept about which points that agree in
-    radius (within 5 % of their group's typical one) lie in most directions - what stands still agrees with
-    every centre, but in one direction only - and refined by least squares over these points.
+    Random triples of points of one group define circles. The centre is selected whose inliers (radius within 5 % of the
+    mode of their group) lie in most directions, since objects at rest are inliers of every centre, but in one direction
+    only. It is refined by least squares over the inliers.
     """
     if len(points) < 5:
         return None
@@ -89,7 +89,7 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
 
 
 def orbits_about(points: Floats, group: Integers, hub: tuple[float, float]) -> Orbit | None:
-    """Return the circles of groups of points about a hub that is known; None where they do not go round it.
+    """Return the circles of groups of points about a known hub; None with too few inliers.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def orbits_about(points: Floats, group: Integers, hub: tuple[float, float]) -> O
 
 
 def circumcentre(triple: Floats) -> Floats | None:
-    """Return the centre of the circle through three points, (3, 2); None when they are close to a line."""
+    """Return the centre of the circle through three points, (3, 2); None if they are nearly collinear."""
     a, b = triple[1] - triple[0], triple[2] - triple[0]
     cross = a[0] * b[1] - a[1] * b[0]
     size = max(float(a @ a), float(b @ b), float((b - a) @ (b - a)))
@@ -122,7 +122,7 @@ def circumcentre(triple: Floats) -> Floats | None:
 
 
 def fit_common_centre(points: Floats, group: Integers) -> tuple[Floats, dict[int, float]]:
-    """Fit concentric circles, one radius a group, by linear least squares.
+    """Fit concentric circles, one radius per group, by linear least squares.
 
     x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2, about the mean point for accuracy.
     """
@@ -160,7 +160,7 @@ def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np
 
 
 def _directions(points: Floats, group: Integers, centre: Floats, inlier: npt.NDArray[np.bool_]) -> int:
-    """Count the directions, in steps of 10 degrees for each group, in which agreeing points lie."""
+    """Count the 10 degree sectors with inliers over all groups."""
     sector = np.floor(_angles(points[inlier], centre) * 36.0 / (2.0 * np.pi)).astype(np.int64)
     return len(np.unique(36 * group[inlier] + sector % 36))
 
@@ -175,29 +175,29 @@ def _mode(values: Floats) -> float:
     half = (len(order) + 1) // 2
     widths = order[half - 1 :] - order[: len(order) - half + 1]
     start = int(np.argmin(widths))
-    core = order[start : start + half]  # in order: its median needs no sorting
+    core = order[start : start + half]  # sorted
     return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
 
 
 MOST_OBSERVATIONS = 2000
 LEAST_OBSERVATIONS = 30
 CELL = np.pi / 6.0
-"""Turn in rad over which errors by place hang together: they are as large in the sixth harmonic as in the first."""
+"""Correlation length of errors by place [rad]; their sixth harmonic is as large as the first."""
 LEAST_COVER = 5.0
-"""Angle in rad that must be covered by the observations before an orbit is trusted."""
+"""Smallest angle [rad] covered by the observations for which the orbit of a marker is fitted."""
 
 
 @dataclass(frozen=True)
 class Flattening:
-    """What a correct_view view does to an orbit: offsets e per marker in px (y up), and (p, q).
+    """Effect of an oblique view on an orbit: offsets e per marker in px (y up), and (p, q).
 
-    `doubt` holds the covariance of e in px^2, (2, 2), of those markers whose orbit shows it in part only.
+    `offset_covariance` holds the covariance of e in px^2, (2, 2), of markers that cover only an arc.
     """
 
     offset: dict[str, tuple[float, float]]
     p: float
     q: float
-    doubt: dict[str, Floats] = field(default_factory=dict, compare=False)
+    offset_covariance: dict[str, Floats] = field(default_factory=dict, compare=False)
 
     @property
     def tilt(self) -> float:
@@ -205,13 +205,13 @@ class Flattening:
         return float(2.0 * np.sqrt(np.hypot(self.p, self.q)))
 
     def level(self, name: str, v: Floats) -> Floats:
-        """Return A^-1 (v - e): the position as seen from straight above, (n, 2)."""
+        """Return A^-1 (v - e): the position in the plane of the orbit, (n, 2)."""
         e = np.array(self.offset.get(name, (0.0, 0.0)))
         matrix = np.array([[1.0 + self.p, self.q], [self.q, 1.0 - self.p]])
         return np.asarray((v - e) @ np.linalg.inv(matrix).T)
 
     def moved(self, by: Floats) -> Flattening:
-        """Return it with all offsets moved, by (2,) px."""
+        """Return the same flattening with all offsets shifted by (2,) px."""
         offset = {name: (x + float(by[0]), y + float(by[1])) for name, (x, y) in self.offset.items()}
         return replace(self, offset=offset)
 
@@ -219,13 +219,13 @@ class Flattening:
         """Return the mean of the offsets of some markers, (2,) in px."""
         return np.asarray(np.mean([self.offset[name] for name in names if name in self.offset], axis=0))
 
-    def pull(self, name: str, angle: Floats) -> Floats:
-        """Return how far in px the doubt about e moves a marker along its orbit, less what all frames share, (n,)."""
-        if name not in self.doubt:
+    def tangential_sigma(self, name: str, angle: Floats) -> Floats:
+        """Return the uncertainty of a marker along its orbit due to e, without its mean over the frames, (n,) in px."""
+        if name not in self.offset_covariance:
             return np.zeros(len(angle))
         along = np.stack([-np.sin(angle), np.cos(angle)])
         along -= np.nanmean(along, axis=1, keepdims=True)
-        return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.doubt[name], along)))
+        return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.offset_covariance[name], along)))
 
 
 NO_FLATTENING = Flattening({}, 0.0, 0.0)
@@ -237,13 +237,13 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
     Parameters
     ----------
     positions : dict of ndarray, shape (n, 2)
-        Positions v of each marker relative to the centre, y up, only trusted ones.
+        Plausible positions v of each marker relative to the centre, y up.
 
     Notes
     -----
     Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
-    order, with r the unit vector of theta; points beyond 4 median absolute deviations are left out in each
-    round. Markers whose observations cover less than 5 rad take no part.
+    order, with r the unit vector of theta; points beyond four robust standard deviations are rejected in
+    each round. Markers whose observations cover less than 5 rad are not used.
     """
     use = {
         name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER
@@ -251,7 +251,6 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
     if not use:
         return NO_FLATTENING
     found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
-    # Some thousand observations settle a handful of numbers.
     few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
     for _ in range(rounds):
         found = _improved(found, few)
@@ -261,37 +260,37 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float
 ) -> Flattening:
-    """Take the tilt of the view from another body; on the arcs that the markers pass fit offsets only.
+    """Fit offsets to arcs of markers, with the tilt of the view from another body.
 
     Parameters
     ----------
     reference : Flattening
-        Of a body that went round, in the same picture.
+        Flattening of a body with complete orbits in the same picture.
     positions : dict of ndarray, shape (n, 2)
         As for `fit_flattening`.
     shift : ndarray, shape (2,) or (h, 2)
-        The offset that is expected [px], here for all markers; several that exclude each other, equally likely.
+        Expected offset of all markers [px], or h equally probable alternatives.
     size : float
-        Standard deviation of that expectation [px].
+        Standard deviation of the expected offset [px].
 
     Notes
     -----
-    An arc determines e in part; `doubt` is its covariance. Systematic errors, not noise, limit the fit: observations
-    count once for each `CELL`. Where several offsets are expected, mean and covariance are those of the mixture of
-    their posterior distributions.
+    An arc determines e in part; `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit:
+    there is one independent observation per `CELL`. Where several offsets are expected, mean and covariance are those
+    of the mixture of their posterior distributions.
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
     found = Flattening(dict.fromkeys(positions, mean), reference.p, reference.q)
     for name, v in positions.items():
-        found.doubt[name] = covariance
+        found.offset_covariance[name] = covariance
         if len(v) >= LEAST_OBSERVATIONS:
             fits = []
             for one in expected:
                 level = replace(reference, offset={name: (float(one[0]), float(one[1]))}).level(name, v)
                 more, own, evidence = _arc(level, size)
                 fits.append((one + more, own, evidence))
-            found.offset[name], found.doubt[name] = mixture(*map(list, zip(*fits, strict=True)))
+            found.offset[name], found.offset_covariance[name] = mixture(*map(list, zip(*fits, strict=True)))
     return found
 
 
@@ -347,7 +346,7 @@ def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
 
 
 def _model(v: Floats) -> tuple[Floats, Floats]:
-    """Return the linear model of the radii of one marker, (5, n), and by how much they exceed the usual one, (n,)."""
+    """Return the linear model of the radii of one marker, (5, n), and their deviation from the median, (n,)."""
     rho = np.hypot(v[:, 0], v[:, 1])
     typical = median_of(rho)
     c, s = v[:, 0] / rho, v[:, 1] / rho
@@ -355,7 +354,7 @@ def _model(v: Floats) -> tuple[Floats, Floats]:
 
 
 def _robust(models: list[tuple[Floats, Floats]]) -> Floats:
-    """Fit radius and offset of each marker, and what is common to all at the end, without what lies far off."""
+    """Fit radius and offset of each marker and their common flattening (last two unknowns), without outliers."""
     size = 3 * len(models) + 2
     places = [np.array([3 * k, 3 * k + 1, 3 * k + 2, size - 2, size - 1]) for k in range(len(models))]
     keep = [np.ones(len(value), dtype=np.bool_) for _, value in models]

@@ -1,6 +1,6 @@
 """Polar sampling of a frame: rings about a centre, and windows cut out of them.
 
-A marker that turns about the centre only shifts along such a strip, and its edges stand upright in it.
+In such a strip a marker that turns about the centre is only displaced along the columns.
 Angles are counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
 """
 
@@ -21,7 +21,7 @@ from gyrotrack.video._container import Frame, Plane
 Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 CHROMA_SHIFT = (0.0, 0.5)
-"""Where the first chroma sample lies in luma px (x, y): on the left column, between two rows."""
+"""Position of the first chroma sample in luma px (x, y): on the left column, between two rows."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Ring:
         return self.maps(chroma=False)
 
     def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
-        """Return the (x, y) in px of a plane of every point; `beyond` columns more than a full turn."""
+        """Return the (x, y) in px of a plane of every point, with `beyond` columns after the full turn."""
         angle = np.arange(self.columns + beyond) * self.step
         radius = self.radii[:, None]
         x, y = self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
@@ -79,20 +79,20 @@ class Ring:
 
 
 def ring_for(centre: tuple[float, float], inner: float, outer: float, pixel: float) -> Ring:
-    """Lay a grid with a little more than a sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
+    """Return a grid with slightly more than one sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
     columns = int(np.clip(np.ceil(1.4 * np.pi * (inner + outer) / pixel), 128, 1024))
     rows = int(np.clip(np.ceil((outer - inner) / pixel) + 1, 6, 32))
     return Ring(centre, inner, outer, rows, columns)
 
 
 def unroll(plane: Plane, maps: Maps, out: Plane | None = None) -> Plane:
-    """Sample a plane along a ring (bilinear); beyond the picture its border is repeated."""
+    """Sample a plane along a ring (bilinear); the border of the picture is replicated."""
     strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(strip, dtype=np.uint8)
 
 
 def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.float64]:
-    """Average profiles that close on themselves, (n, columns), over 2 half + 1 columns."""
+    """Return the moving average of cyclic profiles, (n, columns), over 2 half + 1 columns."""
     width = 2 * half + 1
     padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
     total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
@@ -106,14 +106,14 @@ Box = npt.NDArray[np.int32]
 
 
 class Score:
-    """The weighted sum of planes in which a marker stands out; one buffer of the size of a plane.
+    """Weighted sum of planes that maximises the contrast of a marker, with one buffer of the size of a plane.
 
     Parameters
     ----------
     white : bool
-        Of luma, otherwise of both chroma planes.
+        Whether luma is used, else both chroma planes.
     weights : tuple of float
-        Of the planes; of luma only the first counts.
+        Weights of the planes; only the first is used for luma.
     shape : tuple of int
         Rows and columns of a plane.
     """
@@ -124,18 +124,18 @@ class Score:
         self.buffer = np.zeros(shape, dtype=np.float32)
 
     def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
-        """Return the planes that enter, one list for each weight."""
+        """Return the planes that are used, one list for each weight."""
         if self.white:
             return ([frame.y for frame in frames],)
         return ([frame.u for frame in frames], [frame.v for frame in frames])
 
     def unrolled(self, frame: Frame, box: Box, x: Singles, y: Singles, out: Singles | None = None) -> Singles:
-        """Sample the score of a frame at places in a box; elsewhere the buffer keeps what it held."""
+        """Sample the score of a frame at positions within a box; the buffer is not changed outside."""
         left, right, top, bottom = box.tolist()
         part = (slice(top, bottom), slice(left, right))
         a, b = self.weights
         if self.white:
-            np.copyto(self.buffer[part], frame.y[part])  # what is sampled of it is scaled
+            np.copyto(self.buffer[part], frame.y[part])  # scaled after sampling
         else:
             cv2.addWeighted(frame.u[part], a, frame.v[part], b, 0.0, dst=self.buffer[part], dtype=cv2.CV_32F)
         seen = cv2.remap(self.buffer, x, y, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
@@ -146,16 +146,16 @@ class Score:
 
 
 class Grid:
-    """Where the samples of a ring lie in a plane, and which box of the plane each window touches.
+    """Positions of the samples of a ring in a plane, and the bounding box of each window.
 
     Parameters
     ----------
     ring : Ring
         The samples.
     width : int
-        Columns of a window; the grid goes on beyond the full turn by so many.
+        Columns of a window, by which the grid extends beyond the full turn.
     score : Score
-        What is sampled.
+        The score that is sampled.
     """
 
     def __init__(self, ring: Ring, width: int, score: Score) -> None:
@@ -169,17 +169,17 @@ class Grid:
         )[0]
 
     def cut(self, frames: list[Frame], first: Integers, ground: Singles, windows: Singles) -> None:
-        """Sample windows from the columns `first` (n,) on, one a frame, less the background: (n, rows, width)."""
+        """Sample one window per frame from the columns `first` (n,), minus the background: (n, rows, width)."""
         score = self.score
         planes = score.planes(frames)
         kernels.sample(planes, score.weights, self._places, self.boxes, ground, first, score.buffer, windows)
 
     def around(self, frame: Frame, rows: slice) -> Singles:
-        """Sample rows in all directions."""
+        """Sample rows at all angles."""
         return self.score.unrolled(frame, self.whole, self.x[rows], self.y[rows])
 
     def turns(self, frames: list[Frame], rows: slice) -> Singles:
-        """Sample rows in all directions in some frames, (n, rows, columns)."""
+        """Sample rows at all angles in some frames, (n, rows, columns)."""
         score, (at, right, down) = self.score, (np.ascontiguousarray(place[rows]) for place in self._places)
         out = np.empty((len(frames), *at.shape), dtype=np.float32)
         nothing, begin = np.zeros_like(right), np.zeros(len(frames), dtype=np.int64)
@@ -190,7 +190,7 @@ class Grid:
 
     @cached_property
     def _places(self) -> tuple[npt.NDArray[np.int32], Singles, Singles]:
-        """Row (upper 16 bits) and column of the pixel left above each sample, and how far right and below it lies."""
+        """Row (upper 16 bits) and column of the pixel left above each sample, and the offset of the sample from it."""
         rows, columns = self.score.buffer.shape
         x, y = np.clip(self.x, 0, columns - 1), np.clip(self.y, 0, rows - 1)
         left = np.minimum(np.floor(x), columns - 2).astype(np.int32)
@@ -199,7 +199,7 @@ class Grid:
 
 
 def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:
-    """Return first and last-plus-one px that windows of `width` columns touch, for each first column, (n, 2)."""
+    """Return the first and last-plus-one px of windows of `width` columns for each first column, (n, 2)."""
     first = sliding_window_view(place.min(axis=0), width).min(axis=1)
     last = sliding_window_view(place.max(axis=0), width).max(axis=1)
     begin = np.clip(np.floor(first), 0, size - 2)
@@ -212,20 +212,18 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Windows:
-    """Some windows of a batch, which stand for (light * window - offset) * scale.
-
-    The windows themselves are not changed, and none of them is formed as a whole.
+    """Some windows of a batch, transformed as (light * window - offset) * scale without a copy.
 
     Attributes
     ----------
     scores : ndarray, shape (frames, rows, columns)
         All windows.
     which : ndarray of int, shape (n,)
-        Those that are looked at.
+        Indices of the windows that are used.
     light : ndarray, shape (n, columns)
         Factor on each column.
     offset, scale : ndarray, shape (n,)
-        What is taken off, and the factor on what is left.
+        Subtracted offset, and the factor on the difference.
     """
 
     scores: Singles
@@ -236,7 +234,7 @@ class Windows:
 
     @staticmethod
     def plain(scores: npt.NDArray[np.floating]) -> Windows:
-        """Return all windows as they are."""
+        """Return all windows without a transformation."""
         count, _, columns = scores.shape
         nothing, one = np.zeros(count), np.ones(count)
         lit = np.ones((count, columns))

@@ -1,15 +1,14 @@
-"""The marker profile of a scene: names, colours, bodies, and the mark of the centre.
+"""The marker profile of a scene: names, colours and bodies of the markers, and the mark of the centre.
 
-A profile names colours; how large the papers are, how far from the centre they sit and what exact shade they
-have under the lamps is found in the clip itself. The default is the gyroscope of the paper. A profile is a
-TOML file::
+A profile names colours; sizes, radii and exact shades of the markers are measured in the clip. The default is the
+gyroscope of the paper. A profile is a TOML file::
 
     name = "bicycle wheel"
-    centre = "orbit"            # no mark at the centre: it is found from the markers' path
+    centre = "orbit"            # no mark at the centre: it is found from the paths of the markers
     capture_fps = 300           # optional
     sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
     wander = false              # optional: does the centre of an orbit move? by default only when it moves far
-    tilt_correction = true      # optional: correct the angles for the slant of the camera
+    tilt_correction = true      # optional: correct the angles for the tilt of the camera
 
     [[marker]]
     name = "tape"
@@ -18,9 +17,9 @@ TOML file::
     hue = 231.5                 # optional, degrees in the (U, V) plane: the exact shade
     mount_angle = 0.0           # optional, rad: fixes the body's zero; else that is the first marker
 
-Colours are directions of chroma. In the chroma plane (U - U0, V - V0) a hue is a direction, whatever the brightness of
-the lamp. A name covers a sector of +-45 degrees about its direction: "red" takes in dark red and orange-red, "blue"
-also cyan-blue, "green" also yellow-green. The true shade is then measured in the clip.
+In the chroma plane (U - U0, V - V0) a hue is a direction that does not depend on the brightness. A name covers a sector
+of +-45 degrees about its direction: "red" includes dark red and orange-red, "blue" also cyan-blue, "green" also
+yellow-green. The exact hue is then measured in the clip.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from gyrotrack._toml import check, read_document
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Let OpenCV work in the calling thread inside the block."""
+    """Run OpenCV in the calling thread only within the block."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -69,7 +68,7 @@ _HUE_DEGREES: dict[str, float] = {
 def chroma_direction(colour: str, hue: float | None = None) -> tuple[float, float]:
     """Return the unit vector (U, V) of a named colour, or of its exact `hue` in degrees if that is given.
 
-    White has none and gives (0, 0).
+    White has no hue and gives (0, 0).
     """
     if colour == "white":
         return (0.0, 0.0)
@@ -88,10 +87,10 @@ def nearest_colour(hue: float) -> Hue:
 
 
 def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
-    """Return how far a chroma difference reaches into the sector of a hue.
+    """Return the score of a hue for chroma differences.
 
     The score is p - |q|, with p the part of (du, dv) along the direction and q the part across it; it is
-    positive within 45 degrees of the direction, and cut off at zero outside.
+    positive within 45 degrees of the direction, and 0 outside.
     """
     u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
     along = direction[0] * u + direction[1] * v
@@ -100,7 +99,7 @@ def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, floa
     return score
 
 
-# below this length of the chroma vector (of 255) a colour has no hue to speak of
+# smallest length of the chroma vector (of 255) of a colour with a hue
 _LEAST_CHROMA = 14.0
 _BRIGHT = 110.0
 
@@ -191,7 +190,7 @@ class Profile(BaseModel):
     """A scene: its markers, and what marks the centre.
 
     `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` where
-    nothing marks it. With `hub`, (x, y) in px, it is known, and neither is sought.
+    nothing marks it. With `hub`, (x, y) in px, the centre is given.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

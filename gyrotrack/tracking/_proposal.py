@@ -29,16 +29,16 @@ from gyrotrack.video._frames import frames_at
 
 @dataclass(frozen=True)
 class ProposedMarker:
-    """A marker that was chosen: as it stands in the profile, and how it looks in the film.
+    """A proposed marker: its entry in the profile, and its geometry and contrast in the film.
 
     Attributes
     ----------
     profile, marker
-        Both.
+        Entry in the profile, and the marker in the film.
     angle, clear : ndarray, shape (n,)
-        Its angle in each sample [rad], and whether it was seen clearly.
+        Its angle in each sample [rad], and whether it is distinct.
     step : float
-        By how much its body turns from frame to frame [rad].
+        Rotation of its body from frame to frame [rad].
     """
 
     profile: MarkerProfile
@@ -49,16 +49,16 @@ class ProposedMarker:
 
     @property
     def seen(self) -> float:
-        """Share of the samples in which it was seen clearly."""
+        """Share of the samples in which it is distinct."""
         return float(self.clear.mean())
 
 
-def resting_casing(standing: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
-    """Return the marker on a casing that rests all through the film: it has the colour of the disc."""
+def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
+    """Return the marker on a casing that is at rest in the whole film; it has the colour of the disc."""
     if circle is None or len(groups) != 1:
         return None
     colour = nearest_colour(circle.hue)
-    alike = [g for g in standing if g.members[0].colour == colour]
+    alike = [g for g in resting_groups if g.members[0].colour == colour]
     moving = {c.colour for c in groups[0].members}
     return alike[0] if alike and colour not in moving else None
 
@@ -70,11 +70,11 @@ def name_bodies(
     notes = []
     if len(groups) > 2:
         colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
-        notes.append(f"more than two bodies seem to turn; left out: {colours}")
+        notes.append(f"More than two bodies seem to turn; these markers are omitted: {colours}.")
     if resting is not None:
         colour = resting.members[0].colour
         notes.append(
-            f"the {colour} marker stands still; it is taken for the casing's, as it has the colour of the disc"
+            f"The {colour} marker is at rest and has the colour of the disc; it is assigned to the casing."
         )
         return {"casing": resting, "rotor": groups[0]}, notes
     if len(groups) == 1:
@@ -83,22 +83,22 @@ def name_bodies(
         casing = alone and circle is not None and nearest_colour(circle.hue) == one.members[0].colour
         name: Body = "casing" if casing else "rotor"
         why = "it has the colour of the disc" if casing else "nothing else turns"
-        notes.append(f"only one body is seen to turn; it is taken for the {name}, as {why}")
+        notes.append(f"Only one body turns; it is assumed to be the {name}, because {why}.")
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
-        # What lies on the casing is never hidden; its bar passes over what lies on the rotor.
+        # Markers on the casing are never occluded; its bar passes over those on the rotor.
         open_share = [min(float(c.sampled.clear.mean()) for c in g.members) for g in (slow, fast)]
         if len(fast.members) < len(slow.members) or (
             len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
         ):
             slow, fast = fast, slow
-        notes.append("both bodies turn about equally fast: which one is the rotor is uncertain")
+        notes.append("Both bodies turn about equally fast; which of them is the rotor is uncertain.")
     return {"casing": slow, "rotor": fast}, notes
 
 
 def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMarker]:
-    """Give every marker a name; of two of one hue on one body the two cannot be distinguished."""
+    """Name the markers; of several markers of one colour on a body only the strongest is used."""
     found: list[ProposedMarker] = []
     taken: set[str] = set()
     for body, group in bodies.items():
@@ -108,18 +108,18 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
             colour = candidate.colour
             if colour in colours:  # the strongest patch of a colour comes first
                 notes.append(
-                    f"another {colour} patch (hue {candidate.hue:.0f} deg) moves with the {body}; one marker of a "
-                    "colour can be tracked on a body, and this one is left out."
+                    f"Another {colour} patch (hue {candidate.hue:.0f} deg) moves with the {body} and is omitted: only "
+                    "one marker of each colour can be tracked on a body."
                 )
                 continue
             colours.add(colour)
             name = colour if colour not in taken else f"{colour}_{body}"
             if name in taken:
                 name = f"{name}_{sum(t.startswith(name) for t in taken) + 1}"
-            if candidate.twin:
+            if candidate.ambiguous:
                 notes.append(
-                    f"a second {colour} marker is there in addition to that on the {body}; they may be taken for each "
-                    "other: give one another colour"
+                    f"There is a second {colour} marker besides that on the {body}, and the two may be confused. "
+                    "Give one of them another colour."
                 )
             taken.add(name)
             proposed = MarkerProfile(name=name, colour=colour, body=body, hue=round(candidate.hue, 1))
@@ -129,40 +129,42 @@ def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMa
 
 
 def left_out(candidate: Candidate) -> str:
-    """Say why a colour that moves is no marker of the profile."""
-    if candidate.twin:
+    """Return the reason why a moving colour is not a marker of the profile."""
+    if candidate.ambiguous:
         return (
-            f"there are two {candidate.colour} markers, which are indistinguishable: give one another colour; "
-            "they are left out"
+            f"There are two {candidate.colour} markers, which are indistinguishable and omitted. "
+            "Give one of them another colour."
         )
-    return f"something {candidate.colour} moves, but not evenly about the centre; it is left out"
+    return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-_FAINT = 0.3  # share of the least contrast from which a white patch is worth a note
+_FAINT = (
+    0.3  # contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
+)
 SPREAD = 24
-"""Frames from the whole film, in addition to its first ones: what rests at the start moves somewhere."""
+"""Frames from the whole film in addition to its first ones, for bodies at rest at the start."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A profile that was found, and what led to it.
+    """A proposed profile, and its basis.
 
     Attributes
     ----------
     profile : Profile
-        What `extract` needs.
+        Profile for `extract`.
     markers : tuple of ProposedMarker
         One for each marker of the profile.
     centre : tuple of float
         (x, y) in px.
     disc : Disc or None
-        What marks the centre.
+        Disc at the centre.
     notes : tuple of str
-        What is in doubt, or was left out.
+        Uncertain assignments, and omitted patches.
     sound : bool
         `extract` finds every marker with this profile.
     samples : Samples
-        The frames that were looked at.
+        The frames that were used.
     """
 
     profile: Profile
@@ -186,7 +188,7 @@ def propose(
     capture_fps : float, optional
         Rate at which the camera captured [1/s], if the film does not state it.
     hub : tuple of float, optional
-        Centre of rotation (x, y) [px], where it is not to be found by the markers.
+        Centre of rotation (x, y) [px], if it is not to be determined by the markers.
 
     Raises
     ------
@@ -201,21 +203,21 @@ def propose(
     orbit = find_orbit(samples, moving, hub)
     if orbit is None:
         raise TrackingError(
-            f"no markers found in {video}: nothing coloured turns about "
-            + ("a centre" if hub is None else f"({hub[0]:g}, {hub[1]:g}) px"),
-            "film coloured markers on a turning body; where the film starts at rest, cut the start off",
+            f"No markers found in {video}: nothing coloured turns about "
+            + ("a centre." if hub is None else f"({hub[0]:g}, {hub[1]:g}) px."),
+            "Film coloured markers on a turning body. If the film starts at rest, cut off the start.",
         )
     circle = find_circle(samples, orbit) if hub is None else None
     disc = circle.disc if circle else None
     ring, candidates = find_candidates(samples, moving, orbit, disc)
     groups, uneven = group_bodies(candidates, samples.head)
-    groups, standing = [g for g in groups if not g.stands], [g for g in groups if g.stands]
+    groups, resting_groups = [g for g in groups if not g.is_at_rest], [g for g in groups if g.is_at_rest]
     if not groups:
         raise TrackingError(
-            f"no markers found in {video}: what is coloured there does not turn evenly about a centre",
-            "a profile can be written by hand; see --profile of `gyrotrack extract`",
+            f"No markers found in {video}: no coloured patch turns steadily about a centre.",
+            "Write a profile by hand; see --profile of `gyrotrack extract`.",
         )
-    named, notes = name_bodies(groups, resting_casing(standing, groups, circle), circle)
+    named, notes = name_bodies(groups, resting_casing(resting_groups, groups, circle), circle)
     notes += [left_out(c) for c in uneven]
     markers = name_markers(named, notes)
     white = _white(samples, ring, named)
@@ -223,9 +225,9 @@ def propose(
         markers.append(white)
     elif white is not None:
         notes.append(
-            f"something faint and white turns with the rotor at a radius of {white.radius:.0f} px, "
-            f"{white.contrast[0]:.1f} grey levels above its ground; {LEAST_CONTRAST:g} are needed and it is left out: "
-            "light it better, or shield it from glare, which sets the exposure"
+            f"A faint white patch turns with the rotor at a radius of {white.radius:.0f} px and is omitted: its "
+            f"contrast is {white.contrast[0]:.1f} grey levels, {LEAST_CONTRAST:g} are required. Improve the "
+            "illumination of the marker, or avoid glare, which shortens the exposure."
         )
     profile = Profile(
         name=video.stem,
@@ -242,7 +244,7 @@ def propose(
 
 
 def _samples(video: Path) -> Samples:
-    """Take the first frames in a row, and others spread evenly over the film."""
+    """Decode the first frames, and others equally spaced over the film."""
     first = take_samples(video)
     stamps = read_raw_stamps(video)
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
@@ -253,7 +255,7 @@ def _samples(video: Path) -> Samples:
 
 
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
-    """Look for a white marker on the rotor, which has no colour to be found by; a faint one is only described."""
+    """Find a white marker on the rotor; a faint one is returned without a profile."""
     group = bodies.get("rotor")
     if group is None:
         return None
@@ -270,7 +272,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         if alike and least < LEAST_CONTRAST:
             return marker
         if alike:
-            first = others[0]  # the marker itself was seen on the average of frames only
+            first = others[0]  # the white marker itself is found in the median of the frames only
             return ProposedMarker(
                 proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step
             )
@@ -278,24 +280,26 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
 
 
 def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], notes: list[str]) -> bool:
-    """Find the scene anew as `extract` will, and compare."""
+    """Repeat the acquisition of `extract` with the profile, and compare."""
     try:
         scene: Scene = acquire(take_samples(video), profile, str(video))
     except TrackingError as error:
-        notes.append(f"with this profile extract fails: {error.message}")
+        notes.append(f"`gyrotrack extract` fails with this profile. {error.message}")
         return False
     again = {marker.name: marker for marker in scene.markers}
     sound = True
     for proposed in markers:
         marker = again.get(proposed.profile.name)
         if marker is None:
-            notes.append(f"extract does not find the {proposed.profile.name} marker again with this profile")
+            notes.append(
+                f"`gyrotrack extract` does not find the {proposed.profile.name} marker with this profile."
+            )
         elif (
             abs(marker.radius - proposed.marker.radius)
             > 0.5 * (proposed.marker.outer - proposed.marker.inner) + 2.0
         ):
             notes.append(
-                f"extract finds the {proposed.profile.name} marker at another radius with this profile"
+                f"`gyrotrack extract` finds the {proposed.profile.name} marker at another radius with this profile."
             )
         else:
             continue

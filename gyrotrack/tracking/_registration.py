@@ -4,11 +4,11 @@ A ring about the hub is unwrapped into a polar picture I_t(r, phi) for each fram
 
     I_t(r, phi) = L(r, phi) + (1 + g_t) B(r, phi - theta_t) + o_t + displacement of the hub + noise,
 
-B the picture of the body (it turns), L what is fixed in the image (glare, background, text burnt into the picture), g_t
-and o_t changes of illumination. B, L, the angles and the noise variances of every pixel of the body and of
-the image are estimated in turn. A pixel counts by the inverse of these variances, so that what does not turn
-with the body has no weight. The step in the angle is that of Gauss and Newton; its formal uncertainty is the
-Cramer-Rao bound of the learnt picture, scaled by the measured scatter of the angles.
+with B the rotating picture of the body, L the part that is fixed in the image (glare, background, superimposed text),
+g_t and o_t changes of illumination. B, L, the angles and the noise variances of every pixel of the body and of the
+image are estimated alternately. Pixels are weighted by the inverse of these variances, so that parts that do not turn
+with the body have little weight. The angle is fitted by Gauss-Newton steps; its uncertainty is the Cramer-Rao bound of
+the learnt picture, scaled by the measured scatter of the angles.
 """
 
 from __future__ import annotations
@@ -79,14 +79,14 @@ class Ring:
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
     def trimmed(self, share: Floats, *, finest: float) -> Ring:
-        """Return the part of the ring whose rows explain at least 0.3 of what the best one does.
+        """Return the part of the ring whose rows explain at least 0.3 of the share of the best row.
 
         Parameters
         ----------
         share : ndarray, shape (rows,)
             Share of the change of brightness that the rotation explains in each row.
         finest : float
-            Samples of a radius, at most.
+            Largest number of samples per radius.
         """
         good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
         if len(good) < 4:
@@ -125,7 +125,7 @@ class Ring:
         return x.astype(np.float32), y.astype(np.float32)
 
     def inside(self, area: Area) -> Bools:
-        """Tell which samples are within a picture that fills (left, top, right, bottom) [px]."""
+        """Return which samples are within the area (left, top, right, bottom) of the picture [px]."""
         x, y = self.grid()
         left, top, right, bottom = area
         return np.asarray((x >= left + 1) & (y >= top + 1) & (x <= right - 2) & (y <= bottom - 2))
@@ -134,14 +134,14 @@ class Ring:
         """Return the polar picture, (rows, columns)."""
         x, y = self.grid(shift)
         step = (self.outer - self.inner) / self.rows
-        if step > 1.5:  # average what a sample covers
+        if step > 1.5:  # average over the area of a sample
             picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
         found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
 
 
 def rolled(picture: Picture, columns: float) -> Picture:
-    """Turn a polar picture by a number of columns, exactly for what is band-limited."""
+    """Rotate a polar picture by a number of columns by Fourier interpolation."""
     size = picture.shape[1]
     phase = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns).astype(np.complex64)
     turned = np.fft.irfft(np.fft.rfft(picture, axis=1) * phase, size, axis=1)
@@ -160,12 +160,12 @@ def _slope(picture: Picture) -> Picture:
 
 @dataclass(frozen=True)
 class Template:
-    """The learnt picture of a body and what is fixed in the image.
+    """The learnt picture of a body, and the fixed part of the image.
 
     Attributes
     ----------
     ring : Ring
-        Where it was learnt.
+        Ring in which it was learnt.
     body, fixed : ndarray, shape (rows, columns)
         B and L, in grey levels.
     body_variance, fixed_variance : ndarray, shape (rows, columns)
@@ -212,7 +212,7 @@ class Template:
         return self._shifts
 
     def whole(self) -> Template:
-        """Return the same template with all of the ring."""
+        """Return the same template for the whole ring."""
         return replace(self, part=None)
 
     def information(self) -> Floats:
@@ -243,11 +243,11 @@ class Pose:
     shift : tuple of float
         Displacement of the hub (x, y) [px].
     shift_sigma : float
-        Its formal uncertainty [px]; infinite where it was not sought.
+        Its formal uncertainty [px]; infinite if the shift was not fitted.
     gain : float
         Relative change of contrast.
     misfit : float
-        Weighted mean square residual; 1 where the frame is as the others.
+        Weighted mean square residual; 1 for a typical frame.
     """
 
     angle: float
@@ -259,7 +259,7 @@ class Pose:
 
 
 def register(polar: Picture, template: Template, start: float, *, move: bool = False) -> Pose:
-    """Find the angle of a body in a polar picture by Gauss-Newton steps from a near angle.
+    """Find the angle of a body in a polar picture by Gauss-Newton steps from a start value.
 
     Parameters
     ----------
@@ -268,9 +268,9 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
     template : Template
         The body.
     start : float
-        A near angle [rad], within the width of the body's details.
+        Start value [rad], accurate to the width of the details of the body.
     move : bool
-        Whether the hub may be displaced, too.
+        Whether the displacement of the hub is fitted as well.
     """
     ring = template.ring
     held = polar - template.fixed
@@ -333,7 +333,7 @@ def learn(
     counted: Floats | None = None,
     plain: bool = False,
 ) -> Template:
-    """Learn the body's picture, what is fixed in the image, and the variances of both.
+    """Estimate the picture of the body, the fixed part of the image, and the variances of both.
 
     Parameters
     ----------
@@ -348,12 +348,12 @@ def learn(
     separate : bool
         Whether the motion is large enough (a turn and more) to distinguish the fixed picture from the body's.
     rounds : int
-        How often body and fixed picture are improved in turn.
+        Number of alternating updates of body and fixed picture.
     counted : ndarray, shape (n,), optional
         Weight of each frame.
     plain : bool
-        Give all samples the same variance: while angles or hub are still wrong, the variances are largest where the
-        body has its details.
+        Use the same variance for all samples: while angles or hub are inaccurate, the variances are largest at the
+        details of the body.
     """
     polars = list(polars)
     counted = np.ones(len(polars)) if counted is None else counted
@@ -417,8 +417,8 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     """Return the correlation of two polar pictures over the shift in columns of the second against the first.
 
     The result is normalised to the energies of both pictures. `band` selects which details count, by their order k
-    (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones give no second maximum
-    where details are periodic, such as spokes; the middle ones are blind to a small displacement of the hub.
+    (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones avoid secondary maxima
+    for periodic details, such as spokes; the middle ones are insensitive to a small displacement of the hub.
     """
     a, b = (np.fft.rfft(p, axis=1) for p in (first, second))
     k = np.fft.rfftfreq(first.shape[1])
@@ -439,17 +439,8 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Rough:
-    """Angles from frame to frame, before any refinement: radians, the correlations, and the template's way."""
-
-    angle: Floats
-    likeness: Floats
-    static_removed: bool
-
-
-def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Rough:
-    """Follow a body through consecutive frames by correlation with the running mean of what was seen before.
+def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
+    """Track a body through consecutive frames by correlation with the running mean of the earlier ones.
 
     Parameters
     ----------
@@ -458,15 +449,22 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
     weight : ndarray, shape (rows, columns)
         Weight of the samples in the image.
     fixed : ndarray, shape (rows, columns)
-        What is subtracted as fixed in the image.
+        Fixed part of the image, which is subtracted.
     ring : Ring
         The ring.
+    band : {"low", "middle", "high"}
+        See `correlation`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angles before any refinement [rad].
     """
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
     mean = None
-    angle, likeness = np.zeros(len(polars)), np.zeros(len(polars))
+    angle = np.zeros(len(polars))
     speed, known, taken = 0.0, 0, 0
     usual = 1.0
     for t, polar in enumerate(polars):
@@ -474,7 +472,6 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         shown = shown - shown.mean(axis=1, keepdims=True)
         if mean is None:
             mean, taken = shown * root, 1
-            angle[t], likeness[t] = 0.0, 1.0
             continue
         expected = angle[t - 1] + speed
         found = correlation(mean, shown * root, band=band)
@@ -487,8 +484,7 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         before, at, after = found[(best - 1) % size], found[best], found[(best + 1) % size]
         bend = before - 2 * at + after
         place = away[best] + (0.5 * (before - after) / bend if bend < 0 else 0.0)
-        likeness[t] = at
-        if at < 0.4 * usual and known > 4:  # hidden, or another scene: go on at the speed known
+        if at < 0.4 * usual and known > 4:  # occluded, or another scene: extrapolate
             angle[t] = expected
             continue
         usual += (at - usual) / min(known + 2, 20)
@@ -498,19 +494,19 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         known += 1
         taken = min(taken + 1, 40)
         mean = mean + (np.roll(shown * root, -int(np.rint(angle[t])), axis=1) - mean) / taken
-    return Rough(angle * ring.step, likeness, bool(np.any(fixed)))
+    return angle * ring.step
 
 
 def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:
-    """Return which share of the change of brightness from frame to frame, beyond noise, the turning picture explains.
+    """Return the share of the change of brightness between frames, beyond noise, that the rotation explains.
 
-    Frames are compared over the shortest lag at which the change has reached half of its largest, so that slow
-    changes of the scene do not count for motion.
+    Frames are compared at the shortest lag at which the change is at least half of its maximum, so that slow changes of
+    the scene do not count as motion.
 
     Returns
     -------
     tuple of (float, ndarray of shape (rows,))
-        The share in the whole ring, and in each row (0 where hardly anything changes); 1 is a perfect body.
+        The share in the whole ring and in each row, at most 1; 0 where the change does not exceed the noise.
     """
     usable = (template.allowed * template.ring.area).astype(np.float32)
     lags = [lag for lag in (1, 2, 4, 8, 16, 32) if lag < len(polars) // 2]
@@ -521,7 +517,7 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
     lag = next(lag for lag, size in zip(lags, change, strict=True) if size >= 0.5 * max(change))
     total, rest = (np.zeros(len(usable)) for _ in range(2))
     pairs = range(0, len(polars) - lag, max(1, len(polars) // 100))
-    # the learnt noise contains slow changes of the illumination, which over a short lag do not count
+    # the learnt noise contains slow changes of the illumination, which are absent at a short lag
     still = np.mean([(polars[i + lag] - polars[i]) ** 2 for i in pairs], axis=0)[usable > 0]
     least = min(template.noise, 0.5 * float(np.quantile(still, 0.2))) if still.size else template.noise
     noise = 2 * least * len(pairs) * usable.sum(axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import put_away, set_down, stretches
+from gyrotrack._column_store import in_file, release_pages, row_blocks
 from gyrotrack._smoothing import (
     FAR,
     TimeBase,
@@ -23,12 +23,12 @@ Floats = npt.NDArray[np.float64]
 TURN = 2.0 * np.pi
 ALL = slice(None)
 FAST = 70.0
-"""Speed in rad/s at which a swing of the acceleration by 10 rad/s^2, a heavy unbalance, is 2 mrad."""
+"""Angular rate [rad/s] at which an amplitude of the acceleration of 10 rad/s^2 (large unbalance) is 2 mrad."""
 _LEFT = 0.2
 
 
 class Residuals:
-    """The markers' residuals about the coarse path of their body, and what is thought of them so far.
+    """Residuals of the markers about the coarse path of their body, and the current estimates of their errors.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Residuals:
     fps : float
         Frames per second of the camera.
     time_base : TimeBase, optional
-        When the frames were taken, if that was not evenly.
+        Times of the frames, if they are not equally spaced.
     """
 
     def __init__(
@@ -49,16 +49,16 @@ class Residuals:
         path, even = (smooth_path(coarse),) * 2 if time_base is None else time_base.path(coarse)
         with np.errstate(invalid="ignore"):
             fast = self.speed(path) > FAST
-        of_body = put_away({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
+        of_body = in_file({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
         self.path, self.fast, self.turning = of_body.values()
-        (self.bend,) = put_away({"bend": even - line_through(even)}).values()
+        (self.bend,) = in_file({"bend": even - line_through(even)}).values()
         self.candidates = candidates
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
         self.axis_off: dict[str, complex] = {}
         nothing = np.zeros(len(path))
         own = {
-            name: put_away({
+            name: in_file({
                 "weak": c.weak,
                 "place": nothing,
                 "neighbour": nothing,
@@ -72,29 +72,29 @@ class Residuals:
         )
 
     def speed(self, path: Floats) -> Floats:
-        """Return how fast a path changes [rad/s], (n,)."""
+        """Return the magnitude of the angular rate of a path [rad/s], (n,)."""
         step = np.gradient(path) if self._time_base is None else self._time_base.speed(path)
         return np.asarray(np.abs(step) * self._fps)
 
-    def late(self) -> Floats | float:
-        """Return what the uncertainty of a frame's time is as one of the angle [rad]."""
+    def time_sigma(self) -> Floats | float:
+        """Return the uncertainty of the angle due to that of the time of a frame [rad]."""
         if self._time_base is None or self._time_base.sigma == 0.0:
             return 0.0
         return np.abs(self._time_base.speed(self.path)) * self._time_base.sigma
 
     def residual(self, name: str, part: slice = ALL) -> Floats:
-        """Return by how much a marker puts the body ahead of its path [rad]."""
+        """Return the residual of the body's angle from a marker about the path [rad]."""
         off = self.candidates[name].angle[part] - self.path[part]
         off -= self.mounts[name]
         off -= self.bias(name, part)
         return wrapped(off)
 
     def bias(self, name: str, part: slice = ALL) -> Floats:
-        """Return what was learnt of a marker's repeating errors, in each frame [rad]."""
+        """Return the learnt repeatable error of a marker in each frame [rad]."""
         return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
 
     def sigma(self, name: str, part: slice = ALL) -> Floats:
-        """Return the uncertainty of each observation: scatter of open or partly hidden ones, times their weakness."""
+        """Return the uncertainty of each observation: scatter of open or partly occluded ones, times `weak`."""
         clear, partly = self.scatter[name]
         return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
 
@@ -102,7 +102,7 @@ class Residuals:
         """Return the weighted mean residual, its uncertainty, and the number of markers in it."""
         mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
-        for part in stretches(len(self.path)):
+        for part in row_blocks(len(self.path)):
             weight = np.zeros(len(mean[part]))
             for name in self.candidates:
                 w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
@@ -117,7 +117,7 @@ class Residuals:
         return mean, sigma, count
 
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
-        """Fit a smooth curve to the body's angle; return its residual from the path, and leverages."""
+        """Fit a smooth curve to the angle of the body; return its difference from the path, and leverages."""
         mean, sigma, _ = self.mean()
         if self._time_base is not None:
             return self._time_base.smooth(mean, _weight(sigma), self.bend, half, degree)
@@ -127,7 +127,7 @@ class Residuals:
         return fitted, leverage
 
     def replace_mounts(self, smooth: Floats) -> None:
-        """Measure anew where the markers sit; the first one stays where it is."""
+        """Update the mount angles of the markers; that of the first one is fixed."""
         shift = {name: self._median_off(name, smooth) for name in self.candidates}
         zero = next(iter(shift.values()))
         for name in self.candidates:
@@ -137,11 +137,11 @@ class Residuals:
         off = self.residual(name)
         off -= smooth
         off = off[self.use[name] & np.isfinite(off)]
-        set_down()
+        release_pages()
         return median_of(off) if len(off) else 0.0
 
-    def judge(self, smooth: Floats, leverage: Floats) -> None:
-        """Measure each marker's scatter about the smooth motion, and drop what lies far off."""
+    def reject_outliers(self, smooth: Floats, leverage: Floats) -> None:
+        """Measure the scatter of each marker about the smooth motion, and reject outliers."""
         for name, c in self.candidates.items():
             self._inflate_variance(name, smooth, leverage)
             off = self._standardised(name, smooth, leverage)
@@ -150,10 +150,10 @@ class Residuals:
             self.scatter[name] = (clear, partly)
             limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
             self.use[name] &= ~(np.abs(off) > limit)
-            set_down()
+            release_pages()
 
     def _inflate_variance(self, name: str, smooth: Floats, leverage: Floats) -> None:
-        """Learn how much more a marker errs where its profile fits less well (see `variance_inflation`)."""
+        """Estimate the increase of the variance of a marker with its misfit (see `variance_inflation`)."""
         c = self.candidates[name]
         weak = self.weak[name]
         weak[:] = c.weak
@@ -164,11 +164,10 @@ class Residuals:
             weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.misfit_excess[part])
 
     def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
-        """Measure the scatter once more about a curve that is smooth over whole turns.
+        """Measure the scatter again about a curve that is smooth over whole turns.
 
-        Errors that repeat with the turn are no motion there, and count. What the learnt curves have taken up is
-        not given back: they have taken it out of the angles too, so that what is left over is their error. A
-        scatter far above that about the short curve is a motion in earnest and is not believed.
+        It contains errors that repeat with the turn, except for those that the learnt curves have removed from the
+        angles. It is limited to 2.5 times the scatter about the short curve, since a larger one is due to real motion.
         """
         for name, c in self.candidates.items():
             off = self._standardised(name, smooth, leverage)
@@ -179,32 +178,31 @@ class Residuals:
             )
             self.scatter[name] = (clear, partly)
 
-    def set_apart(self, late: Floats) -> None:
-        """Take out of the scatter what frames that are late add to it: all markers share that."""
-        shared = float(np.nanmean(late**2))
+    def subtract_time_scatter(self, from_time: Floats) -> None:
+        """Subtract from the scatter the part caused by the uncertainty of the times, which all markers share."""
+        shared = float(np.nanmean(from_time**2))
         for name, scatter in self.scatter.items():
             clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in scatter)
             self.scatter[name] = (clear, partly)
 
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
         off = np.empty(len(self.path))
-        for part in stretches(len(off)):
+        for part in row_blocks(len(off)):
             share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
             off[part] = self.residual(name, part) - smooth[part]
             off[part] /= self.weak[name][part]
             off[part] /= np.sqrt(share)
         return off
 
-    def note_turns(self, short: Floats, smooth: Floats, half: int) -> None:
-        """Note where errors that repeat with the turn can be distinguished from motion.
+    def mark_whole_turns(self, short: Floats, smooth: Floats, half: int) -> None:
+        """Mark the frames in which errors that repeat with the turn can be distinguished from motion.
 
-        There the long window holds a whole turn, and its curve follows the motion: a sudden start is in no
-        curve.
+        In these the long window contains a whole turn and its curve fits the motion, unlike at a sudden start.
         """
         usual = min(clear for clear, _ in self.scatter.values())
         with np.errstate(invalid="ignore"):
             self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
-        set_down()
+        release_pages()
 
 
 def wrapped(angle: Floats) -> Floats:
@@ -213,7 +211,7 @@ def wrapped(angle: Floats) -> Floats:
 
 
 def _weight(sigma: Floats) -> Floats:
-    """Return weights of the mean residuals for a smooth curve through them, 1 for usual ones."""
+    """Return the weights of the mean residuals in the fit of a smooth curve, 1 for the median uncertainty."""
     known = np.isfinite(sigma)
     if not known.any():
         return np.zeros(len(sigma))

@@ -31,24 +31,24 @@ class Disc:
 
 @dataclass(frozen=True)
 class Marker:
-    """One marker as it looks in the clip.
+    """Geometry and contrast of one marker in a clip.
 
     Attributes
     ----------
     name, body, colour : str
         From the profile.
     inner, outer : float
-        Radii between which it lies, in px.
+        Inner and outer radius [px].
     half_width : float
-        Half its width (with smear) as an angle at the centre, in rad.
+        Half width at half maximum, with motion blur, as an angle at the centre [rad].
     foot : float
-        Angle from its middle to where nothing of it is seen any more, in rad.
+        Half width at a tenth of the maximum [rad].
     contrast : tuple of float
-        Its difference from what lies around it: (U, V) for a colour, (Y, 0) for white, in grey levels.
+        Difference from the background: (U, V) for a colour, (Y, 0) for white, in grey levels.
     dwell : float
-        Largest share of the samples in which it lies over one direction: near 1 for a body that stands.
+        Largest share of the samples in which it covers one angle: near 1 for a body at rest.
     mount : float
-        Its angle relative to the body's zero, as seen (counter-clockwise), in rad.
+        Angle relative to the zero of the body, as seen (counter-clockwise) [rad].
     """
 
     name: str
@@ -75,7 +75,7 @@ class Scene:
     Attributes
     ----------
     centre : tuple of float
-        Where the bodies turn, (x, y) in px, at the time of acquisition.
+        Centre of rotation (x, y) [px] at the time of acquisition.
     disc : Disc or None
         The disc at the centre; None where the centre is taken from the orbit.
     markers : tuple of Marker
@@ -83,9 +83,8 @@ class Scene:
     missing : tuple of str
         Names of those that were not.
     offsets : dict of tuple of float
-        By body, where the centre of its orbits lies relative to `centre`, (x, y) in px, y downwards: a body below the
-        plane of the hub circles another point of the picture when the camera is tilted. Bodies without a significant
-        offset are not in it.
+        Offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is significant: for a
+        tilted camera a body below the plane of the hub circles another point of the picture.
     body_of : dict of str
         The body of each marker of the profile, also of those that were not found.
     warnings : tuple of str
@@ -116,20 +115,20 @@ class Scene:
 
 
 HEAD = 48
-"""First frames in a row: at 0.2 rad a frame they cover more than a turn."""
+"""Number of consecutive first frames; at 0.2 rad per frame they cover more than a turn."""
 KEYS = 20
-"""Key frames from which on the rest of a film is sampled by key frames alone, which cost least to decode."""
+"""Number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest."""
 LATER = 32
-"""Frames from the rest of a film with fewer key frames."""
+"""Number of samples from the rest of a film with fewer key frames."""
 DECODED = 240
-"""Frames of 1280 x 720 px that may be decoded to reach these; more of smaller frames."""
+"""Largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller."""
 FEWEST = 8
 _BLOB_WIDTH = 400
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Sample frames; the first `head` of them are the first frames of the clip, one after the other."""
+    """Sample frames; the first `head` of them are the first frames of the clip."""
 
     frames: tuple[Frame, ...]
     head: int
@@ -147,7 +146,7 @@ class Samples:
 
     @cached_property
     def chroma(self) -> npt.NDArray[np.uint8]:
-        """Chroma of a spread of frames, shape (2, n, height, width), coarse enough to look at all of it."""
+        """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
         if self.scale == 2:
             return np.stack([np.stack([f.u for f in chosen]), np.stack([f.v for f in chosen])])
@@ -157,7 +156,7 @@ class Samples:
     def spread(self) -> tuple[int, ...]:
         """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
 
-        What is in the picture at the beginning only, as the hand that starts the rotor, is in the minority.
+        An object that is visible at the beginning only, such as the hand that starts the rotor, is in the minority.
         """
         keys = range(self.head, len(self.frames))
         most = max(12, 48 - len(keys)) if len(keys) < 12 else 12
@@ -195,20 +194,20 @@ def take_samples(path: Path) -> Samples:
             if len(head) == HEAD:
                 break
     if not head:
-        raise VideoError(f"no frame of {path} can be decoded", "copy it from the camera again")
+        raise VideoError(f"No frame of {path} can be decoded.", "Copy the film from the camera again.")
     if len(head) < FEWEST:
         raise VideoError(
-            f"{path} holds only {len(head)} frames; at least {FEWEST} are needed to find a motion in them",
-            "give a longer film",
+            f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion.",
+            "Give a longer film.",
         )
     later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *later), len(head))
 
 
 def _later(path: Path, head: int, pixels: int) -> list[Frame]:
-    """Decode frames spread over what follows the head: key frames, or, where these are few, frames between them.
+    """Decode frames spread over the film after the head: key frames, or, if these are few, frames between them.
 
-    A frame is decoded from the key frame before it. Where all of them would cost too much, they move towards it.
+    A frame is decoded from the previous key frame. If this takes too long, frames closer to the key frames are used.
     """
     packets = read_packets(path)
     count = len(packets.stamps)

@@ -1,8 +1,8 @@
-"""Motion of the camera, measured by the background that stands still.
+"""Motion of the camera, measured by the background at rest.
 
 Features of a reference frame are tracked into every other frame (B. Lucas, T. Kanade, IJCAI 1981, pyramidal). Those of
 the background move as one rigid picture in all frames, whatever turns in front of it. Their displacement and roll are
-those of the picture; they are taken out of the frames by resampling before anything else is measured.
+compensated in the frames by resampling before any other measurement.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ Plane = npt.NDArray[np.uint8]
 
 _MOST = 400
 _FEWEST = 6
-"""Features that must agree: fewer may belong to a small body."""
+"""Smallest number of inliers; fewer features may belong to a small body."""
 _ALIKE = 0.7
-"""Distance [px] of a feature from where the motion of the picture puts it up to which it belongs to the background."""
+"""Largest residual [px] of a feature of the background from the motion of the picture."""
 _STILL = 0.35
-"""The same from its own place, in a film whose camera stands still."""
+"""Largest displacement [px] of a feature of the background for a camera at rest."""
 _OFTEN = 0.8
-"""Share of the frames in which it must be there."""
+"""Smallest share of frames in which a feature of the background is an inlier."""
 _MOST_ROLL = 0.05
-"""Roll [rad] of a camera that is held still, at most; a body that turns farther is not the background."""
+"""Largest roll of the camera [rad]; a body that turns farther is not the background."""
 _APART = 0.15
-"""Distance of two features that determine the roll, in widths of the picture."""
+"""Smallest distance of two features that determine the roll, relative to the size of the picture."""
 _TRIES = 300
 _WIDEST_BODY = 0.05
-"""Share of the picture that the features must enclose: a pendulum's ball before a blank wall encloses less."""
+"""Smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less."""
 _CLEAR = 5.0
-"""Standard errors by which the camera must move."""
+"""Smallest significant motion of the camera in standard uncertainties."""
 _LEAST = 0.15
-"""Rms displacement [px] below which a camera counts as still: tracking itself has errors of this size."""
+"""Rms displacement [px] below which a camera counts as at rest, the size of tracking errors."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Shake:
     centre : tuple of float
         Centroid of the features (x, y) [px].
     features : int
-        Features of the background that agree.
+        Number of inliers of the background.
     shift_sigma, roll_sigma : float
         Standard uncertainty of both in one frame [px], [rad].
     """
@@ -70,17 +70,17 @@ class Shake:
         return float(np.sqrt(np.mean(np.sum((self.shift - self.shift.mean(axis=0)) ** 2, axis=1))))
 
     def margin(self, shape: tuple[int, ...]) -> int:
-        """Return how far from the edges [px] a stabilised picture of this shape (height, width) is complete."""
+        """Return the width of the incomplete margin [px] of a stabilised picture of this shape (height, width)."""
         turned = 0.5 * max(shape) * float(np.abs(self.roll).max())
         return int(np.ceil(float(np.abs(self.shift).max()) + turned)) + 1
 
     @property
     def significant(self) -> bool:
-        """Whether the camera moves by more than its measurement's error."""
+        """Whether the motion of the camera is significant."""
         return self.rms > max(_LEAST, _CLEAR * self.shift_sigma)
 
     def stabilised(self, frame: Plane, index: int) -> Plane:
-        """Return a frame as the camera would have taken it from the place of the reference frame."""
+        """Return a frame resampled to the position of the camera in the reference frame."""
         cos, sin = np.cos(self.roll[index]), np.sin(self.roll[index])
         x, y = self.centre
         dx, dy = self.shift[index]
@@ -123,7 +123,7 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
 def background(
     places: npt.NDArray[np.float32], moved: Floats, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return which features belong to the background, (features,); none if it is not seen.
+    """Return which features belong to the background, (features,); none if it is not visible.
 
     Parameters
     ----------
@@ -136,12 +136,12 @@ def background(
 
     Notes
     -----
-    What stands still in the picture is the background. Where nothing does, it is the largest set of features that moves
-    as a rigid picture with little roll, as two of them give it in each frame (random sample consensus, M. Fischler and
-    R. Bolles, Comm. ACM 24, 381, 1981).
+    Features at rest in the picture are the background. If there are too few, it is the largest set of features that
+    moves as a rigid picture with little roll, determined by two of them in each frame (random sample consensus,
+    M. Fischler and R. Bolles, Comm. ACM 24, 381, 1981).
     """
     with np.errstate(invalid="ignore"):
-        # a hand or the body may hide a feature now and then
+        # a hand or the body may occlude a feature at times
         still = (np.hypot(*np.moveaxis(moved, 2, 0)) < _STILL).mean(axis=0) > _OFTEN
     if _wide(places[still], shape):
         return np.asarray(still)
@@ -171,7 +171,7 @@ def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
 
 
 def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | None:
-    """Measure how a camera moves; None if it stands still, or no background is visible.
+    """Measure the motion of the camera; None if it is at rest, or no background is visible.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | N
 
 
 def _rigid(places: npt.NDArray[np.float32], moved: Floats) -> Shake | None:
-    """Fit displacement and roll of the picture in each frame by least squares, features that stray left out."""
+    """Fit displacement and roll of the picture in each frame by least squares without outliers."""
     centre = places.mean(axis=0).astype(np.float64)
     own = places - centre
     shift, roll = np.full((len(moved), 2), np.nan), np.full(len(moved), np.nan)

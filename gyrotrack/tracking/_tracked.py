@@ -12,7 +12,7 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 Floats = npt.NDArray[np.float64]
 
 _MANY_TURNS = 3.0
-"""Turns from which an error once a turn cannot be taken for a motion."""
+"""Number of turns from which an error once per turn is distinguishable from a motion."""
 
 
 @dataclass(frozen=True)
@@ -28,22 +28,22 @@ class Tracked:
     ring : Ring
         Where it was measured.
     template : Template
-        What was learnt.
+        The learnt picture of the body.
     hub_path : ndarray, shape (m, 2)
         Displacement of the hub [px].
     explained : float
         Share of the change of brightness that the motion explains, 0 to 1.
     way : str
-        How the hub was found.
+        Method by which the hub was found.
     scale : float
         Measured scatter of the angles over the Cramer-Rao bound.
     halves : ndarray, shape (2, m)
         The angle from the inner and from the outer half of the ring alone [rad]; their difference is due to the view
         (perspective, a hub that is displaced) and to what is fixed in the image.
     correlated : float
-        Uncertainty that frames share, from the difference of two ways to measure [rad]; 0 where there is one.
+        Correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method.
     warnings : tuple of str
-        What was not as it should be.
+        Warnings for the user.
     """
 
     frame: npt.NDArray[np.int64]
@@ -108,11 +108,11 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
 
     Notes
     -----
-    A hub displaced by e makes an error of e / r once a turn at the radius r, so that the halves at r1 and r2 differ by
+    A hub displaced by e causes an error e / r once per turn at radius r, so that the halves at r1 and r2 differ by
     e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
     its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
-    angle itself: a pendulum's hub that is too near makes all angles too large. What is below three standard errors
-    counts as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    angle itself: too small a distance of the hub enlarges all angles of a pendulum. Values below three standard errors
+    count as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
     """
     if np.ptp(angle) > _MANY_TURNS * TURN:
         return 0.0

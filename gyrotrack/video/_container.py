@@ -1,7 +1,7 @@
 """Opening a film file safely, and its packets.
 
-Colour is read from the decoder's own planes, because turning every frame into RGB costs more than tracking
-it. The views keep the decoder's buffer alive; rows are cut at the line size, which may be padded.
+Colours are read from the planes of the decoder, because conversion to RGB takes longer than tracking. The arrays are
+views of the buffer of the decoder, whose rows may be padded.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Frame:
     y, u, v : ndarray of uint8
         Luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128.
     corrupt : bool
-        The decoder's own word that this frame is damaged.
+        Whether the decoder marks the frame as damaged.
     """
 
     index: int
@@ -50,7 +50,7 @@ class Frame:
     corrupt: bool = False
 
     def copy(self) -> Frame:
-        """Return the same frame in memory of its own."""
+        """Return a copy of the frame that is independent of the decoder."""
         return Frame(self.index, self.pts, self.y.copy(), self.u.copy(), self.v.copy(), self.corrupt)
 
 
@@ -65,7 +65,7 @@ class Orientation:
     mirrored: bool = False
 
     def apply(self, plane: Plane) -> Plane:
-        """Turn a plane; without rotation the plane itself comes back."""
+        """Rotate a plane; without a rotation the plane itself is returned."""
         if self.mirrored:
             plane = plane[:, ::-1]
         if self.quarters:
@@ -85,7 +85,7 @@ def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
 
 
 def orientation_of(frame: Any) -> Orientation:
-    """Read the display matrix of a frame: multiples of 90 degrees and mirrors; anything else is upright."""
+    """Read the display matrix of a frame: multiples of 90 degrees and mirrors; other matrices are ignored."""
     data = frame.side_data.get("DISPLAYMATRIX")
     if data is None:
         return Orientation()
@@ -123,13 +123,13 @@ _CONTAINER_OPTIONS = {
 }
 _RATE_TAGS = ("com.android.capture.fps", "capture_fps", "CAPTURE_FPS")
 
-# The library's logging takes locks of its own, which deadlock with decoding threads.
+# The locks of the library's logging can deadlock with decoding threads.
 av.logging.set_level(None)
 
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """What a film file declares about itself; nothing of it is trusted for counting frames.
+    """Metadata of a film file; they are not relied upon for counting frames.
 
     Attributes
     ----------
@@ -138,17 +138,17 @@ class ClipInfo:
     width, height : int
         Size of the coded picture in px, before any rotation.
     container_fps : float
-        Frames per second of the container; NaN when it names none.
+        Frames per second of the container; NaN if it declares none.
     frames_declared : int
-        Frames that the header promises; 0 when it declares none.
+        Number of frames in the header; 0 if it declares none.
     tag_fps : float or None
-        Capture rate from the camera's own tag (slow motion), if there is one.
+        Capture rate from a tag of the camera (slow motion), if there is one.
     codec, pixel_format : str
         Names of both.
     time_base : Fraction
         Unit of the timestamps in s.
     duration_declared : float
-        How long the film lasts by a header that counts no frames [s]; NaN where there is none, or another one.
+        Duration in a header without a number of frames [s]; NaN without such a header.
     """
 
     path: Path
@@ -165,7 +165,7 @@ class ClipInfo:
 
 @contextlib.contextmanager
 def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
-    """Open a film and give (container, video stream); raise `VideoError` in one sentence otherwise."""
+    """Open a film and yield (container, video stream); raise `VideoError` if it cannot be read."""
     _check_file(path)
     try:
         container = av.open(
@@ -173,16 +173,17 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         )
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise VideoError(
-            f"{path} is not a film that can be read ({_reason(error)})",
-            "give an MP4, MOV, MKV, WebM or AVI file; a copy that was cut off while writing has no index",
+            f"{path} is not a film that can be read ({_reason(error)}).",
+            "Give an MP4, MOV, MKV, WebM or AVI file. A truncated copy has no index; copy it again.",
         ) from error
     with container:
         if not container.streams.video:
-            raise VideoError(f"{path} holds no video, only other streams", "give the film itself")
+            raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
         stream = container.streams.video[0]
         if stream.codec_context is None:
             raise VideoError(
-                f"{path} is packed in a way that no decoder knows", "copy it again, or convert it to H.264"
+                f"There is no decoder for the codec of {path}.",
+                "Copy the film again, or convert it to H.264.",
             )
         _check_size(path, stream)
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
@@ -211,14 +212,14 @@ def probe(path: Path) -> ClipInfo:
 
 
 def _declared_duration(container: Any, stream: Any) -> float:
-    """Return how long the pictures of a file last that does not count them [s], NaN where it is not stated."""
+    """Return the duration of a film whose header has no number of frames [s], NaN if it is not declared."""
     if stream.frames or not container.duration or len(container.streams) != 1:
-        return float("nan")  # with a sound track the whole may be longer than its pictures
+        return float("nan")  # a sound track may be longer than the video
     return float(container.duration / av.time_base)
 
 
 def _nominal_rate(stream: Any) -> Any:
-    """Return the rate of a stream; the average is misled by missing frames, the nominal one by odd time bases."""
+    """Return the rate of a stream; the average is biased by missing frames, the nominal one by unusual time bases."""
     average, nominal = stream.average_rate, stream.base_rate
     if average and nominal and 1.0 <= float(nominal / average) < 1.2:
         return nominal
@@ -233,29 +234,29 @@ def file_sha256(path: Path) -> str:
 
 def _check_file(path: Path) -> None:
     if not path.exists():
-        raise VideoError(f"there is no file {path}", "check the path")
+        raise VideoError(f"There is no file {path}.", "Check the path.")
     if not path.is_file():
-        raise VideoError(f"{path} is not a regular file", "give one film file")
+        raise VideoError(f"{path} is not a regular file.", "Give one film file.")
     try:
         size = path.stat().st_size
         with path.open("rb"):
             pass
     except OSError as error:
-        raise VideoError(f"{path} cannot be opened: {error.strerror}", "check its permissions") from error
+        raise VideoError(f"{path} cannot be opened: {error.strerror}.", "Check its permissions.") from error
     if size == 0:
-        raise VideoError(f"{path} is empty (0 bytes)", "copy it from the camera again")
+        raise VideoError(f"{path} is empty (0 bytes).", "Copy the film from the camera again.")
 
 
 def _check_size(path: Path, stream: Any) -> None:
     width, height = int(stream.codec_context.width), int(stream.codec_context.height)
     if width * height > MAX_PIXELS:
         raise VideoError(
-            f"{path} declares frames of {width}x{height} px, too large to decode", "scale it down"
+            f"{path} declares frames of {width}x{height} px, too large to decode.", "Scale the film down."
         )
     if min(width, height) < MIN_SIDE:
         raise VideoError(
-            f"{path} has frames of {width}x{height} px, too small to hold markers",
-            f"give a film with at least {MIN_SIDE} px on each side",
+            f"{path} has frames of {width}x{height} px, too small to show markers.",
+            f"Give a film with at least {MIN_SIDE} px on each side.",
         )
 
 
@@ -274,7 +275,7 @@ def _reason(error: Exception) -> str:
 
 
 def packets_of(packets: Any) -> Iterator[Any]:
-    """Give the packets of a demultiplexer up to its end, or to where the file is broken."""
+    """Yield the packets of a demultiplexer up to the end, or to the first damage of the file."""
     while True:
         try:
             packet = next(packets, None)
@@ -286,12 +287,12 @@ def packets_of(packets: Any) -> Iterator[Any]:
 
 
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
-    """Decode packets in order, the damaged ones left out, up to the end or to `most_bad` of them beyond the frames.
+    """Decode packets in order without damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
 
     Yields
     ------
     frame, bad
-        A decoded frame, and how many packets before it could not be decoded; at the end None and all of these.
+        A decoded frame, and the number of damaged packets so far; at the end None and their total.
     """
     bad = good = 0
     while bad <= most_bad + 2 * good:
@@ -311,14 +312,14 @@ def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]
 
 @dataclass(frozen=True)
 class Packets:
-    """The packets of a film that have a timestamp, in the order of these.
+    """The packets of a film that have a timestamp, in the order of their timestamps.
 
     Attributes
     ----------
     stamps, size : ndarray of int, shape (n,)
         Timestamps in units of the time base, and sizes in bytes.
     key : ndarray of bool, shape (n,)
-        Which ones hold a picture by itself.
+        Which packets are key frames.
     complete : bool
         Whether all of the film's packets are among them.
     exact : bool
@@ -356,8 +357,7 @@ def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
 def keyframes(path: Path, count: int) -> list[Frame]:
     """Decode up to `count` key frames spread evenly over a film, without the frames between them.
 
-    Their indices are not known and are given as -1: they show what the scene looks like in the course of the
-    film, before it is read in order.
+    Their indices are unknown and set to -1; they show the scene in the course of the film before it is decoded.
     """
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
@@ -374,7 +374,7 @@ def keyframes(path: Path, count: int) -> list[Frame]:
 
 
 def _decode_alone(packet: Any, stream: Any) -> list[Any]:
-    """Decode one key packet by itself; the decoder is emptied and made ready for the next."""
+    """Decode one key packet by itself; the decoder is flushed for the next one."""
     try:
         frames = [*packet.decode(), *stream.codec_context.decode(None)]
     except av.error.FFmpegError:

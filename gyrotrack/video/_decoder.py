@@ -1,4 +1,4 @@
-"""Decoding a film in order, frame by frame, past damage."""
+"""Sequential decoding of a film; damaged packets are skipped."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from gyrotrack.video._time_base import stamp_warnings
 T = TypeVar("T")
 
 CHUNK = 8
-"""Frames that are handed over at a time: waking a thread for each one would cost more than its decoding."""
+"""Frames transferred at a time; waking a thread for each one would take longer than its decoding."""
 WAITING = 2
-"""Chunks that wait at most."""
+"""Largest number of waiting chunks."""
 _PATIENCE = 0.05
 
 
 class ReadAhead(Generic[T]):
-    """An iterator that is run in a thread of its own, a few items ahead of who uses it.
+    """An iterator that runs in a separate thread, a few items ahead of the consumer.
 
     Parameters
     ----------
     source : iterator
-        Touched by that thread alone until `close`; an error in it is raised where the item would have come.
+        Used by that thread only until `close`; its exceptions are raised in the consumer.
     chunk : int
-        Items handed over at a time.
+        Items transferred at a time.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class ReadAhead(Generic[T]):
                 raise error
 
     def close(self) -> None:
-        """End the thread; what it has done ahead is dropped."""
+        """End the thread and discard its items."""
         self._closed.set()
         while self._thread.is_alive():
             try:
@@ -106,7 +106,7 @@ class ReadAhead(Generic[T]):
             return
 
 
-_STAMP_S = 2e-3  # a file with timestamps in whole ms is no more exact
+_STAMP_S = 2e-3  # resolution of timestamps in whole ms
 _NO_STAMP = -(1 << 63)
 
 
@@ -135,15 +135,15 @@ class Reader:
     path : Path
         The film.
     threads : int
-        1: frames are decoded on demand. More: a thread of its own decodes some frames ahead, and the
-        decoder uses so many threads (whole frames side by side).
+        1: frames are decoded on demand. More: a separate thread decodes some frames ahead, and the decoder uses this
+        number of threads for frames in parallel.
     part : Part
         The frames to read; by default all.
 
     Notes
     -----
-    A packet that cannot be decoded is skipped and counted; what stands before and after it is given. After
-    the iteration `decoded`, `pts` and `warnings` state what was found.
+    A packet that cannot be decoded is skipped and counted. After the iteration `decoded`, `stamps` and `warnings`
+    describe the film.
     """
 
     def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
@@ -200,7 +200,7 @@ class Reader:
 
     def _decode(self) -> Iterator[tuple[Any, int]]:
         packets: Iterator[Any] | None = None
-        for seek in (True, False):  # not every container finds a place by its timestamp
+        for seek in (True, False):  # not every container can seek by timestamp
             self._close()
             self._open = opened(self.info.path, self._threads)
             container, stream = self._open.__enter__()
@@ -215,7 +215,7 @@ class Reader:
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
-        """Timestamps of the frames so far in units of the time base, the least integer where there is none."""
+        """Timestamps of the frames so far in units of the time base, the smallest integer where a frame has none."""
         return np.array(self._pts, dtype=np.int64)
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
@@ -224,7 +224,7 @@ class Reader:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was not as it should be, in plain sentences."""
+        """Warnings about missing or damaged frames and timestamps, as sentences."""
         return film_warnings(self.info, self.pts_seconds(), self.bad_packets, self.corrupt)
 
 
@@ -236,12 +236,12 @@ def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.fl
 def film_warnings(
     info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
 ) -> tuple[str, ...]:
-    """Return what is wrong with a film that was read, in plain sentences.
+    """Return warnings about a decoded film, as sentences.
 
     Parameters
     ----------
     info : ClipInfo
-        What the film declares.
+        Metadata of the film.
     seconds : ndarray, shape (n,)
         Timestamps of its frames [s], NaN where a frame has none.
     bad_packets, corrupt : int
@@ -250,26 +250,26 @@ def film_warnings(
     found = []
     if info.frames_declared > len(seconds):
         found.append(
-            f"the file declares {info.frames_declared} frames and {len(seconds)} could be decoded: "
-            "it is cut off, damaged or edited; what was decoded is used"
+            f"The file declares {info.frames_declared} frames and {len(seconds)} could be decoded: "
+            "it is truncated, damaged or edited. The decoded frames are used."
         )
     known = seconds[np.isfinite(seconds)]
     period = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     ends = float(known.max()) + period if len(known) else 0.0
     if info.duration_declared > ends + max(0.5 * period, _STAMP_S):
         found.append(
-            f"the file declares {info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
-            "it is cut off, damaged or edited; what was decoded is used"
+            f"The file declares {info.duration_declared:.3f} s and its last frame ends at {ends:.3f} s: "
+            "it is truncated, damaged or edited. The decoded frames are used."
         )
     if bad_packets:
-        found.append(f"{bad_packets} damaged packets were skipped")
+        found.append(f"{bad_packets} damaged packets were skipped.")
     if corrupt:
-        found.append(f"{corrupt} frames are marked as damaged by the decoder")
+        found.append(f"The decoder marks {corrupt} frames as damaged.")
     return (*found, *stamp_warnings(seconds))
 
 
 def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> Iterator[Any] | None:
-    """Return the packets from the key frame of a timestamp on; None if it is not found."""
+    """Return the packets from the key frame with a timestamp; None if it is not found."""
     if stamp is None:
         packets: Iterator[Any] = container.demux(stream)
         return packets

@@ -1,8 +1,7 @@
 """Single frames of a film: by their number, and those that repeat the picture of the frame before.
 
-For repetitions some rows of each frame are compared with those of the one before. An encoder has little to add to a
-picture that it has just sent; sensor noise is repeated with it, so that the difference is much smaller than between
-any other two frames.
+To detect repetitions, some rows of each frame are compared with those of the previous one. A repeated frame repeats the
+sensor noise, too, so that the difference is much smaller than between any other two frames.
 """
 
 from __future__ import annotations
@@ -84,9 +83,9 @@ def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: 
 
 
 SAME = 0.3
-"""Share of the usual difference between frames of late that a repeated frame may show."""
+"""Largest difference of a repeated frame from the previous one, relative to the recent typical difference."""
 SMALL = 0.35
-"""Share of the usual packet around it below which one has little information."""
+"""Size of a packet, relative to its neighbours, below which it has little information."""
 _AROUND = 31
 _LARGE = 80
 _ROWS = 12
@@ -97,7 +96,7 @@ Rows = npt.NDArray[np.uint8]
 
 
 class RepeatDetector:
-    """Tells of each frame of a film in turn whether it repeats the one before it.
+    """Detects frames of a film that repeat the previous one.
 
     Parameters
     ----------
@@ -107,63 +106,63 @@ class RepeatDetector:
     Attributes
     ----------
     regular : bool
-        A run of repeated frames comes every so many frames, as after a conversion to another rate: by the packets, or
-        by the frames so far.
+        Whether runs of repeated frames are periodic, as after a conversion to another rate, according to the packets or
+        to the frames so far.
     """
 
     def __init__(self, packets: Packets) -> None:
         self.regular = _regular(_starts(_uninformative(packets)))
         self._last: Rows | None = None
-        self._late: tuple[float, ...] = ()
-        self._begun: tuple[int, ...] = ()
+        self._recent: tuple[float, ...] = ()
+        self._run_starts: tuple[int, ...] = ()
         self._run = False
 
     def same(self, frame: Frame) -> bool:
-        """Tell whether a frame, the next one of the film, repeats the one before it."""
+        """Tell whether the next frame of the film repeats the previous one."""
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = _difference(rows, last)
-            again = len(self._late) > 1 and apart < SAME * _usual(self._late)
-            self._late = (*self._late[1 - _AROUND :], apart)
+            again = len(self._recent) > 1 and apart < SAME * _usual(self._recent)
+            self._recent = (*self._recent[1 - _AROUND :], apart)
         if again and not self._run:
-            self._begun = (*self._begun[-_FEWEST:], frame.index)
-            self.regular = self.regular or _regular(np.array(self._begun))
+            self._run_starts = (*self._run_starts[-_FEWEST:], frame.index)
+            self.regular = self.regular or _regular(np.array(self._run_starts))
         self._run, self._last = again, rows
         return again
 
-    def settle(self) -> None:
-        """Let go of the last frame, and keep what is needed of it."""
+    def copy_last(self) -> None:
+        """Copy the required rows of the last frame, so that its memory can be released."""
         if self._last is not None:
             self._last = self._last.copy()
 
 
 def _difference(rows: Rows, last: Rows) -> float:
-    """Return how much two pictures differ, whatever their brightness: lamps flicker from frame to frame.
+    """Return the difference of two pictures, independent of flicker of the illumination.
 
     The sum of |a - g b|, with the gain g that makes their means equal. Without it, two frames of equal brightness
-    differ so much less than their neighbours that one is taken for a repetition of the other.
+    differ so much less than their neighbours that one seems to repeat the other.
     """
     a, b = rows.astype(np.float32), last.astype(np.float32)
     gain = float(a.sum() / max(float(b.sum()), 1.0))
     return float(cv2.norm(a, b * np.float32(gain), cv2.NORM_L1))
 
 
-def _usual(late: tuple[float, ...]) -> float:
-    """Return the difference between frames that do not repeat: one of the larger ones, where up to three in four do.
+def _usual(differences: tuple[float, ...]) -> float:
+    """Return the typical difference between unrepeated frames: a high quantile, as three in four may be repeated.
 
-    The largest of few may be a cut, as from a still at the beginning.
+    The largest of few values may be due to a cut.
     """
-    return sorted(late)[min(len(late) - 2, int(_MOST * len(late)))]
+    return sorted(differences)[min(len(differences) - 2, int(_MOST * len(differences)))]
 
 
 def _rows(frame: Frame) -> Rows:
-    """Return some rows of the luma from the middle of a picture, as they lie in memory."""
+    """Return some rows of the luma from the middle of a picture, as a view."""
     height = len(frame.y)
     return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
 
 
 def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
-    """Return which packets add nothing: much smaller than those around them, or no other than the last picture."""
+    """Return which packets contain little information: much smaller than their neighbours, or equal in size."""
     from scipy.ndimage import percentile_filter
 
     if len(packets.size) < _AROUND:
@@ -181,6 +180,6 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _regular(start: npt.NDArray[np.int64]) -> bool:
-    """Tell whether runs begin at even distances, as those of a conversion do but for one frame of rounding."""
+    """Tell whether runs are periodic up to one frame of rounding, as after a conversion."""
     apart = np.diff(start)
     return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)

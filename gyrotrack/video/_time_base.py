@@ -1,7 +1,7 @@
 """The time base of a film: when each frame was captured.
 
-A film in real time carries the camera's own clock in its stamps; one in slow motion carries a player's, which an
-editor may have made anew. Even stamps add nothing to counting, and frames are counted then.
+The timestamps of a film in real time are those of the camera; those of a film in slow motion are for playback and may
+have been changed by an editor. Equally spaced timestamps are equivalent to counting frames, which is used then.
 
 A film of a constant rate is timed by counting: the time of a frame is its index divided by the capture rate.
 Slow-motion films are stored at a lower rate than they were captured with, so a container's rate below 100 fps is never
@@ -20,7 +20,7 @@ from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
 SLOWEST_PLAIN_RATE = 100.0
-"""Container rates [fps] below this may be slow motion, and need a word about the capture rate."""
+"""Container rates [fps] below this may be slow motion, and require the capture rate to be given."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,18 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     Raises
     ------
     VideoError
-        If nothing but a container rate below 100 fps is known, or a rate is not a positive number.
+        If only a container rate below 100 fps is known, or a rate is not a positive number.
     """
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
-                raise VideoError(f"a capture rate of {fps:g} fps is not possible", "give a positive number")
+                raise VideoError(f"A capture rate of {fps:g} fps is not possible.", "Give a positive number.")
             return CaptureRate(float(fps), source, _differences(info, float(fps), source))
     if not np.isfinite(info.container_fps) or info.container_fps < SLOWEST_PLAIN_RATE:
-        rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "no rate"
+        rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "an unknown rate"
         raise VideoError(
-            f"{info.path} is stored at {rate} and does not state at what rate it was captured",
-            "give the camera's rate with --capture-fps",
+            f"{info.path} is stored at {rate} and does not state at what rate it was captured.",
+            "Give the rate of the camera with --capture-fps.",
         )
     return CaptureRate(info.container_fps, "container")
 
@@ -58,16 +58,16 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     found = []
     if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > 1.0e-3:
         found.append(
-            f"the container plays at {info.container_fps:g} fps; "
-            f"times are from the capture rate of {fps:g} fps ({source})"
+            f"The container plays at {info.container_fps:g} fps; "
+            f"times are from the capture rate of {fps:g} fps ({source})."
         )
     if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
-        found.append(f"the camera's own tag states {info.tag_fps:g} fps, not {fps:g}")
+        found.append(f"The tag of the camera states {info.tag_fps:g} fps, not {fps:g} fps.")
     return tuple(found)
 
 
 COARSEST_TICK = 1e-3
-"""Unit of timestamps in s beyond which a container counts frames, not time."""
+"""Largest unit of timestamps that measure time; a container with a larger one counts frames [s]."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
@@ -84,8 +84,8 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     -----
     The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
     because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be detected above 900
-    frames/s. Films whose stamps are not evenly spaced
-    otherwise (one step in ten is no whole number of periods), or that do not grow (one step in a hundred; AVI knows
+    frames/s. Films whose stamps are otherwise not equally spaced
+    (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
@@ -109,26 +109,28 @@ def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
 
 
 def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    """Tell of missing frames by the numbers of the others."""
+    """Return a warning about missing frames from the numbers of the others."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     warnings = (
-        f"timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
-        f"the first after frame {int(gaps[0]) if len(gaps) else 0}; their times are left out"
+        f"The timestamps show {int((advance - 1).sum())} missing frames at {len(gaps)} places, "
+        f"the first after frame {int(gaps[0]) if len(gaps) else 0}; the times contain these gaps."
     )
     return (warnings,) if len(gaps) else ()
 
 
 def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
-    """Tell of timestamps (n,) [s] that are missing (NaN) or do not grow."""
+    """Return a warning about timestamps (n,) [s] that are missing (NaN) or do not increase."""
     if len(pts) < 3:
         return ()
     stamps = pts[np.isfinite(pts)]
     if len(stamps) < len(pts):
-        return (f"{len(pts) - len(stamps)} frames have no timestamp; times count decoded frames",)
+        return (
+            f"{len(pts) - len(stamps)} frames have no timestamp; times are counted from the decoded frames.",
+        )
     backwards = int(np.sum(np.diff(stamps) <= 0.0))
-    counted = "; times count decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
-    return (f"{backwards} timestamps do not grow{counted}",) if backwards else ()
+    counted = "; times are counted from the decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
+    return (f"{backwards} timestamps do not increase{counted}.",) if backwards else ()
 
 
 Floats = npt.NDArray[np.float64]
@@ -139,7 +141,7 @@ SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
 """Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
 EVEN = 5e-3
-"""Share of a period by which stamps that count as even may lie off their line, if their tick is finer than that."""
+"""Largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that."""
 _ROUNDED = 0.75
 _ODD = 0.01
 _HALF = 20
@@ -147,7 +149,7 @@ _HALF = 20
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """When the frames of a film were taken.
+    """Times of the frames of a film.
 
     Attributes
     ----------
@@ -158,7 +160,7 @@ class FrameTimes:
     sigma : float
         Standard deviation of a place, from the tick of the stamps; independent from frame to frame.
     smooth : ndarray, shape (n,), or None
-        The places without what jitters from frame to frame beyond rounding, in case that is not the camera's.
+        The places without jitter beyond rounding, in case it is not that of the camera.
     warnings : tuple of str
         What the user should know.
     again : ndarray of bool, shape (n,), or None
@@ -173,12 +175,12 @@ class FrameTimes:
     again: Mask | None = None
 
     def even(self) -> FrameTimes:
-        """Return the same without what jitters, with a warning."""
+        """Return the smoothed times, with a warning."""
         if self.place is None or self.smooth is None:
             return self
         warnings = (
             *self.warnings,
-            "the markers move evenly where the stamps jitter; the stamps are smoothed",
+            "The markers move steadily while the stamps jitter; the stamps are smoothed.",
         )
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
@@ -190,7 +192,7 @@ class FrameTimes:
     def seconds(self, fps: float) -> Floats:
         """Return the times in s at a capture rate, (n,).
 
-        A repeated frame that has no time of its own gets one between those of its neighbours.
+        An inserted frame gets a time between those of its neighbours.
         """
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
@@ -207,12 +209,12 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """Where the times of a film are from.
+    """Source of the times of a film.
 
     Attributes
     ----------
     source : {"auto", "stamps", "frames"}
-        Timestamps, counted frames, or what fits the film.
+        Timestamps, counted frames, or a choice by film ("auto").
     fps : float
         The capture rate in frames/s.
     """
@@ -222,7 +224,10 @@ class Timing:
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
-            raise UsageError(f"times are from auto, stamps or frames, not from {self.source}", "leave it out")
+            raise UsageError(
+                f"Unknown source of times {self.source!r}; use auto, stamps or frames.",
+                "Omit it for the default.",
+            )
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
         """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
@@ -236,8 +241,8 @@ class Timing:
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
             raise VideoError(
-                "times from timestamps were requested, but stamps are missing or do not grow",
-                "leave out --times to count frames",
+                "Times from timestamps were requested, but timestamps are missing or do not increase.",
+                "Omit --times to count frames.",
             )
         tick = _real_tick(pts, tick) if grows else tick
         number = frame_numbers(pts, tick)
@@ -253,12 +258,12 @@ class Timing:
         return any(abs(self.fps * float(period) - 1.0) < LIVE for period in (np.median(step), step.mean()))
 
     def _counted(self, pts: Floats) -> str:
-        wrong = "times count decoded frames, and are wrong if the camera's rate varied"
+        wrong = "times are counted from the decoded frames, and are wrong if the rate of the camera varied"
         if self.source == "frames" or self._live(pts):
-            return f"timestamps are spaced unevenly; {wrong}"
+            return f"The timestamps are spaced unevenly; {wrong}."
         return (
-            f"timestamps are spaced unevenly, and {_rate(pts)} in slow motion is a player's rate; {wrong} "
-            "(--times stamps believes the stamps, brought to the capture rate)"
+            f"The timestamps are spaced unevenly at {_rate(pts)}, the playback rate of a film in slow motion; {wrong}. "
+            "To use the stamps, scaled to the capture rate, give --times stamps."
         )
 
     def _stamped(self, number: Integers, pts: Floats, tick: float, *, varied: bool) -> FrameTimes:
@@ -270,7 +275,7 @@ class Timing:
         warnings = [_stamps_used(pts)]
         if not self._live(pts):
             warnings.append(
-                f"the stamps, at {_rate(pts)}, are brought to the capture rate of {self.fps:g} frames/s"
+                f"The stamps, at {_rate(pts)}, are scaled to the capture rate of {self.fps:g} frames/s."
             )
         best, sigma = _without_rounding(number, place, tick * scale)
         if best is not place:
@@ -311,11 +316,11 @@ def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
 
 
 def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Floats, float]:
-    """Return places as exact as stamps in whole ticks give them, and their standard deviation.
+    """Return places with the rounding of stamps to whole ticks reduced by smoothing, and their standard deviation.
 
     A place rounded to a tick d is off by d / sqrt(12). A parabola through its neighbours keeps the share of its own
-    leverage of that variance; what scatters about it beyond rounding it takes from the truth. Where that is more, or a
-    place would be moved by more than rounding can do, the places stay as they are.
+    leverage of that variance; scatter beyond rounding is an error of the parabola. If that is larger, or a place would
+    be changed by more than rounding, the places are not changed.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)
@@ -327,7 +332,7 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
 
 def _without_jitter(number: Integers, place: Floats) -> Floats:
-    """Return places of a rate that varies slowly; of an even one, if what is smooth in them is no more than noise."""
+    """Return places of a rate that varies slowly; of a constant one, if the variation is not significant."""
     smooth, share = _smoothed(number, place)
     line = np.asarray(np.polyval(np.polyfit(number, place, 1), number), dtype=np.float64)
     noise = float(np.std(place - smooth)) * np.sqrt(share)
@@ -341,6 +346,6 @@ def _rate(pts: Floats) -> str:
 def _stamps_used(pts: Floats) -> str:
     short, long = 1e3 * np.percentile(np.diff(pts), [1, 99])
     return (
-        f"timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as of a camera whose rate varied; "
-        "times are from the stamps"
+        f"The timestamps are spaced unevenly ({short:.3g} to {long:.3g} ms), as for a camera whose rate varied; "
+        "times are from the stamps."
     )

@@ -193,7 +193,7 @@ def test_markers_are_located_as_by_the_reference(both):
     strip.starts = rng.integers(-400, 400, 300)
     place = slice(1, 300, 2)
     angle = (strip.starts[place] + 0.3) * strip.ring.step
-    ours, theirs = both(lambda: strip.default_for(angle, place))
+    ours, theirs = both(lambda: strip.locate(angle, place))
     for mine, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(mine, other, atol=2e-5)
     assert (ours[1][:5] < 0.3).all()

@@ -4,7 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from gyrotrack._column_store import put_away
+from gyrotrack._column_store import in_file
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Disc, Marker, Scene
@@ -69,4 +69,4 @@ def _marker(paper, body, casing, centre, rng):
         "centre": centre,
     }
     assert set(columns) == {f.name for f in fields(MarkerObservations)}
-    return MarkerObservations(**put_away(columns))
+    return MarkerObservations(**in_file(columns))

@@ -39,7 +39,7 @@ def test_the_tape_is_followed_through_the_film(recording):
 def test_the_still_before_the_film_is_not_used(recording):
     assert recording.markers["tape"].status[0] == STATUS["lost"]
     assert recording.bodies["rotor"].time[0] > 0
-    assert any("frame 0" in text for text in recording.warnings)
+    assert any("Frame 0" in text for text in recording.warnings)
 
 
 def test_times_are_the_cameras_not_the_containers(recording):

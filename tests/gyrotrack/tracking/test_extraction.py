@@ -179,7 +179,7 @@ def test_rotor_angle_in_scenes_of_all_kinds(draw, settings):
 def test_a_film_in_which_nothing_turns_has_a_constant_angle(draw):
     path, _ = draw(**{**SMALL, "frames": 60, "casing": _linear(0.0), "rotor_papers": False, "wobble": 0.0})
     recording = extract(path)
-    assert "nothing turns" in recording.warnings[0]
+    assert "Nothing turns" in recording.warnings[0]
     track = recording.bodies["casing"]
     assert np.ptp(track.angle) < 8e-3
     assert track.sigma.min() > 0.5e-3  # that it repeats itself does not make it certain
@@ -191,7 +191,7 @@ def test_papers_that_are_not_there_are_not_found(draw):
     recording = extract(path)
     assert recording.body == "casing"
     assert set(recording.markers) == {"red"}
-    with pytest.raises(TrackingError, match="the rotor is not seen"):
+    with pytest.raises(TrackingError, match="The rotor is not visible"):
         extract(path, body="rotor")
 
 
@@ -204,7 +204,7 @@ def test_only_the_casing_when_that_is_asked_for(casing_clip):
 
 def test_a_film_without_markers_is_refused(draw):
     path, _ = draw(**{**SMALL, "frames": 30, "disc": None, "rotor_papers": False, "casing_paper": False})
-    with pytest.raises(TrackingError, match="no markers found") as caught:
+    with pytest.raises(TrackingError, match="No markers found") as caught:
         extract(path)
     assert path.name in caught.value.message
 
@@ -303,5 +303,5 @@ def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monk
         return replace(seen, pts_time=seen.pts_time[:1])
 
     monkeypatch.setattr(extraction, "track_film", damaged)
-    with pytest.raises(VideoError, match="only 1 frames of"):
+    with pytest.raises(VideoError, match="Only 1 frames of"):
         extract(casing_clip[0])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._column_store import STRETCH
+from gyrotrack._column_store import BLOCK_ROWS
 from gyrotrack._smoothing import local_fit, spread
 
 
@@ -45,11 +45,22 @@ def test_spread_is_the_core_of_a_sample():
 @pytest.mark.parametrize(("half", "degree"), [(20, 2), (60, 3)])
 def test_no_stretch_shows_in_a_long_series(half, degree):
     rng = np.random.default_rng(1)
-    n = 2 * STRETCH + 30
+    n = 2 * BLOCK_ROWS + 30
     value, weight = rng.normal(0.0, 1.0, n).cumsum(), rng.uniform(0.5, 2.0, n)
     weight[rng.random(n) < 0.2] = 0.0
     smooth, _ = local_fit(value, weight, half, degree)
-    for i in (0, 7, half, STRETCH - half, STRETCH - 1, STRETCH, STRETCH + half, 2 * STRETCH, n - 9, n - 1):
+    for i in (
+        0,
+        7,
+        half,
+        BLOCK_ROWS - half,
+        BLOCK_ROWS - 1,
+        BLOCK_ROWS,
+        BLOCK_ROWS + half,
+        2 * BLOCK_ROWS,
+        n - 9,
+        n - 1,
+    ):
         window = np.arange(max(i - half, 0), min(i + half + 1, n))
         x = (window - i) / (half + 1)
         root = np.sqrt((1.0 - x**2) * weight[window])  # polyfit squares its weights

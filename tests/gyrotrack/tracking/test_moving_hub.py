@@ -125,20 +125,20 @@ def test_a_point_on_its_path_chooses_a_body():
     path, angle = sliding()
     shown = film(path, angle)
     assert len(track_free_body(shown, near=tuple(path[30])).frame) > 100
-    with pytest.raises(TrackingError, match="no body that turns"):
+    with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(shown, near=(20.0, 130.0))
 
 
 @pytest.mark.parametrize("marks", [True, False])
 def test_a_body_that_slides_without_turning_is_refused(marks):
     path, angle = sliding(turns=0.0)
-    with pytest.raises(TrackingError, match="no body that turns"):
+    with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(film(path, angle, marks=marks))
 
 
 def test_a_blank_disc_that_turns_is_refused():
     path, angle = sliding()
-    with pytest.raises(TrackingError, match="no body that turns"):
+    with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(film(path, angle, marks=False))
 
 

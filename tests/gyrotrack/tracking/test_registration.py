@@ -125,7 +125,7 @@ def test_two_bodies_are_not_one():
             film_of(left, angles, 2.0).frames(), film_of(right, 0.4 - 0.6 * angles, 2.0).frames(), strict=True
         )
     ]
-    with pytest.raises(TrackingError, match="two bodies turn"):
+    with pytest.raises(TrackingError, match="Two bodies turn"):
         track_body(Rendered(frames))
 
 

@@ -44,9 +44,11 @@ def test_an_arc_takes_the_tilt_of_another_orbit_and_its_offset_within_what_it_do
         seen = _seen(theta, 120.0, truth, 0.25, 0.8) + error
         found = flattening_of_arc(lender, {"red": seen}, np.array([0.5, -0.4]), 0.64)
         off = np.array(found.offset["red"]) - truth
-        z.append(off @ np.linalg.solve(found.doubt["red"], off) / 2.0)
+        z.append(off @ np.linalg.solve(found.offset_covariance["red"], off) / 2.0)
         v = found.level("red", _seen(theta, 120.0, truth, 0.25, 0.8))
         angle = np.angle(np.exp(1j * (np.arctan2(v[:, 1], v[:, 0]) - theta)))
-        assert np.all(np.abs(angle - angle.mean()) < 4.0 * found.pull("red", theta) / 120.0 + 5e-4)
+        assert np.all(
+            np.abs(angle - angle.mean()) < 4.0 * found.tangential_sigma("red", theta) / 120.0 + 5e-4
+        )
     assert (found.p, found.q) == (lender.p, lender.q)
     assert np.mean(z) < 2.0

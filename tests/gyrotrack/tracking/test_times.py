@@ -108,7 +108,7 @@ class TestVaryingRate:
         counted = extract(film, capture_fps=FPS, times="frames")
         assert np.std(_errors(counted, "casing")[0]) > 0.1
         assert counted.extra["times_from"] == "frames"
-        assert _told(counted, "times count decoded frames")
+        assert _told(counted, "times are counted from the decoded frames")
 
     @pytest.mark.slow
     def test_a_rate_that_swings_in_whole_milliseconds_is_smoothed(self, shoot):
@@ -141,7 +141,7 @@ class TestVaryingRate:
     @pytest.mark.slow
     def test_stamps_that_jitter_by_themselves_are_smoothed(self, shoot):
         recording = extract(shoot("stamps.mp4", EVEN, stamps=_jitter(0.1, 5) + 0.1), capture_fps=FPS)
-        assert _told(recording, "the markers move evenly where the stamps jitter")
+        assert _told(recording, "The markers move steadily while the stamps jitter")
         assert np.std(_errors(recording, "casing")[0]) < 3e-3
 
     @pytest.mark.slow
@@ -149,10 +149,10 @@ class TestVaryingRate:
         film = shoot("slow.mp4", SLOW, stamps=8.0 * SLOW, rate=FPS / 8.0)
         counted = extract(film, capture_fps=FPS)
         assert counted.extra["times_from"] == "frames"
-        assert _told(counted, "a player's rate", "--times stamps")
+        assert _told(counted, "the playback rate", "--times stamps")
         np.testing.assert_allclose(counted.time, np.arange(N) / FPS)
         stamped = extract(film, capture_fps=FPS, times="stamps")
-        assert _told(stamped, "brought to the capture rate of 260")
+        assert _told(stamped, "scaled to the capture rate of 260")
         scale = np.polyfit(SLOW, stamped.time, 1)[0]
         np.testing.assert_allclose(stamped.time, scale * SLOW, atol=2e-5)
         assert abs(scale - 1.0) < 0.03
@@ -177,9 +177,7 @@ class TestRepeatedFrames:
     def test_those_that_fill_gaps(self, shoot):
         recording = extract(shoot("filled.mp4", EVEN, FILLED, EVEN))
         again = np.diff(FILLED, prepend=-1) == 0
-        assert _told(
-            recording, "6 frames repeat", "the first is frame 37", "fill the places of missing frames"
-        )
+        assert _told(recording, "6 frames repeat", "the first is frame 37", "They replace missing frames")
         np.testing.assert_allclose(recording.time, EVEN, atol=1e-5)
         for marker in recording.markers.values():
             assert (marker.status[again] == STATUS["lost"]).all()
@@ -194,7 +192,7 @@ class TestRepeatedFrames:
         film = shoot(f"converted{len(options)}.mp4", np.arange(N) / 240.0, CONVERTED, EVEN, **options)
         recording = extract(film)
         assert recording.capture_fps == pytest.approx(240.0, rel=1e-4)
-        assert _told(recording, "a film of 240 frames/s was converted to 260")
+        assert _told(recording, "A film of 240 frames/s was converted to 260")
         again = np.diff(CONVERTED, prepend=-1) == 0
         np.testing.assert_allclose(recording.time[~again], CONVERTED[~again] / 240.0, atol=2e-4)
         assert (np.diff(recording.time) > 0).all()
@@ -213,7 +211,7 @@ class TestRepeatedFrames:
         again = np.diff(CONVERTED, prepend=-1) == 0
         np.testing.assert_allclose(recording.time[~again], CONVERTED[~again] / 240.0, atol=1e-9)
         assert recording.capture_fps == 240.0
-        assert _told(recording, "taken for 240 frames/s")
+        assert _told(recording, "assumed to be 240 frames/s")
 
     @pytest.mark.slow
     def test_a_body_that_comes_to_rest_repeats_nothing(self, shoot):

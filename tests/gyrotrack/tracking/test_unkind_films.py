@@ -91,7 +91,7 @@ def test_what_is_lost_is_said(draw, tmp_path):
     assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
     recording = extract(path)
     assert recording.extra["doubts"] == [
-        "no white marker is found on the rotor; check the film and the profile (--profile)."
+        "No white marker is found on the rotor. Check the film and the profile (--profile)."
     ]
     assert recording.extra["doubts"][0] in recording.warnings
 
@@ -103,5 +103,5 @@ def test_lost_frames_are_said(draw):
 
     path, _ = draw(**{**SMALL, "frames": 180}, edit=dark)
     doubts = " ".join(extract(path).extra["doubts"])
-    assert "the casing has an angle in 1" in doubts
+    assert "The casing has an angle in 1" in doubts
     assert "of 180 frames" in doubts

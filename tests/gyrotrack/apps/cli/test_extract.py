@@ -77,7 +77,7 @@ def test_a_clip_without_markers_is_one_sentence(draw, tmp_path, capsys):
     target = tmp_path / "out.h5"
     assert run(["extract", str(film), "-o", str(target)]) == 1
     message = capsys.readouterr().err
-    assert "no markers found" in message
+    assert "No markers found" in message
     assert "Traceback" not in message
     assert not target.exists()
 
