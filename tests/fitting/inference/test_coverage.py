@@ -11,7 +11,7 @@ from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 from fitting.study._paper import prepared
 
-RECORDINGS = 36
+RECORDINGS = 60
 SPAN, RATE, WINDOWS = 200.0, 260.0, (5.0, 70.0, 150.0)
 I_R, I_C = 5.54e-5, 2.06e-5
 A2, B1, B2, D, F, G = 9.97e-11, 2.88e-6, 8.28e-7, 1.57e-7, 2.2e-8, 1.25
@@ -87,7 +87,7 @@ def pulls(records):
 
 @pytest.mark.slow
 def test_intervals_have_the_stated_coverage():
-    """36 recordings. Fails where intervals that should hold 95 % hold 85 %, or are twice as wide as they need be.
+    """60 recordings. Fails where intervals that should hold 95 % hold 85 %, or are twice as wide as they need be.
 
     They are a little wide by intention: the correlation time of the torque is taken half its error longer.
     """

@@ -151,13 +151,13 @@ def test_the_same_data_give_the_same_fit():
         assert again.estimates[name].value == estimate.value
 
 
-SEEDS = 14
+SEEDS = 20
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ou", [0.0, 1e-7], ids=["calm", "random torque"])
 def test_uncertainties_have_the_stated_coverage(ou):
-    """Over 14 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
+    """Over 20 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
 
     160 pulls, of which about 40 are independent: 95 +- 3.5 %. Their spread must be near 1.
     """
