@@ -53,9 +53,9 @@ class Film:
             self.info = reader.info
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
-            self.count = reader.decoded
         self._kept = seen if held <= _HELD else None
         self.changes = np.array(changes)
+        self.count = len(changes)
 
     def __len__(self) -> int:
         return self.count

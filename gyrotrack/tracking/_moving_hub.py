@@ -30,8 +30,7 @@ Progress = Callable[[int, int | None], None]
 
 _EXPLAINED = 0.4
 """Share of the change of brightness about the path that the rotation must explain."""
-_COARSE = 48.0
-_MIDDLE = 100.0
+_COARSE, _MIDDLE = 48.0, 100.0  # samples of a radius, at most: for rough angles, and for the final ones
 _LEARNT = 150  # frames from which the template is learnt
 _ROUNDS = 10  # largest number of iterations between template and poses ...
 _SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
@@ -44,6 +43,7 @@ _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from
 _FAINTEST = 0.1  # ... and the share of the strongest contrast
 _FEWEST = 12  # frames of a path
 _SMALLEST = 24.0  # area of a body [px2]
+_REGIONS = 50  # largest regions of a frame that are considered
 _LOST = 5  # frames without the body after which a path ends; colliding bodies start new paths
 _AREA = 0.3  # relative change of the area from which bodies touch or are occluded
 _GATE = 0.7  # largest distance of a body from its prediction in diameters
@@ -99,8 +99,8 @@ def track_by_features(
     # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
-    for start in np.unique(followed):
-        apart[followed == start] -= apart[followed == start].mean()
+    for first in np.unique(followed):
+        apart[followed == first] -= apart[followed == first].mean()
     correlated = float(apart.std())
     repeated = len(film) - len(usable)
     warnings = [
@@ -237,13 +237,16 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     background = np.median(sample, axis=0).astype(np.float32)
     away = max(float(np.quantile(np.abs(frame - background), 0.999)) for frame in sample)
     limit = max(_CONTRAST * noise, _FAINTEST * away)
-    links: list[_Link] = []
+    active: list[_Link] = []
+    ended: list[_Link] = []
     wanted = set(usable.tolist())
     for index, frame in enumerate(film.frames()):
         if index in wanted:
-            _link(links, index, _outlines(np.abs(frame - background) > limit))
+            ended += [k for k in active if index - k.frame[-1] > _LOST and len(k.frame) >= _FEWEST]
+            active = [k for k in active if index - k.frame[-1] <= _LOST]
+            _link(active, index, _outlines(np.abs(frame - background) > limit))
     found = []
-    for link in links:
+    for link in ended + active:
         area = np.array([o.area for o in link.outline])
         whole = np.abs(area / np.median(area) - 1.0) < _AREA
         place = np.array([o.place for o in link.outline])[whole]
@@ -269,6 +272,7 @@ def _outlines(differs: Bools) -> list[_Outline]:
     """Return the regions that differ from the background and do not touch the edge of the picture."""
     closed = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours = sorted(contours, key=cv2.contourArea)[-_REGIONS:]
     height, width = differs.shape
     found = []
     for contour in contours:
@@ -284,9 +288,8 @@ def _outlines(differs: Bools) -> list[_Outline]:
 
 def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
     """Assign the outlines of a frame to the bodies of the previous frames, the nearest pair first."""
-    recent = [link for link in links if index - link.frame[-1] <= _LOST]
     pairs = []
-    for link in recent:
+    for link in links:
         expected, area = link.expected(index), link.area()
         gate = _GATE * 2 * math.sqrt(area / math.pi) + 2.0
         for n, outline in enumerate(outlines):

@@ -1,0 +1,29 @@
+"""The end of a motion: a body that comes to rest, turns on, or swings."""
+
+import numpy as np
+
+from gyrotrack.apps._motion import end_of_motion
+
+SIGMA = 1e-3
+
+
+def noisy(angle):
+    return angle + np.random.default_rng(5).normal(0, SIGMA, len(angle)), np.full(len(angle), SIGMA)
+
+
+def test_rest_after_dry_friction_is_found():
+    t = np.arange(0, 10, 0.005)
+    stop = 4.0
+    angle = 12.0 * np.minimum(t, stop) - 1.5 * np.minimum(t, stop) ** 2
+    for sign in (1, -1):
+        assert abs(t[end_of_motion(t, *noisy(sign * angle))] - stop) < 0.4
+
+
+def test_a_body_that_turns_on_is_kept():
+    t = np.arange(0, 10, 0.005)
+    assert end_of_motion(t, *noisy(12.0 * t - 0.5 * t**2)) == len(t)
+
+
+def test_an_oscillation_is_kept():
+    t = np.arange(0, 10, 0.005)
+    assert end_of_motion(t, *noisy(0.4 * np.exp(-0.5 * t) * np.sin(8 * t))) == len(t)
