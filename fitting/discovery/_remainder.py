@@ -169,8 +169,12 @@ class Torques:
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
         # the deflection belongs to the motion; states of effects, such as a temperature, are those of the fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
-            if i < 2 or name == "deflection":
-                y[:, i] = motion[:, path.states.index(name)]
+            if i < 2:
+                y[:, i] = motion[:, i]
+            elif name == "deflection":
+                # measured from the equilibrium of the fit: with a constant torque it is another one
+                common = motion[:, path.states.index(name)]
+                y[:, i] = common + (y[:, i].mean() - common.mean())
         numbers = dict(fit.problem.layout.numbers(fit.theta, case))
         if self._end.model.restoring and not fit.model.restoring:
             # without a restoring torque, the other parameters fitted to an oscillation have no meaning
@@ -255,7 +259,12 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
 
 
 def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
-    """Yield the fits with a smooth law of each speed in place of an effect that is not a law of this speed alone."""
+    """Yield the fits with a smooth law of each speed in place of an effect that is not a law of this speed alone.
+
+    None is in place of a restoring torque: with a law of the speed alone a body does not oscillate.
+    """
+    if effect.restoring and not base.model.restoring:
+        return
     for joint, speed, powers in _SMOOTH_LAWS:
         variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
         if (joint == effect.joint and variables <= {speed}) or (

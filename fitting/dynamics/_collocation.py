@@ -105,7 +105,7 @@ def newton(
             move = (shape.response + shape.carried(steps))[..., 0]
             y += move
             edges += steps[..., 0]
-            scale = 1e-300 + np.abs(y).max(axis=(0, 1))
+            scale = replace(first, y=y).scale
             size = float((np.abs(move).max(axis=(0, 1)) / scale).max())
             if pivot is not None:
                 mesh, change = _stretched(mesh, y, edges, f, pivot)
@@ -144,10 +144,9 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
 
 
 def truncation_error(path: Path) -> Array:
-    """Return the size of the last Legendre coefficients in each interval, relative to the largest value of a state."""
+    """Return the size of the last Legendre coefficients in each interval, relative to the scale of each state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
-    scale = 1e-300 + np.abs(path.y).max(axis=(0, 1))
-    return np.asarray((coefficients.max(axis=1) / scale).max(axis=1))
+    return np.asarray((coefficients.max(axis=1) / path.scale).max(axis=1))
 
 
 def coarsened(path: Path) -> Path:

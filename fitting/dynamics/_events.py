@@ -54,6 +54,7 @@ class Segments:
     dynamics: Dynamics
     numbers: Mapping[str, float]
     breaks: Sequence[float]
+    least_scale: float = 0.0
 
     def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
         """Return the acceleration of the casing with friction of this sense of motion."""
@@ -135,7 +136,7 @@ class Segments:
             return None
         known = coarsened(known)
         mesh = known.mesh.moved([float(edges[0]), *known.kinks, float(edges[-1])], places)
-        first = replace(known, mesh=mesh, edges=known.edges.copy(), kinks=())
+        first = replace(known, mesh=mesh, edges=known.edges.copy(), kinks=(), least_scale=self.least_scale)
         first.edges[0] = start
         pivot = places[-2] if stops else None
         try:
@@ -150,7 +151,7 @@ class Segments:
 
     def _rests(self, path: Path, end: float) -> bool:
         stop, y, sense = float(path.mesh.edges[-1]), path.edges[-1], float(path.sense[0])
-        largest = np.abs(path.y[..., _CASING]).max()
+        largest = path.scale[_CASING]
         between = any(b <= stop for b in self.breaks if b > path.mesh.edges[0] and b not in path.mesh.edges)
         braked = self.acceleration(stop, y, sense) * sense < 0
         return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
@@ -324,11 +325,11 @@ class Segments:
         if guess is not None:
             try:
                 first = transfer(guess, mesh, start, sense)
-                return newton(self.dynamics, self.numbers, first)
+                return newton(self.dynamics, self.numbers, replace(first, least_scale=self.least_scale))
             except SimulationError:
                 pass
         first = runge_kutta(self.dynamics, self.numbers, start, mesh, sense)
-        return newton(self.dynamics, self.numbers, first)
+        return newton(self.dynamics, self.numbers, replace(first, least_scale=self.least_scale))
 
     def _until_rest(self, path: Path, mesh: Mesh, stop: float) -> Path:
         sense, first = float(path.sense[0]), float(mesh.edges[0])
@@ -353,7 +354,7 @@ class Segments:
             move = -float(y[_CASING]) / rate if rate else np.inf
             if not np.isfinite(move):
                 break
-            if abs(y[_CASING]) <= _STOPPED * np.abs(path.y[..., _CASING]).max() or abs(move) < 1e-13 * stop:
+            if abs(y[_CASING]) <= _STOPPED * path.scale[_CASING] or abs(move) < 1e-13 * stop:
                 return path
             if stop + move > mesh.edges[-1]:
                 # the casing does not come to rest within the record
@@ -451,7 +452,7 @@ def _first_crossing(path: Path) -> float | None:
     speed = (
         np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
     )
-    reversed_ = np.flatnonzero(speed < -ROUNDING * np.abs(speed).max())
+    reversed_ = np.flatnonzero(speed < -ROUNDING * max(float(np.abs(speed).max()), path.least_scale))
     if not len(reversed_):
         return None
     i = int(reversed_[0])
@@ -473,6 +474,8 @@ _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
 _BRIEF, _LONGEST_BEGINNING = 0.1, 0.3
 _SMALL = 1e-9
 _EXACT = 1e-13
+# speed of an oscillating casing, over its largest one, below which errors are no longer relative to it
+_SLOW = 1e-3
 # largest change of the time of a reversal in a step, as a share of the time to its neighbours
 _LONGEST_DELAY = 0.45
 _MOST_INTERVALS = 40_000
@@ -526,6 +529,7 @@ def solve(
     ready: list[Path] = []
     horizon = math.inf
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
+        run = replace(run, least_scale=_SLOW * float(np.abs(guess.y[..., _CASING]).max()))
         horizon = _HORIZON * float(np.diff(guess.mesh.edges[sorted(guess.jumps)]).max())
         ready = run.oscillating(y, sense, guess)
         if len(guess.jumps) - len(ready) > most:
@@ -561,7 +565,7 @@ def solve(
         if time >= end:
             return _joined(pieces, jumps, breaks)
         y = piece.edges[-1].copy()
-        if abs(y[_CASING]) > ROUNDING * np.abs(piece.y[..., _CASING]).max():
+        if abs(y[_CASING]) > ROUNDING * piece.scale[_CASING]:
             jumps.append(np.eye(len(y)))
             continue
         y[_CASING] = 0.0

@@ -116,6 +116,9 @@ class Path:
         The error of a Newton step over the square of the previous step, for solutions near this one.
     exact : bool
         Whether it is a solution, and not the measured motion.
+    least_scale : float
+        Least value to which errors of a speed are relative [rad/s]. At a stretch where an oscillating casing hardly
+        moves, its torques cancel, and errors relative to its own speed are rounding.
     """
 
     mesh: Mesh
@@ -127,6 +130,14 @@ class Path:
     jumps: dict[int, Array] = field(default_factory=dict)
     newton_ratio: float = 1.0
     exact: bool = True
+    least_scale: float = 0.0
+
+    @property
+    def scale(self) -> Array:
+        """Values to which errors of the states are relative, (states,)."""
+        largest = 1e-300 + np.abs(self.y).max(axis=(0, 1))
+        largest[:2] = np.maximum(largest[:2], self.least_scale)
+        return np.asarray(largest)
 
     def angle(self, state: str) -> tuple[Array, Array]:
         """Return the integral of a speed: at the start of each interval, and the speed at the nodes."""
@@ -152,6 +163,7 @@ class Path:
                 self.sense[a:b],
                 tuple(k for k in breaks if self.mesh.edges[a] < k < self.mesh.edges[b]),
                 newton_ratio=self.newton_ratio,
+                least_scale=self.least_scale,
             )
             for a, b in pairwise(ends)
         ]
@@ -206,4 +218,12 @@ def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
     edges[0] = start
-    return Path(mesh, y, edges, guess.states, np.full(len(y), sense), newton_ratio=guess.newton_ratio)
+    return Path(
+        mesh,
+        y,
+        edges,
+        guess.states,
+        np.full(len(y), sense),
+        newton_ratio=guess.newton_ratio,
+        least_scale=guess.least_scale,
+    )

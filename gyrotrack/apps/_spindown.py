@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, VideoError
+from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._motion import TURN, BodyMotion, Value, end_of_motion, motion_of, start_of_motion
@@ -21,7 +21,7 @@ from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
-from gyrotrack.io.readers._motion_table import ReadOptions
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._run import Limits
 from gyrotrack.plotting._proposal import write_body_picture
 from gyrotrack.tracking._any_body import track_body
@@ -65,6 +65,10 @@ class SpindownOptions:
         Markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers.
     body : str, optional
         Body to analyse, "casing" or "rotor", in a film or recording of both.
+    columns : tuple of str
+        Meaning of columns of a table, such as "t=1" and "angle=2".
+    marker, centre : str, optional
+        Point to follow and centre of rotation, in a table or project of points.
     """
 
     hub: tuple[float, float] | None = None
@@ -75,6 +79,9 @@ class SpindownOptions:
     label: str = ""
     profile: Path | None = None
     body: str | None = None
+    columns: tuple[str, ...] = ()
+    marker: str | None = None
+    centre: str | None = None
 
 
 def read_source(
@@ -86,19 +93,33 @@ def read_source(
     ------
     VideoError, TrackingError, DatasetError
         The source cannot be read, or contains no measurable motion.
+    UsageError
+        Columns, marker or centre of a table are given for a film.
     """
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     tracked = None
-    if source.suffix.lower() in _FILMS and options.pulses_per_turn is None:
+    is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
+    if is_film and (options.columns or options.marker or options.centre):
+        raise UsageError(
+            "--column, --marker and --centre apply to tables and tracked points, not to a film.",
+            "Give the centre of rotation in a film by --hub X,Y.",
+        )
+    if is_film:
         recording, tracked = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
     else:
-        columns = ReadOptions(pulses_per_turn=options.pulses_per_turn, fps=options.capture_fps)
-        case = import_body(source, moment.value, options=columns, limits=Limits(keep_all=options.keep_all))
+        reading = ReadOptions(
+            read_names(options.columns) or None,
+            options.marker,
+            options.centre,
+            options.capture_fps,
+            pulses_per_turn=options.pulses_per_turn,
+        )
+        case = import_body(source, moment.value, options=reading, limits=Limits(keep_all=options.keep_all))
     case = replace(case, I_casing_u=moment.u, per_inertia=int(options.inertia is None))
     warnings = list(case.warnings)
     if options.inertia is None:

@@ -58,7 +58,7 @@ def import_command(
         typer.Option(
             "--column",
             metavar="QUANTITY=COLUMN",
-            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', revolutions=3; "
+            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, revolutions=3; "
             "of one body only: casing.revolutions=5.",
         ),
     ] = None,

@@ -500,6 +500,23 @@ def spindown_command(
             "--pulses-per-turn", metavar="N", help="SOURCE is a column of times of pulses [s], N per turn."
         ),
     ] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="QUANTITY=COLUMN",
+            help="Meaning of a column of a table, by header or number: t=1, 'angle=phi [deg]', x=2.",
+        ),
+    ] = None,
+    marker: Annotated[
+        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
+    ] = None,
+    centre: Annotated[
+        str | None,
+        typer.Option(
+            "--centre", metavar="C", help="Centre of rotation in files of points: a point, X,Y or orbit."
+        ),
+    ] = None,
     keep_all: Annotated[
         bool,
         typer.Option(
@@ -545,6 +562,9 @@ def spindown_command(
         label,
         profile,
         body.value if body else None,
+        tuple(columns or ()),
+        marker,
+        centre,
     )
     with out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(

@@ -104,8 +104,11 @@ class MotionTable:
         )
 
 
+COORDINATES = ("x", "y")
+
+
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
-    """Parse options such as ``t=Zeit``, ``angle=phi [deg]`` or ``t=1 [us]`` for one body.
+    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2`` or ``t=1 [us]`` for one body.
 
     An option that begins with ``casing.`` or ``rotor.`` applies to the file of that body only.
 
@@ -119,10 +122,10 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
         role_name, equals, column = (part.strip() for part in option.partition("="))
         prefix, dot, quantity = role_name.partition(".")
         role_name = quantity if dot and prefix in {"casing", "rotor"} else role_name
-        if not equals or role_name not in ROLES or not column:
+        if not equals or role_name not in (*ROLES, *COORDINATES) or not column:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
-                f"Write for example t=Zeit; quantities: {', '.join(ROLES)}.",
+                f"Write for example t=Zeit; quantities: {', '.join((*ROLES, *COORDINATES))}.",
             )
         if role_name == quantity and prefix != body:
             continue

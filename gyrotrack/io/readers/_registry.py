@@ -14,12 +14,14 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._motion_table import (
+    COORDINATES,
     EXPECTED,
     MotionTable,
     ReadOptions,
     find_columns,
     in_order,
     interpret,
+    times_of,
 )
 from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
@@ -110,6 +112,13 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     raw = _rows_of_body(raw, options)
     if raw.headed or options.names:
         columns, units, _ = find_columns(raw, options)
+        if set(COORDINATES) <= set(columns):
+            place = np.stack([raw.numbers(columns[axis], axis) for axis in COORDINATES], axis=1)
+            time = times_of(raw, columns, units, replace(options, start=0.0))
+            points = Points(
+                raw.path, raw.sha256, time, {raw.path.stem: place}, {}, y_down=False, counted=False
+            )
+            return _from_points(points, options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
             return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
     elif not options.pulses_per_turn:

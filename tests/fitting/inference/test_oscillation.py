@@ -8,6 +8,7 @@ import pytest
 
 from fitting._errors import EstimationError, SimulationError
 from fitting.discovery._plan import plan
+from fitting.discovery._remainder import Torques
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._events import solve
@@ -15,6 +16,7 @@ from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._oscillation import find_oscillation, turning_points
 
@@ -135,6 +137,21 @@ def test_small_oscillations_separate_no_restoring_torques_and_a_larger_release_w
     assert found.failures == ()
 
 
+def test_torques_are_compared_about_the_equilibrium_of_each_fit():
+    def acceleration(t, a, w):
+        return 1.5 - 12 * np.sin(a) - 0.05 * w
+
+    t, angle, _ = oscillators.motion(acceleration, (1.0, 0.0), 15.0, 40.0)
+    data = [CaseData.of(oscillators.record(t, angle, 1e-3, 6))]
+    base, named, end = (
+        fit(Model.of([DRAG, *more]), data)
+        for more in ([], ["casing.gravity"], ["casing.gravity", "external.constant"])
+    )
+    within(end, {"casing.gravity.k": 12.0, "external.constant.k": 1.5})
+    # the constant torque shifts the equilibrium by 0.125 rad; along the motion it changes the torque by little
+    assert Torques(base, end, residual=False).remaining(named)[0] < 5e-3
+
+
 def test_a_spring_is_no_power_of_a_speed():
     t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.3), 10.0, 40.0)
     power = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
@@ -178,6 +195,21 @@ def test_reversals_solved_jointly_agree_with_sequential_ones():
     states = [Sampler(p.mesh, t).value(p.y) for p in (together, alone)]
     np.testing.assert_allclose(states[0], states[1], atol=1e-10)
     assert len(together.jumps) == len(alone.jumps) != len(near.jumps)
+
+
+@pytest.mark.parametrize("excess", [1e-12, 1e-10, 1e-8])
+def test_a_body_that_friction_hardly_holds_is_solved(excess):
+    """All torques but this share of the friction cancel: its speed is rounding."""
+    dynamics = Dynamics(Model.of(["casing.gravity", DRAG, "touchpoint.constant", "external.constant"]))
+    numbers = {"casing.gravity.k": 7.0, f"{DRAG}.b2": 1e-4, "touchpoint.constant.b1": 0.012}
+    numbers |= {"external.constant.k": 0.0, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    mesh = Mesh.uniform(0.0, 40.0, 160)
+    near = solve(dynamics, numbers, np.array([0.0, 0.3, 0.25]), mesh)
+    drive = 7.0 * np.sin(-0.25) + 0.012 * (1 + excess)
+    path = solve(dynamics, numbers | {"external.constant.k": drive}, np.array([0.0, 0.0, -0.25]), mesh, near)
+    assert len(path.y) < 1000
+    np.testing.assert_allclose(path.edges[:, 2], -0.25, atol=1e-6)
+    assert np.abs(path.edges[:, 1]).max() < 0.012 * excess
 
 
 def test_the_derivative_by_dry_friction_is_right_after_reversals():

@@ -155,6 +155,18 @@ def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+def test_a_table_of_points_without_header(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(500) / 50
+    angle, _ = noisy(t, 9 * t - 0.3 * t**2, 1e-3, 4)
+    np.savetxt("points.txt", np.stack([t, 40 + 5 * np.cos(angle), 30 + 5 * np.sin(angle)], axis=1))
+    columns = ["--column", "t=1", "--column", "x=2", "--column", "y=3"]
+    app.run(["spindown", "points.txt", *columns, "--centre", "40,30", "--json"])
+    alpha = json.loads(capsys.readouterr().out)["motion"]["alpha"]
+    assert alpha["value"] == pytest.approx(-0.6, abs=4 * alpha["stderr"])
+
+
+@pytest.mark.slow
 def test_command_on_pulses(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     turns = np.arange(0, 60, 0.5)

@@ -203,6 +203,20 @@ def test_what_is_no_list_of_names_is_refused_and_nothing_runs(stored, tmp_path, 
     assert not list(tmp_path.iterdir())
 
 
+def test_coordinates_by_number(tmp_path, places):
+    xy = (places["tape"] - CENTRE) * [1, -1]
+    path = write(tmp_path / "a.txt", rows(np.full(N, 7.0), *xy.T, TIME))
+    options = ReadOptions(names=read_names(["x=2", "y=3", "t=4"]))
+    found = read_motion(path, options)
+    assert right(found, centred=True)
+    np.testing.assert_allclose(found.time, TIME)
+    assert right(read_motion(path, ReadOptions(names=options.names, centre="0,0")))
+    first = write(tmp_path / "b.txt", rows(TIME, *xy.T))  # the first column is the time
+    np.testing.assert_array_equal(
+        read_motion(first, ReadOptions(names=read_names(["x=2", "y=3"]))).value, found.value
+    )
+
+
 def test_columns_by_name(tmp_path):
     path = write(
         tmp_path / "a.csv",
@@ -213,7 +227,7 @@ def test_columns_by_name(tmp_path):
     np.testing.assert_allclose(table.time, TIME)
     np.testing.assert_allclose(table.value, ANGLE)
     np.testing.assert_allclose(table.sigma, np.radians(0.1))
-    for wrong in ("Zeit", "time=", "x=Zeit"):
+    for wrong in ("Zeit", "time=", "z=Zeit"):
         with pytest.raises(UsageError, match=r"unknown column|no column"):
             read_names([wrong])
     with pytest.raises(DatasetError, match="no column for the"):
