@@ -42,7 +42,8 @@ _PEAK = """
 import sys
 from pathlib import Path
 from gyrotrack.apps.cli._app import run
-assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force", "--capture-fps", sys.argv[3]]) == 0
+# a film that is repeated jumps from its end to its start, which extract reports (3)
+assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force", "--capture-fps", sys.argv[3]]) in (0, 3)
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024)
 """
