@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
-from gyrotrack.apps.report._frames import Tile, contact_sheets
 from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
@@ -27,15 +26,15 @@ from gyrotrack.plotting._discovery import (
 )
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._style import AFTER, Picture, themed
-from gyrotrack.plotting._tracking import Tracks, sync_picture, tracks_of
+from gyrotrack.plotting._tracking import Tile, Tracks, contact_sheets, sync_picture, tracks_of
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import Failure
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
-    from gyrotrack.apps.report._frames import Sheet
     from gyrotrack.io._records import Case
+    from gyrotrack.plotting._tracking import Sheet
 
 
 _SMALL_P = 0.01

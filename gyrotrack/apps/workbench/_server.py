@@ -25,7 +25,6 @@ from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.report._frames import jpeg
 from gyrotrack.apps.workbench._films import (
     QUALITY,
     SHOWN_WIDTH,
@@ -40,6 +39,7 @@ from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
 from gyrotrack.plotting import _charts as charts
+from gyrotrack.plotting._tracking import jpeg
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrotrack.synthetic._film import find_truth
 from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import Camera, Light, Marker, Scene, Wobble
-from gyrotrack.synthetic._truth import find_truth
 
 Array = NDArray[np.float64]
 
