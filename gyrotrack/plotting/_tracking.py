@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import short
-from gyrotrack.plotting._style import BLUE, VERMILLION, WIDTH, Picture, canvas, markup, plain, style
+from gyrotrack.plotting._charts import BLUE, VERMILLION, WIDTH, Picture, canvas, markup, plain, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -536,7 +536,7 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
     scripts = (*charts.scripts(), *own)
-    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style_sheet()
     begins = has_project and not has_case
     page = template.render(
         title=label,
