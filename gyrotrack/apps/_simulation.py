@@ -32,8 +32,7 @@ from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io._records import Case, Series
 from gyrotrack.synthetic._film import render_clip
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
 _CASING_CLIP = "casing.mp4"
 _EXPOSURE = 0.4

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, new_path
-from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._scene import Camera, Light, Marker, Scene
+from gyrotrack.synthetic._scene import Camera, Light, Marker, Motion, Scene
 
 Frame = NDArray[np.uint8]
 

@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Colour, Light, Marker, Scene
+from gyrotrack.synthetic._scene import Camera, Colour, Light, Marker, Motion, Scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
