@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
-from gyrotrack.tracking._film import Film, Plane, fresh_frames
+from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
@@ -34,7 +34,6 @@ from gyrotrack.tracking._registration import (
     register,
     rolled,
 )
-from gyrotrack.tracking._shake import Shake, camera_shake
 from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
 
 Floats = npt.NDArray[np.float64]
