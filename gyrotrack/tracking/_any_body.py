@@ -43,6 +43,7 @@ Progress = Callable[[int, int | None], None]
 _TRIAL = 300  # frames on which a candidate for the hub is evaluated
 _EXCERPT = 300  # frames that `read_excerpt` reads
 _LEARNT = 300  # frames from which the template is learnt
+_HUB_FRAMES = 100  # frames from which the motion of the hub is measured
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4
@@ -494,6 +495,8 @@ def _good(poses: Sequence[Pose]) -> Floats:
 
 def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
     """Return the standard deviation of the displacement of the hub [px]; 0 if it is not significant."""
+    use = np.unique(np.linspace(0, len(polars) - 1, _HUB_FRAMES).astype(int))
+    polars, angle = [polars[i] for i in use], angle[use]
     fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
     moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
     gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)
