@@ -105,6 +105,8 @@ def track_by_features(
     if share < _EXPLAINED:
         return None
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
+    if tracked.explained < _EXPLAINED:  # several bodies, of which the features show a mixture
+        return None
     # features at the edge of the body are biased by the background: the result is that of registration, and the
     # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
     kept = np.isin(usable, tracked.frame)
