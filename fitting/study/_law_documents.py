@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fitting._atomic import refuse_special, write_text
 from fitting._errors import EffectError
-from fitting._schema import Document, EstimateDocument, Number
+from fitting._schema import Document, EstimateDocument, Number, refuse_special, write_text
 from fitting.discovery._laws import Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects

@@ -13,7 +13,8 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._settings import (
     CaseFiles,
     EffectsFile,
     Force,
@@ -23,7 +24,6 @@ from gyrotrack.apps.cli._options import (
     Quiet,
     own_effects,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
 
 if TYPE_CHECKING:
     from fitting.discovery._dependence import Dependence
