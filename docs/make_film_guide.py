@@ -16,10 +16,9 @@ import matplotlib as mpl
 import numpy as np
 
 import gyrotrack
-from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._film import find_truth, render_clip
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._scene import PAPERS, Camera, Light, Scene
-from gyrotrack.synthetic._truth import find_truth, render_clip
+from gyrotrack.synthetic._scene import PAPERS, Camera, Light, Motion, Scene
 
 TARGET = Path(__file__).parents[1] / "gyrotrack" / "apps" / "workbench" / "filming.jpg"
 FRAMES = 600

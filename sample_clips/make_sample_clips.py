@@ -15,10 +15,8 @@ import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from gyrotrack.synthetic._film import Film
-from gyrotrack.synthetic._motion import Friction, Motion, two_body_motion
-from gyrotrack.synthetic._scene import PAPERS, Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import Truth, render_clip
+from gyrotrack.synthetic._film import Film, Truth, render_clip
+from gyrotrack.synthetic._scene import PAPERS, Camera, Friction, Light, Motion, Scene, Wobble, two_body_motion
 
 # The run. The hidden effect is casing: -HIDDEN_K omega_c |omega_c|, 9 % of the bearing's torque at the peak.
 HIDDEN_EFFECT = "casing.air.quadratic"

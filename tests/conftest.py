@@ -1,7 +1,9 @@
 """What holds for every test: one thread for linear algebra, set before NumPy is imported."""
 
 import os
+import shutil
 import signal
+import tempfile
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"  # matrices are small, and pytest-xdist already uses the cores
@@ -23,9 +25,17 @@ settings.load_profile("any machine")
 
 
 def pytest_configure(config):
-    """Run each file in one process (pytest-xdist): its expensive fixtures and caches are then made once."""
+    """Run each file in one process (pytest-xdist), and give all processes a folder for what several files compute."""
     if getattr(config.option, "dist", "no") == "load":
         config.option.dist = "loadfile"
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        os.environ["GYROTRACK_TEST_SHARED"] = tempfile.mkdtemp(prefix="gyrotrack-tests-")
+
+
+def pytest_unconfigure():
+    """Remove the folder of the processes."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        shutil.rmtree(os.environ["GYROTRACK_TEST_SHARED"], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

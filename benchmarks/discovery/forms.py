@@ -29,9 +29,8 @@ from lines import append, read_lines
 
 from fitting.inference._record import make_record
 from gyrotrack.apps._simulation import write_record
-from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._scene import Camera, Light, Scene
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
 TARGET = Path(__file__).parent / "forms.jsonl"
 _HIDDEN = ("casing.air.quadratic", "touchpoint.step", "bearing.drift", "")

@@ -29,10 +29,9 @@ from clips import CAMERAS, LIGHT, SCENE, film, motion_of
 from speed import commit
 
 from gyrotrack.io._records import Recording
-from gyrotrack.synthetic._film import to_planes
-from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._film import Truth, to_planes
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._truth import Truth
+from gyrotrack.synthetic._scene import Motion
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.video._decoder import Reader

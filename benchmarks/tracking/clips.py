@@ -7,9 +7,8 @@ from pathlib import Path
 import av
 import numpy as np
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import Truth, load_truth, render_clip
+from gyrotrack.synthetic._film import Truth, load_truth, render_clip
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 
 LIGHT = Light(gradient=(0.18, -0.10), vignette=0.12, flicker=0.03, glint=0.08, shadow=0.3)
 SCENE = Scene(wobble=Wobble(0.07, 3.7, phase=1.0))

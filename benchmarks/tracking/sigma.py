@@ -25,10 +25,8 @@ import numpy as np
 from speed import commit
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.synthetic._film import Film
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.synthetic._film import Film, render_clip
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 from gyrotrack.tracking._extract import extract
 
 SPAN = np.linspace(-0.1, 4.0, 60)

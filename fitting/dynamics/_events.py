@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import (
     TOLERANCE,
+    UNBOUNDED,
+    Propagator,
     coarsened,
     collocate,
     newton,
@@ -37,7 +39,6 @@ from fitting.dynamics._collocation import (
 )
 from fitting.dynamics._mesh import Mesh, Path, Sampler, rule, transfer
 from fitting.dynamics._model import Dynamics
-from fitting.dynamics._sensitivities import UNBOUNDED, Propagator
 
 Array = NDArray[np.float64]
 

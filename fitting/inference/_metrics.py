@@ -317,8 +317,9 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     """Return the rms error of the casing's smoothed speed by noise and smoothing alone [rad/s].
 
     The smoothing of the paper has an error that does not depend on the model: that of the modelled angle with added
-    noise after the same smoothing. The noise level is that of third differences of the data,
-    whose rms is sqrt(20) times that of white noise.
+    noise after the same smoothing. The noise is white, the samples' sigma times a factor from the third differences of
+    the residuals, whose rms is sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do
+    irregular times (pulses, of which the time is what is measured).
 
     Parameters
     ----------
@@ -329,10 +330,11 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     """
     record = data.record
     measured = record.casing
-    noise = float(np.median(np.abs(np.diff(measured.value, 3)))) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
     sampler = Sampler(path.mesh, measured.time)
     omega = sampler.value(path.y[..., path.states.index("omega_c")])
     exact = sampler.integral(*path.angle("omega_c")) if record.quantity == "angle" else omega
+    third = np.abs(np.diff(measured.value - exact, 3)) / measured.sigma[1:-2]
+    noise = measured.sigma * float(np.median(third)) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
     # a fixed seed, so that a report is the same in every run
     noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
     time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)

@@ -18,7 +18,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from fitting._atomic import locked
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
@@ -30,6 +29,7 @@ from fitting._schema import (
     as_json,
     effects_of,
     first_error,
+    locked,
     own_effects,
     read_json,
     write_document,

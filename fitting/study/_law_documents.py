@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fitting._atomic import refuse_special, write_text
 from fitting._errors import EffectError
-from fitting._schema import Document, EstimateDocument, Number
+from fitting._schema import Document, EstimateDocument, Number, refuse_special, write_text
 from fitting.discovery._laws import Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
@@ -84,6 +83,15 @@ class DependenceDocument(Document):
     curve: CurveDocument | None
 
 
+class DifferenceBetweenRecordings(Document):
+    """A parameter shared by the recordings that differs between them; its value in each of them, by label."""
+
+    parameter: str
+    delta_bic: Number
+    p_value: Number
+    values: dict[str, EstimateDocument]
+
+
 class LawsDocument(Document):
     """What `laws --json` prints."""
 
@@ -92,6 +100,7 @@ class LawsDocument(Document):
     sentence: str
     laws: list[LawDocument]
     library: str | None
+    differs: DifferenceBetweenRecordings | None
     depends_on: list[DependenceDocument]
     next_experiment: str
     trials: int
@@ -134,6 +143,11 @@ def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
         sentence=found.sentence,
         laws=[_law(x) for x in found.laws],
         library=found.library.effect.name if found.library is not None else None,
+        differs=DifferenceBetweenRecordings.model_validate(
+            vars(found.differs) | {"parameter": found.differs.name, "values": found.differs.estimates}
+        )
+        if found.differs is not None
+        else None,
         depends_on=depends_on,
         next_experiment=found.next_experiment,
         trials=found.trials,

@@ -31,9 +31,8 @@ from gyrotrack._smoothing import angular_velocity
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io._records import Case, Series
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene
-from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.synthetic._film import render_clip
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
 _CASING_CLIP = "casing.mp4"
 _EXPOSURE = 0.4

@@ -25,7 +25,11 @@ from gyrotrack.io._atomic import new_file, refuse_special
 from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
 from gyrotrack.io._tables import (
     attribute,
+    check_tree,
+    checksum_fails,
+    checksum_line,
     child_group,
+    has_endless_heap,
     read_attributes,
     read_table,
     stamp,
@@ -33,7 +37,6 @@ from gyrotrack.io._tables import (
     write_attributes,
     write_table,
 )
-from gyrotrack.io._validation import check_tree, checksum_fails, checksum_line, has_endless_heap
 
 MAX_MEMBERS = 64
 

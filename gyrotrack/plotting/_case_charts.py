@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import scaled, short, unit_text
-from gyrotrack.plotting._charts import Chart, Dashboard, Trace, concatenated, draw
-from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
-from gyrotrack.plotting._style import (
+from gyrotrack.plotting._charts import (
     AFTER,
     BEFORE,
     BLUE,
@@ -21,11 +19,17 @@ from gyrotrack.plotting._style import (
     SKY,
     VERMILLION,
     WIDTH,
+    Chart,
+    Dashboard,
     Picture,
+    Trace,
     canvas,
+    concatenated,
+    draw,
     markup,
     style,
 )
+from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:

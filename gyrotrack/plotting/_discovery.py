@@ -16,9 +16,7 @@ from fitting.discovery._select import equivalence_classes
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._case_charts import residual_chart, speed_chart
-from gyrotrack.plotting._charts import draw
-from gyrotrack.plotting._study_data import StudyView, gather
-from gyrotrack.plotting._style import (
+from gyrotrack.plotting._charts import (
     AFTER,
     BEFORE,
     BLUE,
@@ -31,10 +29,12 @@ from gyrotrack.plotting._style import (
     WIDTH,
     Picture,
     canvas,
+    draw,
     markup,
     plain,
     style,
 )
+from gyrotrack.plotting._study_data import StudyView, gather
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,8 +32,7 @@ from gyrotrack.video._container import (
     probe,
     read_raw_stamps,
 )
-from gyrotrack.video._decoder import Reader
-from gyrotrack.video._frames import frames_at
+from gyrotrack.video._decoder import Reader, frames_at
 
 Picture = npt.NDArray[np.uint8]
 

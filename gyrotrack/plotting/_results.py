@@ -14,7 +14,7 @@ import numpy as np
 
 from fitting._numbers import probability, scaled, unit_text
 from gyrotrack.io._atomic import new_file
-from gyrotrack.plotting._style import (
+from gyrotrack.plotting._charts import (
     BLUE,
     GREEN,
     GREY,

@@ -1,4 +1,4 @@
-"""Writing of rendered films: colour planes, sensor noise, encoding.
+"""Rendering of a film together with its exact angles, corners and visibilities: colour planes, encoding, truth.
 
 A chroma sample (i, j) is centred at the luma position x = 2 i, y = 2 j + 1/2, the default of H.264. The conversion is
 implemented here because common scalers differ by half a luma pixel.
@@ -6,16 +6,21 @@ implemented here because common scalers differ by half a luma pixel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack.io._atomic import new_path
+from gyrotrack._errors import OutputError
+from gyrotrack.io._atomic import new_file, new_path
+from gyrotrack.synthetic._render import Renderer
+from gyrotrack.synthetic._scene import Camera, Light, Marker, Motion, Scene
 
 Frame = NDArray[np.uint8]
 
@@ -39,41 +44,6 @@ def to_planes(picture: Frame) -> tuple[Frame, Frame, Frame]:
     chroma = cv2.transform(cv2.addWeighted(left, 0.5, right, 0.5, 0.0), TO_CHROMA)
     blue, red = cv2.split(chroma)
     return luma, blue, red  # type: ignore[return-value]
-
-
-BANKS = 4
-MARGIN = 96  # margin of a bank [px], for 9216 different crops
-
-
-class Noise:
-    """Gaussian noise in grey levels, rounded to integers, independent in every pixel and colour.
-
-    Parameters
-    ----------
-    height, width : int
-        Size of the frames in px.
-    deviation : float
-        Standard deviation in grey levels; rounding adds a variance of 1/12.
-    rng : numpy.random.Generator
-        Random generator.
-    """
-
-    def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
-        self._rng, self._size = rng, (height, width)
-        shape = (height + MARGIN, width + MARGIN, 3)
-        self._banks = []
-        for _ in range(BANKS if deviation > 0.0 else 0):
-            grain = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(deviation))
-            self._banks.append(np.clip(grain, -127, 127).astype(np.int8))
-
-    def on(self, picture: Frame) -> Frame:
-        """Return the picture with independent noise."""
-        if not self._banks:
-            return picture
-        bank = self._banks[int(self._rng.integers(BANKS))]
-        top, left = (int(n) for n in self._rng.integers(MARGIN, size=2))
-        grain = bank[top : top + self._size[0], left : left + self._size[1]]
-        return cv2.add(picture, grain, dtype=cv2.CV_8U)  # type: ignore[return-value]
 
 
 BT709, LIMITED = 1, 1  # codes in H.264: matrix, primaries and transfer function; range
@@ -175,3 +145,253 @@ def _encode(
             count += 1
         container.mux(stream.encode(None))
     return count
+
+
+Array = NDArray[np.float64]
+
+COVER_STEPS = 4096  # relative angles of rotor and casing at which the occlusion of a marker is computed
+COVER_RADII = 96
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The exact quantities in a film of n frames.
+
+    Attributes
+    ----------
+    time : (n,) array
+        True time of the middle of each exposure in s.
+    clip_time : (n,) array
+        The same on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``.
+    clock_offset, clock_rate : float
+        True time of frame 0 in s, and true seconds per second of the camera.
+    angle, omega : dict of (n,) arrays
+        For "rotor" and "casing": unwrapped angle in rad, increasing in the sense of rotation, and speed in rad/s.
+    centre : (n, 2) array
+        Position of the axis in the image in px.
+    corners : dict of (n, 4, 2) arrays
+        For each marker the corners in px at the middle of the exposure: inner, inner, outer, outer, in cyclic order;
+        the first one has the smaller angle in the sense of rotation.
+    visible : dict of (n,) arrays
+        For each marker the visible fraction of its area, 0 to 1, neither occluded by the casing (mean over the
+        exposure) nor outside of the image.
+    sense : int
+        +1 if the bodies turn counter-clockwise in the image, -1 if clockwise.
+    """
+
+    time: Array
+    clip_time: Array
+    clock_offset: float
+    clock_rate: float
+    angle: Mapping[str, Array]
+    omega: Mapping[str, Array]
+    centre: Array
+    corners: Mapping[str, Array]
+    visible: Mapping[str, Array]
+    sense: int
+
+    def save(self, path: Path) -> None:
+        """Write the truth as .npz (no pickled objects) or, by the suffix, as .json."""
+        path = Path(path)
+        arrays, scalars = self._flat()
+        with new_file(path, force=True) as stream:
+            if path.suffix == ".json":
+                lists = {name: array.tolist() for name, array in arrays.items()}
+                stream.write(json.dumps({**scalars, **lists}).encode())
+            else:
+                np.savez_compressed(
+                    stream, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays
+                )
+
+    def _flat(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        arrays: dict[str, Array] = {"time": self.time, "clip_time": self.clip_time, "centre": self.centre}
+        for kind in ("angle", "omega", "corners", "visible"):
+            arrays.update({f"{kind}.{name}": array for name, array in getattr(self, kind).items()})
+        scalars = {"clock_offset": self.clock_offset, "clock_rate": self.clock_rate, "sense": self.sense}
+        return arrays, scalars
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a file written by `Truth.save`."""
+    path = Path(path)
+    if path.suffix == ".json":
+        content = json.loads(path.read_text(encoding="utf-8"))
+        scalars = {key: content.pop(key) for key in ("clock_offset", "clock_rate", "sense")}
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in content.items()}
+    else:
+        with np.load(path, allow_pickle=False) as held:
+            scalars = json.loads(str(held["scalars"]))
+            arrays = {name: held[name] for name in held.files if name != "scalars"}
+    groups: dict[str, dict[str, Array]] = {"angle": {}, "omega": {}, "corners": {}, "visible": {}}
+    for name in [n for n in arrays if "." in n]:
+        kind, _, item = name.partition(".")
+        groups[kind][item] = arrays.pop(name)
+    return Truth(
+        time=arrays["time"],
+        clip_time=arrays["clip_time"],
+        clock_offset=float(scalars["clock_offset"]),
+        clock_rate=float(scalars["clock_rate"]),
+        angle=groups["angle"],
+        omega=groups["omega"],
+        centre=arrays["centre"],
+        corners=groups["corners"],
+        visible=groups["visible"],
+        sense=int(scalars["sense"]),
+    )
+
+
+def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:
+    """Compute the truth of a film, without rendering it."""
+    time = camera.times(frames)
+    shift = scene.wobble.shift(time)
+    angle = {"rotor": motion.psi_rotor(time), "casing": motion.psi_casing(time)}
+    corners, visible = {}, {}
+    for marker in scene.markers:
+        turned = camera.turn(marker.corners(), angle[marker.body]) + shift[:, None]
+        corners[marker.name] = camera.project(turned)
+        share = _inside_picture(corners[marker.name], camera)
+        visible[marker.name] = share * _uncovered(scene, marker, motion, camera, time)
+    return Truth(
+        time=time,
+        clip_time=np.arange(frames) / camera.fps,
+        clock_offset=camera.start,
+        clock_rate=camera.rate,
+        angle=angle,
+        omega={"rotor": motion.omega_rotor(time), "casing": motion.omega_casing(time)},
+        centre=camera.project(shift),
+        corners=corners,
+        visible=visible,
+        sense=camera.sense,
+    )
+
+
+def _uncovered(scene: Scene, marker: Marker, motion: Motion, camera: Camera, time: Array) -> Array:
+    """Return the fraction of a marker that the casing does not occlude, averaged over the exposure, (n,)."""
+    if marker.body == "casing":
+        return np.ones(time.shape)
+    share = _visible_fraction(scene, marker)
+    step = 2.0 * np.pi / COVER_STEPS
+    running = np.concatenate([[0.0], np.cumsum(share)]) * step
+    turn = running[-1]
+
+    def integral(relative: Array) -> Array:
+        whole, rest = np.divmod(relative + 0.5 * step, 2.0 * np.pi)  # steps are centred
+        return np.asarray(whole * turn + np.interp(rest, np.arange(COVER_STEPS + 1) * step, running))
+
+    half = 0.5 * camera.exposure
+    ends = [motion.psi_rotor(time + late) - motion.psi_casing(time + late) for late in (-half, half)]
+    swept = ends[1] - ends[0]
+    still = np.abs(swept) < step
+    middle = 0.5 * (ends[0] + ends[1])
+    narrow = (integral(middle + 0.5 * step) - integral(middle - 0.5 * step)) / step
+    wide = (integral(ends[1]) - integral(ends[0])) / np.where(still, 1.0, swept)
+    return np.where(still, narrow, wide)
+
+
+def _visible_fraction(scene: Scene, marker: Marker) -> Array:
+    """Return the fraction of a marker of the rotor that is not occluded at psi_r - psi_c = 2 pi k / COVER_STEPS."""
+    reach = np.hypot(*marker.corners().T)
+    low = marker.near * np.cos(marker.skew) - 0.5 * marker.base * abs(np.sin(marker.skew))
+    edges = np.linspace(low, reach.max(), COVER_RADII + 1)
+    r = 0.5 * (edges[1:] + edges[:-1])[:, None]
+    theta = np.arange(COVER_STEPS) * (2.0 * np.pi / COVER_STEPS)
+    x, y = r * np.cos(theta), r * np.sin(theta)
+    along, across = marker.local(x, y)
+    paper = (along >= 0.0) & (along <= marker.length) & (np.abs(across) <= 0.5 * marker.base)
+    weight = np.fft.rfft(paper * r, axis=1)
+    cover = np.fft.rfft(scene.casing_covers(x, y).astype(np.float64), axis=1)
+    hidden = np.fft.irfft(np.conj(weight) * cover, COVER_STEPS, axis=1).sum(axis=0)
+    return np.asarray(np.clip(1.0 - hidden / (paper * r).sum(), 0.0, 1.0))
+
+
+def _inside_picture(corners: Array, camera: Camera) -> Array:
+    """Return the fraction of a marker that is within each frame, (n,)."""
+    low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
+    share = np.ones(len(corners))
+    frame = np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.float32)
+    for k in np.flatnonzero(np.any((corners < low) | (corners > high), axis=(1, 2))):
+        paper = corners[k].astype(np.float32)
+        common, _ = cv2.intersectConvexConvex(paper, frame)
+        share[k] = common / cv2.contourArea(paper)
+    return share
+
+
+Progress = Callable[[int, int | None], None]
+
+
+def render_clip(
+    path: Path,
+    scene: Scene,
+    motion: Motion,
+    camera: Camera,
+    light: Light | None = None,
+    *,
+    frames: int,
+    film: Film | None = None,
+    seed: int = 0,
+    truth: Path | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Truth:
+    """Render a film of a scene with a known motion, and return its exact angles and corners.
+
+    Parameters
+    ----------
+    path : Path
+        The mp4 file to write.
+    scene, motion, camera, light
+        What is rendered.
+    frames : int
+        Number of frames; ``camera.start`` is the true time of the first one.
+    film : Film, optional
+        Options of the encoder.
+    seed : int
+        Random seed.
+    truth : Path, optional
+        File (.npz or .json) to which the truth is written.
+    force : bool
+        Replace existing files.
+    progress : callable, optional
+        Called with (frames rendered, frames in total).
+
+    Raises
+    ------
+    OutputError
+        A file already exists, or cannot be written.
+    ValueError
+        The motion is not known for the whole film.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from gyrotrack.synthetic._scene import Camera, Scene
+    >>> motion = Motion.constant(omega_rotor=400.0, omega_casing=60.0)
+    >>> truth = render_clip(Path("casing.mp4"), Scene(), motion, Camera(), frames=260)  # doctest: +SKIP
+    """
+    if truth is not None and Path(truth).exists() and not force:
+        raise OutputError(f"{truth} already exists.", "Give another name, or set `force`.")
+    renderer = Renderer(scene, motion, camera, light, seed=seed)
+    write_film(
+        path,
+        _counted(renderer.frames(frames), frames, progress),
+        width=camera.width,
+        height=camera.height,
+        fps=camera.fps,
+        container_fps=camera.container_fps,
+        film=film,
+        force=force,
+    )
+    answers = find_truth(scene, motion, camera, frames)
+    if truth is not None:
+        answers.save(Path(truth))
+    return answers
+
+
+def _counted(
+    pictures: Iterator[NDArray[np.uint8]], total: int, progress: Progress | None
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield pictures and report their number."""
+    for done, picture in enumerate(pictures, start=1):
+        yield picture
+        if progress is not None:
+            progress(done, total)

@@ -20,9 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack.synthetic._film import Noise
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Colour, Light, Marker, Scene
+from gyrotrack.synthetic._scene import Camera, Colour, Light, Marker, Motion, Scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
@@ -350,6 +348,40 @@ SUB_STEP_PX = 1.2  # largest motion of the edges of the casing in a sub-exposure
 MAX_SUB = 24
 FOLD = 256  # rows of lists of points for cv2.remap, which is limited to 32767 columns
 SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
+
+BANKS = 4
+MARGIN = 96  # margin of a bank [px], for 9216 different crops
+
+
+class Noise:
+    """Gaussian noise in grey levels, rounded to integers, independent in every pixel and colour.
+
+    Parameters
+    ----------
+    height, width : int
+        Size of the frames in px.
+    deviation : float
+        Standard deviation in grey levels; rounding adds a variance of 1/12.
+    rng : numpy.random.Generator
+        Random generator.
+    """
+
+    def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
+        self._rng, self._size = rng, (height, width)
+        shape = (height + MARGIN, width + MARGIN, 3)
+        self._banks = []
+        for _ in range(BANKS if deviation > 0.0 else 0):
+            grain = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(deviation))
+            self._banks.append(np.clip(grain, -127, 127).astype(np.int8))
+
+    def on(self, picture: Frame) -> Frame:
+        """Return the picture with independent noise."""
+        if not self._banks:
+            return picture
+        bank = self._banks[int(self._rng.integers(BANKS))]
+        top, left = (int(n) for n in self._rng.integers(MARGIN, size=2))
+        grain = bank[top : top + self._size[0], left : left + self._size[1]]
+        return cv2.add(picture, grain, dtype=cv2.CV_8U)  # type: ignore[return-value]
 
 
 class Renderer:

@@ -16,7 +16,7 @@ from gyrotrack._column_store import in_file, new_columns, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
-from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
-from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.tracking import _film_tracker
 from gyrotrack.tracking._film_tracker import (
     BodyObservations,
@@ -46,8 +46,7 @@ from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import Frame, Packets, probe, read_packets
-from gyrotrack.video._decoder import Part, Reader, film_warnings, pts_seconds
-from gyrotrack.video._frames import RepeatDetector
+from gyrotrack.video._decoder import Part, Reader, RepeatDetector, film_warnings, pts_seconds
 from gyrotrack.video._time_base import Timing
 
 Floats = npt.NDArray[np.float64]

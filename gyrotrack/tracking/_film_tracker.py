@@ -23,7 +23,7 @@ from gyrotrack.tracking._illumination import AngleMap
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Samples, Scene
 from gyrotrack.video._container import Frame
-from gyrotrack.video._frames import RepeatDetector
+from gyrotrack.video._decoder import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes
 
 

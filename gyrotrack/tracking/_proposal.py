@@ -24,7 +24,7 @@ from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import Body, MarkerProfile, Profile, nearest_colour
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene, take_samples
 from gyrotrack.video._container import Frame, read_raw_stamps
-from gyrotrack.video._frames import frames_at
+from gyrotrack.video._decoder import frames_at
 
 
 @dataclass(frozen=True)

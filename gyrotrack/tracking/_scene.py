@@ -14,8 +14,7 @@ import numpy.typing as npt
 from gyrotrack._errors import VideoError
 from gyrotrack.tracking._polar import Ring, unroll
 from gyrotrack.video._container import Frame, keyframes, read_packets
-from gyrotrack.video._decoder import Reader
-from gyrotrack.video._frames import frames_at
+from gyrotrack.video._decoder import Reader, frames_at
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,8 +1,13 @@
-"""Fits of simulated recordings that several tests use, each computed once."""
+"""Fits of simulated recordings that several tests use, each computed once for all processes."""
 
-from functools import lru_cache
+import hashlib
+import os
+import pickle
+from functools import lru_cache, wraps
+from pathlib import Path
 
 import twobody
+from filelock import FileLock
 
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
@@ -17,7 +22,23 @@ HIDDEN = {
 }
 
 
-@lru_cache(maxsize=64)
+def shared(function):
+    """Compute the results of a function of numbers and names once for all processes of pytest-xdist."""
+
+    @lru_cache(maxsize=64)
+    @wraps(function)
+    def result(*args, **settings):
+        key = repr((function.__module__, function.__name__, args, sorted(settings.items())))
+        path = Path(os.environ["GYROTRACK_TEST_SHARED"], hashlib.sha256(key.encode()).hexdigest())
+        with FileLock(f"{path}.lock"):
+            if not path.exists():
+                path.write_bytes(pickle.dumps(function(*args, **settings)))
+        return pickle.loads(path.read_bytes())  # noqa: S301 - the tests' own file
+
+    return result
+
+
+@shared
 def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
     motion = twobody.simulate(seed=seed, ou=ou, ou_time=ou_time, hidden=HIDDEN[hidden])
     sigma = 1e-3 if quantity == "angle" else 0.05
@@ -25,7 +46,7 @@ def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
     return CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
 
 
-@lru_cache(maxsize=64)
+@shared
 def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
     return fit(Model.of(REDUCED), [data(seed, ou, ou_time, hidden, quantity)])
 

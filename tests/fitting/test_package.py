@@ -13,7 +13,7 @@ import twobody
 from cases import data, fitted
 
 import fitting
-from fitting._api import fit
+from fitting import fit
 from fitting._errors import EffectError, EstimationError, LedgerError
 from fitting.dynamics._model import Model
 from fitting.inference._record import make_record

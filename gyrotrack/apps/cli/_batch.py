@@ -23,9 +23,8 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack._versions import __version__
-from gyrotrack.apps.cli._options import InertiaCasing, InertiaRotor, Json, Quiet, Verbose
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, NOT_TRUSTED, TERMINATED, Output, command_line
-from gyrotrack.apps.cli._settings import function_of
+from gyrotrack.apps.cli._settings import InertiaCasing, InertiaRotor, Json, Quiet, Verbose, function_of
 
 if TYPE_CHECKING:
     from gyrotrack.apps.batch._experiments import Experiment

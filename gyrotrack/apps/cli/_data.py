@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import UsageError
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._settings import (
     Force,
     InertiaCasing,
     InertiaRotor,
@@ -22,7 +23,6 @@ from gyrotrack.apps.cli._options import (
     Surface,
     Verbose,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 
 if TYPE_CHECKING:
     from gyrotrack.io._contents import Inspection

@@ -13,7 +13,8 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._settings import (
     CaseFiles,
     EffectsFile,
     Force,
@@ -23,7 +24,6 @@ from gyrotrack.apps.cli._options import (
     Quiet,
     own_effects,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
 
 if TYPE_CHECKING:
     from fitting.discovery._dependence import Dependence
@@ -73,7 +73,6 @@ def laws_command(
     """
     from fitting._workers import WorkerPool
     from fitting.discovery._laws import laws
-    from fitting.discovery._verdict import diagnose
     from fitting.study._law_documents import check_name, laws_document
     from fitting.study._law_documents import save_law as save
 
@@ -88,13 +87,12 @@ def laws_command(
         fit, fit_id = study.base(start)
         own = own_effects(effects)
         entry = study.entry(fit_id)
-        diagnosis = entry.diagnosis(fit, own) if entry is not None else None
-        if diagnosis is None:
-            diagnosis = diagnose(fit, own, workers=workers)
-            study.keep_diagnosis(fit_id, diagnosis, own)
+        known = entry.diagnosis(fit, own) if entry is not None else None
         found = laws(
-            fit, diagnosis=diagnosis, beyond_library=beyond_library, workers=workers, progress=progress
+            fit, own, diagnosis=known, beyond_library=beyond_library, workers=workers, progress=progress
         )
+        if known is None and found.diagnosis is not None:
+            study.keep_diagnosis(fit_id, found.diagnosis, own)
     document = laws_document(found, fit_id)
     if picture is not None:
         from gyrotrack.plotting._results import write_laws_picture

@@ -11,7 +11,18 @@ import typer
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps._study import FitRequest, open_study, read_cases
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import (
+    DONE,
+    NOT_TRUSTED,
+    Output,
+    all_or_nothing,
+    bias_tables,
+    diagnosis_tables,
+    fit_tables,
+    ladder_tables,
+    prediction_tables,
+)
+from gyrotrack.apps.cli._settings import (
     CaseFiles,
     DataKind,
     EffectsFile,
@@ -24,14 +35,6 @@ from gyrotrack.apps.cli._options import (
     Quiet,
     RotorKind,
     own_effects,
-)
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing
-from gyrotrack.apps.cli._tables import (
-    bias_tables,
-    diagnosis_tables,
-    fit_tables,
-    ladder_tables,
-    prediction_tables,
 )
 
 if TYPE_CHECKING:

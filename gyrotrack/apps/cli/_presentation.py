@@ -14,7 +14,8 @@ import typer
 
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.apps._study import open_study, read_cases
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._settings import (
     CaseFiles,
     EffectsFile,
     Films,
@@ -26,7 +27,6 @@ from gyrotrack.apps.cli._options import (
     film_folders,
     own_effects,
 )
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 
 
 def report_command(

@@ -13,7 +13,16 @@ import typer
 
 from gyrotrack._errors import DatasetError, GyrotrackError, UsageError
 from gyrotrack.apps._study import changed, open_study
-from gyrotrack.apps.cli._options import (
+from gyrotrack.apps.cli._output import (
+    Output,
+    Progress,
+    all_or_nothing,
+    command_line,
+    diagnosis_tables,
+    fit_tables,
+    ladder_tables,
+)
+from gyrotrack.apps.cli._settings import (
     EffectsFile,
     Force,
     InertiaCasing,
@@ -26,8 +35,6 @@ from gyrotrack.apps.cli._options import (
     Surface,
     own_effects,
 )
-from gyrotrack.apps.cli._output import Output, Progress, all_or_nothing, command_line
-from gyrotrack.apps.cli._tables import diagnosis_tables, fit_tables, ladder_tables
 
 if TYPE_CHECKING:
     from fitting.discovery._select import Step

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
-from gyrotrack.apps.report._frames import Tile, contact_sheets
 from gyrotrack.io._atomic import new_file, refusal, refuse_existing
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
-from gyrotrack.plotting._charts import Dashboard, chart_picture
+from gyrotrack.plotting._charts import AFTER, Dashboard, Picture, chart_picture, themed
 from gyrotrack.plotting._discovery import (
     candidates_picture,
     correlation_picture,
@@ -26,16 +25,15 @@ from gyrotrack.plotting._discovery import (
     history_picture,
 )
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
-from gyrotrack.plotting._style import AFTER, Picture, themed
-from gyrotrack.plotting._tracking import Tracks, sync_picture, tracks_of
+from gyrotrack.plotting._tracking import Tile, Tracks, contact_sheets, sync_picture, tracks_of
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import Failure
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._result import Fit
-    from gyrotrack.apps.report._frames import Sheet
     from gyrotrack.io._records import Case
+    from gyrotrack.plotting._tracking import Sheet
 
 
 _SMALL_P = 0.01
@@ -451,7 +449,7 @@ def html(parts: Mapping[str, Any]) -> str:
     scripts = (*widgets.scripts(), folder.joinpath("page.js").read_text("utf-8"))
     return template.render(
         **parts,
-        style=widgets.theme() + folder.joinpath("page.css").read_text("utf-8") + widgets.style(),
+        style=widgets.theme() + folder.joinpath("page.css").read_text("utf-8") + widgets.style_sheet(),
         scripts=scripts,
         policy=widgets.content_policy(scripts),
         data=widgets.as_data([widgets.dashboard_document(s.dashboard) for s in parts["sections"]]),

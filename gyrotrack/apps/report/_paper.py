@@ -14,8 +14,19 @@ from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, refuse_existing
-from gyrotrack.plotting._charts import Chart, Trace, concatenated, draw
-from gyrotrack.plotting._style import BLUE, GREEN, PURPLE, VERMILLION, canvas, plain, style
+from gyrotrack.plotting._charts import (
+    BLUE,
+    GREEN,
+    PURPLE,
+    VERMILLION,
+    Chart,
+    Trace,
+    canvas,
+    concatenated,
+    draw,
+    plain,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

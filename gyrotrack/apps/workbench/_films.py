@@ -19,11 +19,10 @@ import numpy as np
 from gyrotrack._errors import UsageError, VideoError
 from gyrotrack._smoothing import angular_velocity
 from gyrotrack._versions import __version__
-from gyrotrack.apps.report._frames import jpeg
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.plotting._frames import Film, Picture, find_film
-from gyrotrack.plotting._tracking import on_clock
+from gyrotrack.plotting._tracking import jpeg, on_clock
 from gyrotrack.tracking._profile import colour_name, parse, to_toml
 
 if TYPE_CHECKING:

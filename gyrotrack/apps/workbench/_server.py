@@ -25,7 +25,6 @@ from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.report._frames import jpeg
 from gyrotrack.apps.workbench._films import (
     QUALITY,
     SHOWN_WIDTH,
@@ -40,6 +39,7 @@ from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
 from gyrotrack.plotting import _charts as charts
+from gyrotrack.plotting._tracking import jpeg
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -536,7 +536,7 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
     scripts = (*charts.scripts(), *own)
-    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style()
+    style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style_sheet()
     begins = has_project and not has_case
     page = template.render(
         title=label,

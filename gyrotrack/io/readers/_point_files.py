@@ -19,8 +19,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
-from gyrotrack.io._tables import check_storage, load
-from gyrotrack.io._validation import check_tree
+from gyrotrack.io._tables import check_storage, check_tree, load
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
 from gyrotrack.io.readers._tables import table_of_arrays

@@ -156,3 +156,21 @@ def test_presliding_friction_is_no_candidate_of_a_body_that_never_reverses():
     names = {e.name for e in applicable_effects(fit(BASE, [wheel()]), [])}
     assert "casing.friction.presliding" not in names
     assert "casing.brake.eddy" in names
+
+
+def test_rms_error_of_pulses_is_that_of_their_times():
+    """One pulse per turn: the angles are exact, the times are not, and the intervals grow twentyfold."""
+    rate, jitter = 0.05, 7e-5
+    turns = np.arange(1, 240)
+    exact = -np.log(1 - 2 * np.pi * turns * rate / 80.0) / rate  # psi = 80 (1 - exp(-rate t)) / rate
+    time = exact + np.random.default_rng(2).normal(0, jitter, len(exact))
+    pulses = make_record(
+        casing=(time, 2 * np.pi * turns, 80 * np.exp(-rate * exact) * jitter),
+        rotor=[],
+        I_rotor=1.0,
+        I_casing=1.0,
+        quantity="angle",
+        single=True,
+    )
+    result = fit(Model.of(["casing.air.linear"]), [pulses])
+    assert result.cases[0].casing.rmse == pytest.approx(result.rmse_noise, rel=0.25)

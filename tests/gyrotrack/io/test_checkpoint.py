@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import OutputError, TrackingError
-from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
+from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 
 FACTS = {"film": "abc", "profile": {"name": "paper", "marker": [1, 2]}, "body": None}
 

@@ -13,8 +13,7 @@ from fitting._errors import LedgerError, RecordError
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
-from gyrotrack.io._atomic import locked, new_file
-from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io._atomic import CheckpointFile, locked, new_file
 from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
 from gyrotrack.io.readers._import_case import import_body
 
@@ -108,7 +107,7 @@ from fitting._errors import LedgerError, RecordError
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack.io._atomic import locked, new_file
-from gyrotrack.io._checkpoint import CheckpointFile
+from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.io.readers._import_case import import_body
 try:
     with new_file(Path({str(path)!r}), force=True) as stream:

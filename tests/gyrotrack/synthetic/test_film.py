@@ -15,10 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
-from gyrotrack.synthetic._film import Film, to_planes, write_film
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import load_truth, render_clip
+from gyrotrack.synthetic._film import Film, load_truth, render_clip, to_planes, write_film
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 
 Frame = NDArray[np.uint8]
 SMALL = Camera(width=128, height=96, scale=1.3, fps=1000.0, container_fps=25.0)

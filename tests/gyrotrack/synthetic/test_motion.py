@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrotrack.synthetic._motion import Friction, Motion, two_body_motion
+from gyrotrack.synthetic._scene import Friction, Motion, two_body_motion
 
 TIME = np.linspace(0.0, 4.0, 41)
 INERTIA = {"inertia_rotor": 5.0e-6, "inertia_casing": 2.0e-6}

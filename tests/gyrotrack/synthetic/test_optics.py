@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Scene
-from gyrotrack.synthetic._truth import Truth, find_truth
+from gyrotrack.synthetic._film import Truth, find_truth
+from gyrotrack.synthetic._scene import Camera, Motion, Scene
 
 small = st.floats(-0.5, 0.5)
 point = st.tuples(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0))

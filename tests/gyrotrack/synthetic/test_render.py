@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrotrack.synthetic._motion import Motion
+from gyrotrack.synthetic._film import find_truth
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._scene import Camera, Light, Marker, Scene, Wobble
-from gyrotrack.synthetic._truth import find_truth
+from gyrotrack.synthetic._scene import Camera, Light, Marker, Motion, Scene, Wobble
 
 Array = NDArray[np.float64]
 

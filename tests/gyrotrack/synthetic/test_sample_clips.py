@@ -12,8 +12,8 @@ import av
 import numpy as np
 import pytest
 
+from gyrotrack.synthetic._film import find_truth
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._truth import find_truth
 
 FOLDER = Path(__file__).parents[3] / "sample_clips"
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.synthetic._film import render_clip
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 from gyrotrack.tracking._extract import extract
 
 pytestmark = pytest.mark.slow

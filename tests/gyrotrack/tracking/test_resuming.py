@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.apps.cli._app import run
-from gyrotrack.io._checkpoint import CheckpointFile, checkpoint_path
+from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
 from gyrotrack.tracking._film_parts import frames_done, split, turns_between
 from gyrotrack.tracking._profile import PAPER

@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import BLUE, GREEN, PAPERS, RED, Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.synthetic._film import render_clip
+from gyrotrack.synthetic._scene import BLUE, GREEN, PAPERS, RED, Camera, Light, Motion, Scene, Wobble
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import MarkerProfile, Profile
 from gyrotrack.tracking._proposal import propose

@@ -8,9 +8,8 @@ import pytest
 
 from gyrotrack.io._schema import STATUS
 from gyrotrack.synthetic._film import to_planes
-from gyrotrack.synthetic._motion import Motion
 from gyrotrack.synthetic._render import Renderer
-from gyrotrack.synthetic._scene import Camera, Light, Scene
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 from gyrotrack.tracking._extract import extract
 
 SIZE = (320, 240)

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrotrack.synthetic._motion import Motion
-from gyrotrack.synthetic._scene import Camera, Light, Scene, Wobble
-from gyrotrack.synthetic._truth import render_clip
+from gyrotrack.synthetic._film import render_clip
+from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 from gyrotrack.tracking._extract import extract
 
 CAMERA = Camera(320, 240, 1000.0, exposure=0.4e-3, scale=3.4, tilt=0.25, tilt_azimuth=0.7, noise=3.0)

@@ -6,8 +6,7 @@ import pytest
 
 from gyrotrack._errors import VideoError
 from gyrotrack.video._container import probe, read_packets, read_raw_stamps
-from gyrotrack.video._decoder import Part, Reader
-from gyrotrack.video._frames import frames_at
+from gyrotrack.video._decoder import Part, Reader, frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings
 
 BITS = 9

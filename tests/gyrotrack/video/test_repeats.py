@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.video._container import Frame, Packets
-from gyrotrack.video._frames import RepeatDetector
+from gyrotrack.video._decoder import RepeatDetector
 
 N = 260
 NONE = np.zeros((1, 1), dtype=np.uint8)

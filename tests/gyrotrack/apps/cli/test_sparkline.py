@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from gyrotrack.apps.cli._tables import marks, sparkline
+from gyrotrack.apps.cli._output import marks, sparkline
 
 
 def test_the_line_rises_and_falls_with_the_curve():

@@ -3,6 +3,7 @@ import os
 # the matrices of a fit are small: several BLAS threads would spend ten times the work waiting for each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -59,8 +60,14 @@ def true_path() -> Path:
 
 
 @pytest.fixture(scope="session")
-def story() -> Story:
-    record = recording()
-    base = fit(Model.of(REDUCED), [CaseData.of(record)])
-    diagnosis = diagnose(base)
-    return Story(record, improve(base, first=diagnosis.candidates, max_steps=1), diagnosis)
+def story(made_once) -> Story:
+    """A recording, the history of its fits and its diagnosis, computed once for all processes."""
+
+    def make(folder):
+        record = recording()
+        base = fit(Model.of(REDUCED), [CaseData.of(record)])
+        diagnosis = diagnose(base)
+        steps = improve(base, first=diagnosis.candidates, max_steps=1)
+        folder.joinpath("story.pickle").write_bytes(pickle.dumps((record, steps, diagnosis)))
+
+    return Story(*pickle.loads(made_once("story", make).joinpath("story.pickle").read_bytes()))  # noqa: S301
