@@ -79,7 +79,7 @@ def search_with_noise(
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
     # an oscillation was fitted period by period, so its motion is not in a wrong minimum
-    return (found, noise) if oscillates else _with_less_noise(problem, found, noise)
+    return (found, noise) if oscillates else _with_less_noise(problem, found, noise, quick=quick)
 
 
 def with_initial_shapes(
@@ -117,7 +117,7 @@ def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveB
 
 
 def _with_less_noise(
-    problem: Problem, found: Solution, noise: tuple[Noise, ...]
+    problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution and its noise, found again with less process noise if that describes the data better.
 
@@ -131,7 +131,7 @@ def _with_less_noise(
         trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
         # with little noise a search may reach values at which the model cannot be computed
         with suppress(FittingError):
-            other = search(trial, found.theta, active=active)
+            other = search(trial, found.theta, quick=quick, active=active)
             active = other.active
             ends.append((other, measure_noise(trial, other.theta)))
     return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
@@ -255,7 +255,7 @@ def fit(
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     if given is not None and _ends_at_a_bound_with_more_noise(problem, first, found.theta, given, noise):
-        found, noise = _with_less_noise(problem, found, noise)
+        found, noise = _with_less_noise(problem, found, noise, quick=quick)
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)

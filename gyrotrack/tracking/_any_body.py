@@ -26,6 +26,7 @@ from gyrotrack.tracking._registration import (
     Picture,
     Pose,
     Ring,
+    StoredPolars,
     Template,
     explained,
     follow,
@@ -396,7 +397,8 @@ def _measure(
     area = motion.area
     allowed = coarse.inside(area)
     wanted = set(usable.tolist())
-    polars = [coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted]
+    unwrapped = (coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted)
+    polars = StoredPolars.of(coarse, len(usable), unwrapped)
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
     mean = np.mean([polars[i] for i in use], axis=0)
     moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise

@@ -81,6 +81,8 @@ Complexes = npt.NDArray[np.complex128]
 HOLE = 8
 """Correlation length of the errors of a compressed film [frames]."""
 _HALVES = (24, 48, 96, 192)
+_SHORT_HALVES = (2, 6, 12)
+"""Half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`."""
 _LINE_POWER = 7.0
 _PIECES = 64
 LEAST_SIGMA = 0.05
@@ -98,13 +100,9 @@ class CentrePath:
 
 def smooth_path(measured: Floats) -> CentrePath:
     """Smooth a measured path, (n, 2) in px, NaN where it is unknown."""
-    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
+    z, known = _without_gaps(measured)
     if not known.any():
         return CentrePath(measured, np.full(len(measured), np.nan), 0)
-    index = np.arange(len(measured))
-    x, y = (np.interp(index, index[known], measured[known, k]) for k in (0, 1))
-    z = x + 1j * y
-    del index, x, y
     weight: Floats = known.astype(np.float64)
     halves = [half for half in _HALVES if 3 * half <= len(z)]
     if not halves:
@@ -116,6 +114,35 @@ def smooth_path(measured: Floats) -> CentrePath:
     sigma = _path_sigma(left, half)
     gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
     return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
+
+
+def marked_paths(measured: Floats) -> list[CentrePath]:
+    """Return the path of a disc by `smooth_path`, and paths that follow it over windows of a few frames.
+
+    The errors of a compressed film are correlated, so that the measured path alone does not determine which of them is
+    right: a hand-held camera moves the disc as fast as the errors do. The radii of the markers determine it.
+    """
+    z, known = _without_gaps(measured)
+    paths = [smooth_path(measured)]
+    for half in _SHORT_HALVES if known.sum() > 3 * _HALVES[0] else ():
+        weight: Floats = known.astype(np.float64)
+        path = _fitted(z, weight, half)
+        # a parabola over a short window absorbs a part of the noise, the inverse of the number of points in it
+        sigma = _path_sigma((z - path)[known], half) / float(np.sqrt(1.0 - 1.0 / (1.1 * half)))
+        gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
+        centre = np.stack([path.real, path.imag], axis=1)
+        paths.append(CentrePath(centre, np.where(gap, sigma, np.nan), half))
+    return paths
+
+
+def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
+    """Return a path x + i y, linear in the gaps, and where it is known."""
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
+    index = np.arange(len(measured))
+    if not known.any():
+        return np.full(len(measured), np.nan + 0j), known
+    x, y = (np.interp(index, index[known], measured[known, k]) for k in (0, 1))
+    return np.asarray(x + 1j * y), known
 
 
 def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:

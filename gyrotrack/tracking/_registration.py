@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, overload
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+from gyrotrack._column_store import new_columns, release_pages
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
@@ -30,6 +32,7 @@ TURN = 2 * np.pi
 _PHASES = 8  # copies of the template shifted by fractions of a column
 _ITERATIONS = 6
 _CLOSE = 1e-3  # columns; a step below this ends the iteration
+_HELD = 256  # polar pictures in memory
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,48 @@ class Ring:
             picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
         found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
+
+
+class StoredPolars(Sequence[Picture]):
+    """Polar pictures of many frames in a file, so that memory use does not grow with the length of the film.
+
+    Parameters
+    ----------
+    pictures : ndarray, shape (n, rows, columns)
+        A column of `new_columns`.
+    """
+
+    def __init__(self, pictures: Picture) -> None:
+        self._pictures = pictures
+        self._read = 0
+
+    @classmethod
+    def of(cls, ring: Ring, count: int, pictures: Iterable[Picture]) -> StoredPolars:
+        """Store `count` pictures of a ring as they come."""
+        stored = cls(new_columns(count, {"polar": ((ring.rows, ring.columns), np.float32)})["polar"])
+        for place, picture in zip(range(count), pictures, strict=False):
+            stored._pictures[place] = picture
+            stored._release()
+        return stored
+
+    def __len__(self) -> int:
+        return len(self._pictures)
+
+    @overload
+    def __getitem__(self, place: int) -> Picture: ...
+    @overload
+    def __getitem__(self, place: slice) -> StoredPolars: ...
+    def __getitem__(self, place: int | slice) -> Picture | StoredPolars:
+        if isinstance(place, slice):
+            return StoredPolars(self._pictures[place])
+        self._release()
+        picture: Picture = self._pictures[place]
+        return picture
+
+    def _release(self) -> None:
+        self._read += 1
+        if self._read % _HELD == 0:
+            release_pages()
 
 
 def rolled(picture: Picture, columns: float) -> Picture:
