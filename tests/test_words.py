@@ -56,7 +56,6 @@ NAMES = re.compile(
     r"rounding|seal|sense|sharpening|sightings|slant|spool|stage|surroundings|task|unattended|utils|waves|"
     r"wish|wording"
 )
-)
 
 
 def _messages(path):
