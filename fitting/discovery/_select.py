@@ -148,7 +148,11 @@ def rank(
     chosen = _to_refit(found, criteria)
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
-        chosen = [w and c.p_value < _OSCILLATION_REFIT_P for w, c in zip(chosen, found, strict=True)]
+        least = criteria.refit_share * max((c.score for c in found), default=0.0)
+        chosen = [
+            w and c.p_value < _OSCILLATION_REFIT_P and c.score >= least
+            for w, c in zip(chosen, found, strict=True)
+        ]
         chosen = [w and sum(chosen[:i]) < criteria.refit_least for i, w in enumerate(chosen)]
     if restoring_only:
         error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
@@ -513,7 +517,8 @@ def select(
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
-    if end is not named:
+    if end is not named and not named.model.restoring:
+        # the averaged equations of an oscillation have one minimum
         named = restarted_from(named, end)
     if chosen.indistinguishable_from and end is not named:
         # at the noise of the most complete fit the data may separate the class
