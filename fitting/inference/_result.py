@@ -7,8 +7,8 @@ computed on first access: most candidate effects are only ranked.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
@@ -43,10 +43,11 @@ from fitting.inference._metrics import (
     lack_of_fit,
     smoothing_noise,
 )
-from fitting.inference._noise import Noise
+from fitting.inference._noise import Noise, unresolved_level
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
+from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 
@@ -596,7 +597,11 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     chi2 = float(r @ r)
     rows = problem.rows
     at_bound = layout.at_bound(theta)
-    covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
+    noise = tuple(_with_unresolved(problem, predictions, noise, at_bound))
+    determined = ~surely_at_bound(layout, at_bound, r, j)
+    if any(n.unresolved > n.level for n in noise):
+        j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
+    covariance = covariance_of(j, determined)
     free = int((~at_bound).sum())
     # with a significant lack of fit, the noise alone understates the uncertainty
     covariance *= max(1.0, chi2 / max(1, rows - free))
@@ -617,6 +622,21 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         problem=problem,
         predictions=predictions,
     )
+
+
+def _with_unresolved(
+    problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise], at_bound: NDArray[np.bool_]
+) -> Iterator[Noise]:
+    """Yield the noise of each case with the random torque that its residuals do not exclude.
+
+    Only correlated deviations of an angle may be those of a random torque as well; white ones are none.
+    """
+    for data, p, n in zip(problem.data, predictions, noise, strict=True):
+        unresolved = 0.0
+        if n.excess < CONSISTENT and not data.angle_noise.is_white:
+            columns = np.concatenate([p.columns[:, ~at_bound[p.places]], data.nuisance], axis=1)
+            unresolved = unresolved_level(n.whitener, data.z - p.rows, columns, n.pure)
+        yield replace(n, unresolved=unresolved)
 
 
 def _estimates(
