@@ -182,13 +182,11 @@ def summary_lines(fit: FitSummary) -> list[str]:
         pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
         text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
-    for label, noise in _angle_noises(fit):
-        level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
-        parts = [f"{level}, correlation time {noise.time:.2g} s"] if noise.sigma else []
-        if noise.turn_sigma:
-            level = rounded(1e3 * noise.turn_sigma, 1e3 * noise.turn_sigma_u, "mrad")
-            parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
-        text = f"correlated angle noise{label}: {'; '.join(parts)}"
+        if any(n.unresolved > n.level for n in noises):
+            unresolved = ", ".join(f"{max(n.level, n.unresolved):.2g}" for n in noises)
+            text = f"not separable from the angle noise, included in the uncertainties: {unresolved} {unit}"
+            lines += wrap(text, 79, initial_indent="  ", subsequent_indent="  ")
+    for text in angle_noise_lines(fit):
         lines += wrap(text, 79, subsequent_indent="  ")
     prior = fit.prior if isinstance(fit, Fit) else None
     if prior is not None:
@@ -217,6 +215,19 @@ def summary_lines(fit: FitSummary) -> list[str]:
 
 def _levels(noises: Sequence[Noise]) -> str:
     return ", ".join(f"{n.level:.2g}" for n in noises)
+
+
+def angle_noise_lines(fit: FitSummary) -> list[str]:
+    """Return level and correlation time of the correlated angle noise of each camera, in words."""
+    found = []
+    for label, noise in _angle_noises(fit):
+        level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
+        parts = [f"{level}, correlation time {noise.time:.2g} s"] if noise.sigma else []
+        if noise.turn_sigma:
+            level = rounded(1e3 * noise.turn_sigma, 1e3 * noise.turn_sigma_u, "mrad")
+            parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
+        found.append(f"correlated angle noise{label}: {'; '.join(parts)}")
+    return found
 
 
 def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:

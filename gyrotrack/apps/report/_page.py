@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
+from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
 from gyrotrack.io._atomic import new_file, refusal, refuse_existing
@@ -261,7 +262,8 @@ def _whiteness(view: StudyView) -> str:
     text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in view.whiteness)
     if any(p < _SMALL_P for _, p in view.whiteness) and view.final.verdict == "adequate":
         text += ". A small p indicates correlated residuals; process noise causes them and is included in the verdict"
-    return text
+    noise = [typeset(line[:1].upper() + line[1:]) for line in angle_noise_lines(view.final)]
+    return ". ".join([text, *noise])
 
 
 def _equal(number: str) -> str:
