@@ -248,7 +248,8 @@ def _interval(f: Failure, *, named: bool) -> str:
     sign = "" if f.kind == "ripple" else "+" if f.residual_torque_Nm > 0 else "−"
     size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}{unit_text(f.unit)}"
     of = f" of {f.label}" if named else ""
-    return f"{size} on the {f.called}{of} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
+    first, last = f.times
+    return f"{size} on the {f.called}{of} from {first} s to {last} s (up to {f.size_sigma:.0f} σ)"
 
 
 def _failures(view: StudyView) -> list[str]:
