@@ -13,7 +13,7 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output
 from gyrotrack.apps.cli._settings import (
     CaseFiles,
     EffectsFile,
@@ -63,7 +63,7 @@ def laws_command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
 
     Several cases are searched jointly. Formulas are generated from a grammar, fitted, and ranked; the result is the set
@@ -98,23 +98,21 @@ def laws_command(
         from gyrotrack.plotting._results import write_laws_picture
 
         write_laws_picture(found, picture, force=force)
-    if save_law is not None:
-        name, path = save_law
-        if law > len(found.laws):
-            many = f"there are {len(found.laws)}" if found.laws else "no law was found"
-            raise UsageError(
-                f"There is no law number {law}: {many}.", "Choose a law of the table with --law N."
-            )
-        labels = ", ".join(fit.labels)
-        save(found.laws[law - 1], name, path, f"gyrotrack laws on {labels} (fit {fit_id})")
     out.result(document)
     out.show(_laws_table(found, fit_id))
-    if save_law is not None:
-        out.show(
-            f"saved: {save_law[0]} in {save_law[1]}; add it with --effects {save_law[1]} --add {save_law[0]}"
-        )
     if picture is not None:
         out.show(f"written: {picture}")
+    if save_law is None:
+        return DONE
+    name, path = save_law
+    if law > len(found.laws):
+        many = f"there are {len(found.laws)} laws" if found.laws else "no law was found"
+        out.warn(f"Law number {law} was not saved: {many}.")
+        return FAULT
+    source = f"gyrotrack laws on {', '.join(fit.labels)} (fit {fit_id})"
+    save(found.laws[law - 1], name, path, source)
+    out.show(f"saved: {name} in {path}; add it with --effects {path} --add {name}")
+    return DONE
 
 
 def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> None:
