@@ -36,10 +36,25 @@ LARGEST_PHASE_ERROR = 0.7
 
 
 class Averaged(NamedTuple):
-    """The fitted averaged equations: values of all variables, and the largest rms phase error [rad]."""
+    """The fitted averaged equations.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (variables,)
+        Values of all variables.
+    phase_error : float
+        Largest rms error of the phase [rad].
+    rows : tuple of (list of str, ndarray, ndarray)
+        Of each case the strengths, and in units of the errors their columns and the residuals: first of the amplitudes,
+        then of the phases.
+    scales : tuple of ndarray
+        Of each case the errors of amplitudes and phases [rad].
+    """
 
     theta: Array
     phase_error: float
+    rows: tuple[tuple[list[str], Array, Array], ...]
+    scales: tuple[Array, ...]
 
 
 def averaged(
@@ -48,6 +63,7 @@ def averaged(
     theta: Array,
     linear: Callable[[ParameterLayout, Sequence[str]], list[str]],
     regress: Callable[[ParameterLayout, Parts], tuple[NDArray[np.intp], Array]],
+    errors: Sequence[Array] | None = None,
 ) -> Averaged | None:
     """Fit the averaged equations of motion to the measured amplitudes and phases.
 
@@ -63,6 +79,8 @@ def averaged(
         Selects the parameters in which the equations are linear.
     regress : callable
         Linear least squares for the strengths of all cases, within their bounds.
+    errors : sequence of ndarray, optional
+        `Averaged.scales` of another model, so that both are comparable; estimated from the residuals if not given.
 
     Returns
     -------
@@ -75,8 +93,9 @@ def averaged(
     slow = [m for m in found if m is not None]
     if len(slow) < len(found):
         return None
-    scales = [np.ones(2 * len(m.time)) for m in slow]
-    errors = [np.inf] * len(slow)
+    scales = [np.ones(2 * len(m.time)) for m in slow] if errors is None else list(errors)
+    phase_errors = [np.inf] * len(slow)
+    rows: list[tuple[list[str], Array, Array]] = []
     for _ in range(_STEPS):
         equations = [_equations(layout, i, m, theta, linear) for i, m in enumerate(slow)]
         parts = []
@@ -85,17 +104,23 @@ def averaged(
             parts.append((layout.places(case, keys), both[:, :-1], both[:, -1]))
         places, values = regress(layout, parts)
         theta[places] = values
+        rows = []
         for case, (keys, design, target) in enumerate(equations):
             rest = (target - design @ theta[layout.places(case, keys)]).reshape(2, -1)
             # the error of a phase is that of the deflection over the amplitude
             relative = slow[case].amplitude / slow[case].amplitude.max()
             rest -= np.array([rest[0].mean(), np.average(rest[1], weights=relative**2)])[:, None]
             amplitude = max(float(np.sqrt(np.mean(rest[0] ** 2))), 1e-9)
-            errors[case] = max(float(np.sqrt(np.mean((relative * rest[1]) ** 2))), 1e-9)
-            scales[case] = np.concatenate([np.full(len(relative), amplitude), errors[case] / relative])
+            phase_errors[case] = max(float(np.sqrt(np.mean((relative * rest[1]) ** 2))), 1e-9)
+            if errors is None:
+                scales[case] = np.concatenate(
+                    [np.full(len(relative), amplitude), phase_errors[case] / relative]
+                )
+            size = scales[case]
+            rows.append((keys, _without_level(design / size[:, None], 1 / size), rest.ravel() / size))
             first = {START_ROTOR: 0.0} | _first_state(data[case].record.span[0], slow[case], rest)
             theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
-    return Averaged(theta, max(errors))
+    return Averaged(theta, max(phase_errors), tuple(rows), tuple(scales))
 
 
 def _equations(

@@ -43,11 +43,13 @@ from gyrotrack.video._container import file_sha256
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
+    from fitting.discovery._oscillator import OscillatorLaws
     from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
+_MANY_REVERSALS = 200  # reversals of an oscillation from which on only a restoring torque is added
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -175,7 +177,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
         f"{source.name}: {len(found.time)} passages of a pendulum through the light gates; they show its period and "
         "decay, but no angle: no case and no torque law."
     )
-    parts = dict.fromkeys(("case", "report", "picture", "diagnosis"))
+    parts = dict.fromkeys(("case", "report", "picture", "oscillator", "diagnosis"))
     return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note]}
 
 
@@ -415,6 +417,7 @@ def _analysed(
 ) -> dict[str, Any]:
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
+    from fitting.discovery._oscillator import oscillator_laws
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
@@ -440,18 +443,23 @@ def _analysed(
         picture = target.with_suffix(".png")
         write_body_picture(picture, Film(source), tracked, force=True)
     recorder: Recorder | None = None
+    laws: OscillatorLaws | None = None
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
     try:
         study = open_study([target], None)
+        laws = oscillator_laws(study.data[0]) if motion.kind == "oscillation" else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case
             base = fit(study.model(REDUCED), study.data)
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
-            history = improve(base, [], workers=workers, keep=recorder)
+            oscillation = base.problem.data[0].oscillation
+            long = oscillation is not None and len(oscillation.reversals) > _MANY_REVERSALS
+            # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
+            history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
             if history.stopped:
                 warnings.append(f"The search stopped at a failed fit, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
@@ -480,6 +488,7 @@ def _analysed(
         "report": written,
         "picture": picture,
         "motion": motion,
+        "oscillator": laws,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,

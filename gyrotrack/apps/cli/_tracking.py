@@ -615,6 +615,24 @@ def _position(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
+def _oscillator_lines(laws: Any) -> list[str]:
+    """Return the restoring torque and the damping of an oscillator, with the sets of laws that are not separated."""
+
+    def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
+        values = [
+            f"{key} = {p.value:.4g} +- {p.stderr:.2g} {p.unit}"
+            for key, p in laws.parameters.items()
+            if key.rpartition(".")[0] in chosen
+        ]
+        others = [" + ".join(names) or "none" for names in classes if names != chosen]
+        return ", ".join(values or ["none"]) + (f" (or {' or '.join(others)})" if others else "")
+
+    return [
+        f"restoring  {of(laws.restoring, laws.restoring_classes)}",
+        f"damping    {of(laws.damping, laws.damping_classes)}",
+    ]
+
+
 def _lines(document: dict[str, Any]) -> list[str]:
     motion = document["motion"]
     lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
@@ -631,6 +649,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
         lines.append(f"mean       {motion.omega_mean.value:.6g} +- {motion.omega_mean.stderr:.2g} rad/s")
         lines.append(f"alpha      {motion.alpha.value:.4g} +- {motion.alpha.stderr:.2g} rad/s2")
+    if document["oscillator"] is not None:
+        lines += _oscillator_lines(document["oscillator"])
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
     written = [str(document[key]) for key in ("case", "report", "picture") if document[key] is not None]
