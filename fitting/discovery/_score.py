@@ -182,6 +182,8 @@ _MAX_FREQUENCIES = 1500
 _ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
 # changepoints are tried on a grid this many times finer than declared
 _FINER = 8
+# choices of shape constants that are evaluated at once
+_CHOICES = 128
 
 
 @dataclass(frozen=True)
@@ -242,10 +244,7 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
-        if effect.state is None and not effect.breakpoint and effect.joint not in self._scaled_torque:
-            unit = self._units(effect, choices)
-        else:
-            unit = np.concatenate([self._unit(effect, choice) for choice in choices], axis=1)
+        unit = self._units(effect, choices)
         acting = _ACTING.get(effect.joint, (-1.0, 1.0))
         rows = np.zeros((len(self.response.casing), unit.shape[1]))
         for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
@@ -263,7 +262,7 @@ class CaseColumns:
         first, last = self.case.data.record.span
         if effect.state is not None and _phase_symbol(effect):
             # phase of the sinusoid per unit of its frequency parameter, over the whole record
-            phase = self._state(effect, {p.symbol: 1.0})
+            phase = self._states(effect, {p.symbol: np.ones(1)})[:, 0]
             range_ = float(np.ptp(phase))
             fastest = _FASTEST / max(float(np.abs(np.diff(phase)).max()), 1e-300)
             count = int(min(_MAX_FREQUENCIES, fastest * range_ / _PHASE_STEP))
@@ -284,7 +283,7 @@ class CaseColumns:
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
-        unit = self._unit(effect, shape)
+        unit = self._units(effect, [shape])
         rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
         return rotor * unit, casing * unit
 
@@ -297,74 +296,84 @@ class CaseColumns:
         return self.padded(self.response.rotor @ rotor + self.response.casing @ casing)
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
-        """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants at once."""
+        """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants."""
+        parts = [
+            self._units_of_few(effect, choices[i : i + _CHOICES]) for i in range(0, len(choices), _CHOICES)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    def _units_of_few(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
-        cells = {k: np.asarray(v)[:, None] if np.ndim(v) else v for k, v in self._known.items()}
-        values = cells | {p.symbol: p.start for p in effect.parameters} | {amplitude: 1.0}
-        values |= {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
-        shape = (len(self.response.centres), len(choices))
+        shapes = {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
+        values = self._cells | {p.symbol: p.start for p in effect.parameters} | shapes
+        if effect.state is not None:
+            values[effect.state.symbol] = self._states(effect, shapes)
         with np.errstate(all="ignore"):
-            torques = [np.broadcast_to(v, shape) for v in _at_phases(effect, values)]
-        unit = np.stack(torques, axis=2).reshape(shape[0], -1)
+            if effect.joint in self._scaled_torque:
+                slope = derivative(effect.expression, amplitude)
+                scale = self._scaled_torque[effect.joint][:, None]
+                law = [scale * np.asarray(Tape([slope])(values | {amplitude: 0.0})[0])]
+            else:
+                values[amplitude] = 1.0
+                law = _at_phases(effect, values)
+            size = (len(self.response.centres), len(choices))
+            unit = np.stack([np.broadcast_to(v, size) for v in law], axis=2)
+            if effect.breakpoint:
+                self._jump_within_cell(effect, values, unit)
+        unit = unit.reshape(size[0], -1)
         # a choice with which the law is singular along the motion is not tested
         return np.where(np.isfinite(unit).all(axis=0), unit, 0.0)
 
-    def _unit(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Return the torque of a law at strength 1 in each cell, for one choice of its shape constants."""
-        values = self._known | {p.symbol: p.start for p in effect.parameters} | shape
-        if effect.state is not None:
-            values[effect.state.symbol] = self._state(effect, shape)
-        amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
-        if effect.joint in self._scaled_torque:
-            values[amplitude] = 0.0
-            slope = Tape([derivative(effect.expression, amplitude)])(values)[0]
-            law = [self._scaled_torque[effect.joint] * np.asarray(slope)]
-        else:
-            values[amplitude] = 1.0
-            law = _at_phases(effect, values)
-        unit = np.stack([v * np.ones(len(self.response.centres)) for v in law], axis=1)
-        if effect.breakpoint:
-            self._jump_within_cell(effect, values, unit)
-        return unit
+    @property
+    def _cells(self) -> dict[str, Any]:
+        """The motion in each cell, as columns."""
+        return {k: np.asarray(v)[:, None] if np.ndim(v) else v for k, v in self._known.items()}
 
     def _jump_within_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
-        """Replace the torque of the cell that contains the changepoint by its mean over the cell."""
-        edges = self.response.edges
-        cell = int(np.searchsorted(edges, values[effect.breakpoint], side="right")) - 1
-        if not 0 <= cell < len(unit):
-            return
-        share_after = (edges[cell + 1] - values[effect.breakpoint]) / (edges[cell + 1] - edges[cell])
-        in_cell = {k: v[cell] if isinstance(v, np.ndarray) and v.ndim else v for k, v in values.items()}
+        """Replace the torque of the cell that contains the changepoint by its mean over the cell, for each choice."""
+        edges, count = self.response.edges, unit.shape[1]
+        at = np.broadcast_to(values[effect.breakpoint], count)
+        cell = np.searchsorted(edges, at, side="right") - 1
+        inside = np.flatnonzero((cell >= 0) & (cell < len(unit)))
+        cell, at = cell[inside], at[inside]
+        share_after = (edges[cell + 1] - at) / (edges[cell + 1] - edges[cell])
+        in_cell = {
+            k: np.broadcast_to(v, unit.shape[:2])[cell, inside] if np.ndim(v) else v
+            for k, v in values.items()
+        }
+        tape = Tape([effect.expression])
         before, after = (
-            Tape([effect.expression])(in_cell | {"t": float(t)})[0]
+            np.broadcast_to(tape(in_cell | {"t": t})[0], len(inside))
             for t in (edges[cell] - 1e-9, edges[cell + 1] + 1e-9)
         )
-        unit[cell] = (1 - share_after) * before + share_after * after
+        unit[cell, inside] = ((1 - share_after) * before + share_after * after)[:, None]
 
-    def _state(self, effect: Effect, shape: dict[str, float]) -> Array:
-        """Integrate the state of an effect along the motion of the base, with rates constant in each cell."""
+    def _states(self, effect: Effect, shapes: dict[str, Array]) -> Array:
+        """Integrate the state of an effect along the motion of the base, with rates constant in each cell.
+
+        One column for each choice of the shape constants.
+        """
         if effect.state is None or effect.rate is None:
-            return np.zeros(0)
+            return np.zeros((0, 0))
         symbol = effect.state.symbol
         tape = Tape([effect.rate, derivative(effect.rate, symbol)])
-        values = self._known | {p.symbol: p.start for p in effect.parameters} | shape | {symbol: 0.0}
-        n = len(self.response.centres)
-        source, decay = (np.asarray(v) * np.ones(n) for v in tape(values))
+        values = self._cells | {p.symbol: p.start for p in effect.parameters} | shapes | {symbol: 0.0}
+        size = (len(self.response.centres), max((len(v) for v in shapes.values()), default=1))
+        source, decay = (np.broadcast_to(v, size) for v in tape(values))
         h = self.response.edges[1] - self.response.edges[0]
+        first = effect.state.start + 0.5 * h * source[0]
         increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
-            return np.asarray(
-                effect.state.start + np.concatenate([[0.0], np.cumsum(increment)]) + 0.5 * h * source[0]
-            )
+            return np.asarray(first + np.concatenate([np.zeros((1, size[1])), np.cumsum(increment, axis=0)]))
         # exact for a constant rate, because a state may decay within a cell
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
         factor = np.exp(exponent)
         gain = increment * np.where(
             exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
         )
-        state = np.empty(n)
-        state[0] = effect.state.start + 0.5 * h * source[0]
-        for i in range(n - 1):
+        state = np.empty(size)
+        state[0] = first
+        for i in range(size[0] - 1):
             state[i + 1] = factor[i] * state[i] + gain[i]
         return state
 
@@ -502,23 +511,22 @@ def score_of_columns(context: ScoreContext, columns: Array) -> float:
 def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
     """Return score and strengths of each group of columns, for one residual or many."""
     width = columns.shape[1] // groups
-    c = columns.reshape(len(columns), groups, width)
-    projected = (
-        np.einsum("rgw,r...->gw...", c, r) if r.ndim == 1 else (columns.T @ r).reshape(groups, width, -1)
-    )
-    gram = np.einsum("rgw,rgv->gwv", c, c)
-    size = np.sqrt(np.maximum(np.einsum("gww->gw", gram), 1e-300))
-    scaled = gram / (size[:, :, None] * size[:, None, :])
-    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True)
-    projected = projected / size.reshape(size.shape + (1,) * (projected.ndim - 2))
-    gamma = np.einsum("gwv,gv...->gw...", inverse, projected)
+    projected = (columns.T @ r).reshape(groups, width, -1)
+    if width == 1:
+        gram = np.einsum("rg,rg->g", columns, columns)[:, None, None]
+    else:
+        c = columns.T.reshape(groups, width, -1)
+        gram = c @ c.transpose(0, 2, 1)
+    size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))[..., None]
+    scaled = gram / (size * size.transpose(0, 2, 1))
+    inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) if width > 1 else np.sign(scaled)
+    projected = projected / size
+    gamma = inverse @ projected
     if bounds != (-np.inf, np.inf):
-        scale = size.reshape(size.shape + (1,) * (projected.ndim - 2))
-        gamma = np.clip(gamma, bounds[0] * scale, bounds[1] * scale)
-    score = np.einsum(
-        "gw...,gw...->g...", gamma, 2 * projected - np.einsum("gwv,gv...->gw...", scaled, gamma)
-    )
-    return np.asarray(score), np.asarray(gamma / size.reshape(size.shape + (1,) * (gamma.ndim - 2)))
+        gamma = np.clip(gamma, bounds[0] * size, bounds[1] * size)
+    score = np.sum(gamma * (2 * projected - scaled @ gamma), axis=1)
+    gamma = gamma / size
+    return (score, gamma) if r.ndim > 1 else (score[:, 0], gamma[..., 0])
 
 
 def _bounds(effect: Effect) -> tuple[float, float]:

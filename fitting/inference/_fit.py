@@ -36,7 +36,7 @@ from fitting.inference._initial_values import initial_shapes, initial_values, un
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
-from fitting.inference._parameters import ParameterLayout
+from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
@@ -79,7 +79,7 @@ def search_with_noise(
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
     # an oscillation was fitted period by period, so its motion is not in a wrong minimum
-    return (found, noise) if oscillates else _with_less_noise(problem, found, noise)
+    return (found, noise) if oscillates else _with_less_noise(problem, found, noise, quick=quick)
 
 
 def with_initial_shapes(
@@ -117,7 +117,7 @@ def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveB
 
 
 def _with_less_noise(
-    problem: Problem, found: Solution, noise: tuple[Noise, ...]
+    problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution and its noise, found again with less process noise if that describes the data better.
 
@@ -131,7 +131,7 @@ def _with_less_noise(
         trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
         # with little noise a search may reach values at which the model cannot be computed
         with suppress(FittingError):
-            other = search(trial, found.theta, active=active)
+            other = search(trial, found.theta, quick=quick, active=active)
             active = other.active
             ends.append((other, measure_noise(trial, other.theta)))
     return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
@@ -231,7 +231,7 @@ def fit(
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)
         theta, active = found.theta, found.active
-    elif not set(problem.layout.names) <= set(start or ()):
+    elif not _free_names(problem) <= set(start or ()):
         # far from the minimum residuals far exceed the noise, and the search would take long at a low level
         problem = problem.with_noise(raised_noise(problem, theta, noise))
         problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
@@ -239,6 +239,8 @@ def fit(
         theta, active = found.theta, found.active
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
+    # without a restoring torque, the parameters fitted to an oscillation have no meaning
+    quick = quick or (any(d.oscillation is not None for d in data) and not model.restoring)
     held = tuple(steady)
     if held:
         found = search_with_held(problem, theta, held, active=active)
@@ -255,10 +257,16 @@ def fit(
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     if given is not None and _ends_at_a_bound_with_more_noise(problem, first, found.theta, given, noise):
-        found, noise = _with_less_noise(problem, found, noise)
+        found, noise = _with_less_noise(problem, found, noise, quick=quick)
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)
+
+
+def _free_names(problem: Problem) -> set[str]:
+    """Return the names of the variables on which the rows depend: of a body alone, all but the speed of a rotor."""
+    single = problem.data[0].record.single
+    return {n for n in problem.layout.names if not (single and n.startswith(f"{START_ROTOR}@"))}
 
 
 def fit_like(
