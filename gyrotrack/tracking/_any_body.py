@@ -71,6 +71,10 @@ class NothingMovesError(TrackingError):
     """No part of the picture changes by more than noise."""
 
 
+class SeveralBodiesError(TrackingError):
+    """Several bodies turn about different centres."""
+
+
 @dataclass(frozen=True)
 class _Trial:
     """One interpretation of a film: a ring, a method of tracking, and the explained share of the change of brightness.
@@ -205,7 +209,7 @@ def _track(
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
-        raise TrackingError(
+        raise SeveralBodiesError(
             f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
             "Give the centre of the body to track with --hub X,Y.",
         )
