@@ -240,7 +240,8 @@ def _observe(
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
         with Reader(video, threads) as reader:
-            shake = camera_shake([frame.y for frame in samples.frames], (frame.y for frame in reader))
+            body = (*scene.centre, _BODY * max(marker.outer for marker in scene.markers))
+            shake = camera_shake([frame.y for frame in samples.frames], (frame.y for frame in reader), body)
         del samples  # as large as the buffers of the tracker
         release_memory()
         seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
@@ -323,6 +324,8 @@ def _recording(
     )
 
 
+_BODY = 1.5
+"""Radius of the bodies, such as the ring of the casing, relative to the outer end of the markers."""
 LEAST_TRACKED = 0.8
 """Smallest share of frames with an angle for a recording without a doubt."""
 _STEPS = 12

@@ -175,7 +175,9 @@ def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
     return bool(cv2.contourArea(cv2.convexHull(places)) > _WIDEST_BODY * shape[0] * shape[1])
 
 
-def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | None:
+def camera_shake(
+    samples: Sequence[Plane], frames: Iterable[Plane], body: tuple[float, float, float] | None = None
+) -> Shake | None:
     """Measure the motion of the camera; None if it is at rest, or no background is visible.
 
     Parameters
@@ -184,9 +186,13 @@ def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | N
         Frames from all of the film; the first one is the reference, in whose place a hub is given.
     frames : iterable of ndarray, shape (height, width)
         All frames; used only where the samples show that the camera moves.
+    body : tuple of float, optional
+        Centre (x, y) and radius [px] of the bodies, which are no background.
     """
     reference = samples[0]
     places = features_of(reference)
+    if body is not None:
+        places = places[np.hypot(places[:, 0] - body[0], places[:, 1] - body[1]) > body[2]]
     if len(places) < _FEWEST:
         return None
     few = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))]
