@@ -244,6 +244,8 @@ def import_body(
         Angles or speeds of the body, as for `import_case`.
     inertia : float
         Moment of inertia [kg m2].
+    label, surface : str
+        Name of the case, and the surface on which the body turns.
     options : ReadOptions, optional
         Options for reading the file.
     limits : Limits, optional
