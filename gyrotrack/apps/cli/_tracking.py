@@ -491,8 +491,8 @@ def spindown_command(
     capture_fps: Annotated[
         float | None,
         typer.Option(
-            "--casing-fps",
             "--capture-fps",
+            "--casing-fps",
             metavar="N",
             help="Frames per second of the camera, also of a table without times.",
         ),
