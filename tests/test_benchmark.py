@@ -49,6 +49,33 @@ def test_the_integration_is_that_of_scipy(name):
         assert np.abs(motion.angle(times, body) - exact.y[2 + body]).max() < 1e-6
 
 
+def test_a_casing_spun_against_the_rotor_reverses_where_scipy_finds_it():
+    """Its dry friction jumps at the reversal: integrated in two parts, with the time of the reversal as an event."""
+    case = experiment.CASES[1] | {"start": (759.0, -60.0), "span": 12.0}
+    world, torques = experiment.Hidden(), experiment.shake(12.0, 0.0, 1.0, np.random.default_rng(1))
+    motion = experiment.integrate(case, world, torques)
+    rates = experiment.equations(case, world, torques)
+
+    def against(t, y):
+        """Return the rates with the friction of a casing that turns against the rotor, also after its reversal."""
+        found = rates(t, y)
+        return [found[0], found[1] + (2 * case["b1"] / case["I_casing"] if y[1] >= 0 else 0.0), *found[2:]]
+
+    def reversal(t, y):
+        return y[1]
+
+    reversal.terminal = True
+    options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-9}
+    first = solve_ivp(against, (0, 12), [759.0, -60.0, 0, 0], events=reversal, **options)
+    begin = first.y[:, -1]
+    begin[1] = 1e-300
+    second = solve_ivp(rates, (first.t[-1], motion.time[-1]), begin, **options)
+    assert 1 < first.t[-1] < 11
+    assert np.abs(motion.time - first.t[-1]).min() < 1e-5
+    assert motion.speed[-1] == pytest.approx(second.y[:2, -1], abs=1e-6)
+    assert motion.turned[-1] == pytest.approx(second.y[2:, -1], abs=1e-5)
+
+
 @pytest.mark.parametrize("time", [1.0, 0.1])
 def test_the_random_torque_has_its_size_and_its_memory(time):
     step, casing, _ = experiment.shake(5e3, 1e-7, time, np.random.default_rng(3))

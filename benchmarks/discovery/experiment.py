@@ -36,9 +36,11 @@ LIGHT: dict[str, Any] = {
     "span": 30.0,
     **_FILMED,
 }
-# a casing slower than this [rad/s] is about to stop: the recording ends
+# a casing slower than this [rad/s] that slows down is about to stop: the recording ends
 _SLOWEST = 3.0
 _STEP = 0.02  # s
+# a casing slower than this [rad/s] reverses
+_TINY = 1e-7
 
 Torque = Callable[[float, float, float, float], float]  # of t, omega_r, omega_c, psi_c, in N m
 Shake = tuple[float, list[float], list[float]]  # step [s], torques [N m] on the casing and between the bodies
@@ -193,6 +195,8 @@ class Motion:
 def integrate(case: dict[str, Any], hidden: Hidden, torques: Shake) -> Motion:
     """Integrate by classical Runge-Kutta steps that end where the random torque or a hidden one has a kink.
 
+    A step also ends where the casing, spun against the rotor at the start, reverses: dry friction jumps there.
+
     A test compares it with SciPy's DOP853, which needs half a minute where the torque is random.
     """
     # a torque that follows the angle is felt only by steps that are short against a turn at 160 rad/s
@@ -200,22 +204,39 @@ def integrate(case: dict[str, Any], hidden: Hidden, torques: Shake) -> Motion:
     grid = np.unique(np.concatenate([grid, hidden.breaks]))
     y = [*case["start"], 0.0, 0.0] + [0.0] * (len(hidden.heating) + len(hidden.chirp))
     rates = equations(case, hidden, torques)
-    states, slopes = [y], []
-    for t, late in itertools.pairwise(grid.tolist()):
-        h = late - t
-        # within a step the laws are those after its begin and before its end
-        k1 = rates(t + 1e-9 * h, y)
-        k2 = rates(t + h / 2, [a + h / 2 * k for a, k in zip(y, k1, strict=True)])
-        k3 = rates(t + h / 2, [a + h / 2 * k for a, k in zip(y, k2, strict=True)])
-        k4 = rates(late - 1e-9 * h, [a + h * k for a, k in zip(y, k3, strict=True)])
-        y = [a + h / 6 * (p + 2 * q + 2 * r + s) for a, p, q, r, s in zip(y, k1, k2, k3, k4, strict=True)]
-        slopes.append(k1)
-        states.append(y)
-        if y[1] < _SLOWEST:
+    times, states, slopes = [float(grid[0])], [y], []
+    for begin, late in itertools.pairwise(grid.tolist()):
+        t = begin
+        while t < late:
+            # a casing that turns against the rotor comes to rest at the end of a step
+            slope = rates(t, y)[1] if y[1] < 0 else 0.0
+            end = min(late, t - y[1] / slope) if slope > 0 else late
+            k1, k4, new = _step(rates, t, end, y)
+            if y[1] < 0 and new[1] > -_TINY and end < late:
+                new[1] = 0.0
+            t, y = end, new
+            times.append(t)
+            slopes.append(k1)
+            states.append(y)
+        if y[1] < _SLOWEST and k4[1] < 0:
             break
     slopes.append(k4)
     all_states = np.array(states)
-    return Motion(grid[: len(states)], all_states[:, :2], np.array(slopes)[:, :2], all_states[:, 2:4])
+    return Motion(np.array(times), all_states[:, :2], np.array(slopes)[:, :2], all_states[:, 2:4])
+
+
+def _step(
+    rates: Callable[[float, Sequence[float]], list[float]], t: float, late: float, y: Sequence[float]
+) -> tuple[list[float], list[float], list[float]]:
+    """Return the rates at the begin and at the end of a step, and the state at its end."""
+    h = late - t
+    # within a step the laws are those after its begin and before its end
+    k1 = rates(t + 1e-9 * h, y)
+    k2 = rates(t + h / 2, [a + h / 2 * k for a, k in zip(y, k1, strict=True)])
+    k3 = rates(t + h / 2, [a + h / 2 * k for a, k in zip(y, k2, strict=True)])
+    k4 = rates(late - 1e-9 * h, [a + h * k for a, k in zip(y, k3, strict=True)])
+    new = [a + h / 6 * (p + 2 * q + 2 * r + s) for a, p, q, r, s in zip(y, k1, k2, k3, k4, strict=True)]
+    return k1, k4, new
 
 
 def equations(
@@ -240,7 +261,7 @@ def equations(
         i = min(int(t / step), last)
         u = t / step - i
         tau += between[i] * (1 - u) + between[i + 1] * u
-        on_casing = tau - b1 - b2 * wc + on_case[i] * (1 - u) + on_case[i + 1] * u
+        on_casing = tau - math.copysign(b1, wc) - b2 * wc + on_case[i] * (1 - u) + on_case[i + 1] * u
         on_casing += sum(law(t, wr, wc, psi) for law in hidden.casing)
         for (k, _, phi), turn in zip(hidden.chirp, more[warm:], strict=True):
             on_casing += k * math.cos(turn + phi)

@@ -54,17 +54,21 @@ def _on_rotor(power: float, symbol: str = "k") -> Maker:
 def _air_on_casing(power: float) -> Maker:
     def make(x: float, z: Draw) -> Hidden:
         k = x / OMEGA_C**power
-        return Hidden(casing=(lambda t, wr, wc, psi: -k * abs(wc) ** power,), truth={"k": k})
+        return Hidden(
+            casing=(lambda t, wr, wc, psi: -k * abs(wc) ** power * math.copysign(1, wc),), truth={"k": k}
+        )
 
     return make
 
 
-def _from_rotor(sign: float) -> Maker:
-    def make(x: float, z: Draw) -> Hidden:
-        k = x / OMEGA_R**2
-        return Hidden(casing=(lambda t, wr, wc, psi: sign * k * wr * wr,), truth={"k": k})
+def _windage(x: float, z: Draw) -> Hidden:
+    k = x / OMEGA_R**2
+    return Hidden(casing=(lambda t, wr, wc, psi: k * wr * wr,), truth={"k": k})
 
-    return make
+
+def _loaded(x: float, z: Draw) -> Hidden:
+    k = x / OMEGA_R**2
+    return Hidden(casing=(lambda t, wr, wc, psi: -k * wr * wr * math.copysign(1, wc),), truth={"k": k})
 
 
 def _bearing(law: Callable[[float, float], float], symbol: str = "k") -> Maker:
@@ -87,19 +91,19 @@ def _heating(x: float, z: Draw) -> Hidden:
 
 def _stribeck(x: float, z: Draw) -> Hidden:
     return Hidden(
-        casing=(lambda t, wr, wc, psi: -x * math.exp(-abs(wc) / z.w),),
+        casing=(lambda t, wr, wc, psi: -math.copysign(x, wc) * math.exp(-abs(wc) / z.w),),
         truth={"k": x, "w": z.w},
     )
 
 
 def _wear(x: float, z: Draw) -> Hidden:
     k = x / z.span
-    return Hidden(casing=(lambda t, wr, wc, psi: -k * t,), truth={"k": k})
+    return Hidden(casing=(lambda t, wr, wc, psi: -math.copysign(k, wc) * t,), truth={"k": k})
 
 
 def _step(x: float, z: Draw) -> Hidden:
     return Hidden(
-        casing=(lambda t, wr, wc, psi: -x if t > z.t0 else 0.0,),
+        casing=(lambda t, wr, wc, psi: -math.copysign(x, wc) if t > z.t0 else 0.0,),
         breaks=(z.t0,),
         truth={"k": x, "t0": z.t0},
     )
@@ -132,7 +136,7 @@ LIBRARY: dict[str, Maker] = {
     "rotor.air.turbulent": _on_rotor(1.8),
     "casing.air.quadratic": _air_on_casing(2.0),
     "casing.air.laminar": _air_on_casing(1.5),
-    "casing.windage": _from_rotor(1.0),
+    "casing.windage": _windage,
     "bearing.constant": _bearing(lambda wr, wc: 1.0, "c"),
     "bearing.quadratic": _bearing(lambda wr, wc: (wr - wc) ** 2, "e"),
     "bearing.load": _bearing(lambda wr, wc: wr * wr),
@@ -141,7 +145,7 @@ LIBRARY: dict[str, Maker] = {
     "bearing.heating": _heating,
     "touchpoint.stribeck": _stribeck,
     "touchpoint.drift": _wear,
-    "touchpoint.load": _from_rotor(-1.0),
+    "touchpoint.load": _loaded,
     "touchpoint.step": _step,
     "casing.unbalance": _ripple(1),
     "casing.asymmetry": _ripple(2),

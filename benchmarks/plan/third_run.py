@@ -8,7 +8,8 @@ The pairs, the two recordings and the judgement ("both, none extra") are those o
 recordings gives the fit of which the plan asks for a third run; the third recording is made accordingly by the same
 independent simulation, and `improve` starts anew with all three. As a control, the third run repeats the first one.
 
-The independent simulation knows no casing at rest and no reversed rotor: the plan is bound to what it can make.
+The independent simulation has no other surface and no reversed rotor (the mirror image of a casing spun against the
+rotor): the plan is bound to what it can make.
 """
 
 from __future__ import annotations
@@ -77,11 +78,11 @@ def answer(run: Planned, *, control: bool) -> dict[str, Any]:
     began.append(time.process_time())
     end = history[-1].fit
     usual = Bounds.of(end)
-    low, high = 5.0, usual.omega_casing[1]
+    # a reversed rotor is the mirror image of a casing spun against it
+    slowest = max(usual.omega_rotor[0], usual.omega_casing[1] + 50)
     bounds = replace(
-        usual, omega_rotor=(max(usual.omega_rotor[0], high + 50), usual.omega_rotor[1]), omega_casing=(low, high),
-        touchpoint=(1.0, 1.0), reversible=False,
-    )  # fmt: skip
+        usual, omega_rotor=(slowest, usual.omega_rotor[1]), touchpoint=(1.0, 1.0), reversible=False
+    )
     proposed = plan(end, bounds=bounds).next_run
     if proposed is None:
         raise SystemExit(f"{run.key}: no run can be simulated")

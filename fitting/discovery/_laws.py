@@ -23,7 +23,8 @@ the
    each of them can be written.
 4. Where one law is not enough, a second one is sought in the same way about the best fit.
 
-An effect of the library that describes the data as well as a law is named before it.
+An effect of the library that describes the data as well as a law is named before it. So is a parameter of the base that
+the recordings share, if with a value of its own in each recording the base describes the data better than any law.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError
+from fitting._numbers import rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence
-from fitting.discovery._grammar import LawForm, grammar
+from fitting.discovery._grammar import LawForm, description_length, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import initial_values_of, refined, refitted_at
@@ -54,15 +56,17 @@ from fitting.discovery._score import (
     ScoreContext,
     best_group,
     score,
+    score_of_columns,
 )
-from fitting.discovery._select import Candidate
+from fitting.discovery._select import Candidate, rank
+from fitting.discovery._select import best as best_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit, fit_like
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -81,7 +85,9 @@ _COMPARABLE_SHARE = 0.8
 _EXPLAINED_TIE = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
-_STEPS = 7
+_STEPS = 8
+# shared parameters with the largest scores that are fitted with a value for each recording
+_DIFFERING = 2
 _RANK = 1e-9
 
 
@@ -172,6 +178,31 @@ class Law:
 
 
 @dataclass(frozen=True)
+class DifferentParameter:
+    """A parameter shared by the recordings that has another value in each of them: an alternative to a law.
+
+    Attributes
+    ----------
+    name : str
+        The parameter, ``<effect>.<symbol>``.
+    estimates : dict
+        Its value in each recording, by label.
+    delta_bic : float
+        BIC with a value for each recording minus BIC of the base.
+    p_value : float
+        Probability of such a difference in any of the shared parameters if they are equal.
+    fit : Fit
+        The fit with a value for each recording.
+    """
+
+    name: str
+    estimates: dict[str, Estimate]
+    delta_bic: float
+    p_value: float
+    fit: Fit = field(repr=False)
+
+
+@dataclass(frozen=True)
 class Laws:
     """The answer of `laws`.
 
@@ -179,8 +210,9 @@ class Laws:
     ----------
     fit : Fit
         The base.
-    verdict : {"law", "library", "none"}
-        A law was found; an effect of the library describes the data; no law is significant.
+    verdict : {"law", "library", "parameter", "none"}
+        A law was found; an effect of the library describes the data; a shared parameter differs between the recordings;
+        no law is significant.
     sentence : str
         The answer in words.
     laws : tuple of Law
@@ -193,6 +225,10 @@ class Laws:
         The run that separates the laws of the set; empty if there is only one.
     trials : int
         How many columns were scored.
+    diagnosis : Diagnosis or None
+        The diagnosis of the base; None where the search did without it.
+    differs : DifferentParameter or None
+        The shared parameter whose difference between the recordings describes the data as well as the laws do.
     """
 
     fit: Fit
@@ -203,6 +239,8 @@ class Laws:
     depends_on: tuple[Dependence, ...]
     next_experiment: str
     trials: int
+    diagnosis: Diagnosis | None = field(default=None, repr=False)
+    differs: DifferentParameter | None = None
 
     @property
     def answer(self) -> tuple[Law, ...]:
@@ -228,6 +266,7 @@ class Laws:
 @single_blas_thread()
 def laws(
     base: Fit,
+    extra: Sequence[Effect] = (),
     *,
     diagnosis: Diagnosis | None = None,
     beyond_library: bool = False,
@@ -241,9 +280,11 @@ def laws(
     ----------
     base : Fit
         The fit with unmodelled torque.
+    extra : sequence of Effect
+        Effects of the user, in addition to the library.
     diagnosis : Diagnosis, optional
         Its diagnosis, if it is known already. If that names an effect of the library without a significant remainder,
-        the search stops there.
+        the search stops there. Without it, `diagnose` runs only where an effect of the library leaves no lack of fit.
     beyond_library : bool
         Search in this case as well.
     criteria : Criteria
@@ -264,9 +305,15 @@ def laws(
     """
     steps = _Steps(progress)
     workers = workers or WorkerPool(0)
-    known = diagnosis or diagnose(base, criteria=criteria, workers=workers)
+    if diagnosis is None:
+        candidates: Sequence[Candidate] = rank(base, extra, criteria=criteria, workers=workers)
+        steps.next()
+        if not beyond_library and _may_suffice(candidates, criteria):
+            diagnosis = diagnose(base, extra, criteria=criteria, candidates=candidates, workers=workers)
+    if diagnosis is not None:
+        candidates = diagnosis.candidates
     steps.next()
-    named = None if beyond_library else library_answer(known, criteria)
+    named = None if beyond_library or diagnosis is None else library_answer(diagnosis, criteria)
     if named is not None:
         depends_on = tuple(dependence(base))
         steps.done()
@@ -274,25 +321,34 @@ def laws(
             f"{' or '.join((named.effect.name, *named.indistinguishable_from))} of the library explains the "
             "unmodelled torque, and nothing significant remains: no other law is needed."
         )
-        return Laws(base, "library", sentence, (), named, depends_on, "", 0)
+        return Laws(base, "library", sentence, (), named, depends_on, "", 0, diagnosis)
     search = _Search(base, criteria, workers, steps)
     found = search.best_set()
     terms = [e.name for e in found[0].effects] if found else []
     depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
+    differs = _different_parameter(base, found[0] if found else None, criteria)
     steps.done()
+    if not found and differs is not None:
+        return Laws(
+            base, "parameter", _difference_sentence(differs), (), None, depends_on, "", search.trials, diagnosis,
+            differs,
+        )  # fmt: skip
     if not found:
         sentence = "No law is significant: this search finds nothing beyond noise."
-        return Laws(base, "none", sentence, (), None, depends_on, "", search.trials)
-    library = _equivalent_effect(known.candidates, found[0], criteria)
+        return Laws(base, "none", sentence, (), None, depends_on, "", search.trials, diagnosis)
+    library = _equivalent_effect(candidates, found[0], criteria)
+    clear = differs is not None and found[0].penalised - _penalised(differs) > criteria.equivalence_width
     answer = Laws(
         base,
-        "law" if library is None else "library",
+        "library" if library is not None else "parameter" if clear else "law",
         "",
         with_classes(found, criteria),
         library,
         depends_on,
         "",
         search.trials,
+        diagnosis,
+        differs,
     )
     # formulas of the same torque may differ at other speeds
     rivals = [x for group in answer.torques for x in group[:1]] + [x for g in answer.torques for x in g[1:]]
@@ -315,6 +371,16 @@ def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate 
     if not set(UNKNOWN_LAWS.values()).isdisjoint(best.indistinguishable_from):
         return None
     return None if best.fit is not None and best.fit.has_excess_noise(criteria) else best
+
+
+def _may_suffice(candidates: Sequence[Candidate], criteria: Criteria) -> bool:
+    """Return whether the best effect of the library, or one of its class, leaves no significant lack of fit."""
+    chosen = best_candidate(candidates, criteria)
+    if chosen is None:
+        return False
+    names = {chosen.effect.name, *chosen.indistinguishable_from}
+    fits = (c.fit for c in candidates if c.effect.name in names and c.fit is not None)
+    return any(not f.fails(criteria) or not refined(f, criteria).fails(criteria) for f in fits)
 
 
 class _Steps:
@@ -775,8 +841,69 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
     return None
 
 
+def _different_parameter(base: Fit, best: Law | None, criteria: Criteria) -> DifferentParameter | None:
+    """Return the shared parameter whose difference between recordings describes the data best, if as well as a law."""
+    layout = base.problem.layout
+    keys = [
+        k
+        for k in base.model.free
+        if k not in layout.per_case and not layout.at_bound(base.theta)[layout.index[k]]
+    ]
+    if len(layout.records) < 2 or not keys:
+        return None
+    context, ends = ScoreContext(base, 1), np.cumsum([0, *(len(d.z) for d in base.problem.data)])
+    scores = {}
+    for key in keys:
+        columns = np.zeros((int(ends[-1]), len(layout.records) - 1))
+        for i, p in enumerate(base.predictions[1:], 1):
+            columns[ends[i] : ends[i + 1], i - 1] = p.jacobian[:, layout.index[key]]
+        scores[key] = score_of_columns(context, columns)
+    usual, own = layout.choices
+    noise = base.noise if best is None else best.fit.noise
+    found: Fit | None = None
+    name = ""
+    for key in sorted(keys, key=lambda k: -scores[k])[:_DIFFERING]:
+        values = base.values
+        start = values | {f"{key}@{r.label}": values[key] for r in layout.records}
+        with suppress(FittingError):
+            trial = fit(
+                base.model, base.problem.data, share=[k for k in usual if k != key], per_case=[*own, key],
+                start={k: v for k, v in start.items() if k != key}, noise=noise,
+            )  # fmt: skip
+            if found is None or trial.deviance < found.deviance:
+                found, name = trial, key
+    if found is None:
+        return None
+    from scipy.special import chdtrc
+
+    same = base if best is None else refitted_at(base, noise)
+    single = float(chdtrc(len(layout.records) - 1, max(same.deviance - found.deviance, 0.0)))
+    p_value = min(1.0, len(keys) * single)
+    estimates = {r.label: found.estimates[f"{name}@{r.label}"] for r in layout.records}
+    differs = DifferentParameter(name, estimates, found.bic - same.bic, p_value, found)
+    limit = same.bic - criteria.evidence if best is None else best.penalised + criteria.equivalence_width
+    return differs if p_value < criteria.significance and _penalised(differs) < limit else None
+
+
+def _penalised(differs: DifferentParameter) -> float:
+    """Return BIC and the description length of the name of a parameter."""
+    return differs.fit.bic + description_length(1)
+
+
+def _difference_sentence(differs: DifferentParameter) -> str:
+    values = ", ".join(
+        f"{rounded(e.value, e.stderr, e.unit)} in {label}" for label, e in differs.estimates.items()
+    )
+    return (
+        f"The recordings may differ in {differs.name} ({values}): with its own value in each recording the model "
+        f"describes the data without another law; fit with `--per-case {differs.name}`."
+    )
+
+
 def _sentence(found: Laws, criteria: Criteria) -> str:
     parts = []
+    if found.differs is not None:
+        parts.append(_difference_sentence(found.differs))
     if found.library is not None:
         parts.append(
             f"{found.library.effect.name} of the library describes the data as well as any law found: it comes first."

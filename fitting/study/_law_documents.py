@@ -83,6 +83,15 @@ class DependenceDocument(Document):
     curve: CurveDocument | None
 
 
+class DifferenceBetweenRecordings(Document):
+    """A parameter shared by the recordings that differs between them; its value in each of them, by label."""
+
+    parameter: str
+    delta_bic: Number
+    p_value: Number
+    values: dict[str, EstimateDocument]
+
+
 class LawsDocument(Document):
     """What `laws --json` prints."""
 
@@ -91,6 +100,7 @@ class LawsDocument(Document):
     sentence: str
     laws: list[LawDocument]
     library: str | None
+    differs: DifferenceBetweenRecordings | None
     depends_on: list[DependenceDocument]
     next_experiment: str
     trials: int
@@ -133,6 +143,11 @@ def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
         sentence=found.sentence,
         laws=[_law(x) for x in found.laws],
         library=found.library.effect.name if found.library is not None else None,
+        differs=DifferenceBetweenRecordings.model_validate(
+            vars(found.differs) | {"parameter": found.differs.name, "values": found.differs.estimates}
+        )
+        if found.differs is not None
+        else None,
         depends_on=depends_on,
         next_experiment=found.next_experiment,
         trials=found.trials,

@@ -10,12 +10,18 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import TimeBase, jitter_is_real
-from gyrotrack.tracking._acquisition import Radii, refine_centre
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
-from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, smooth_path, wandering_centre
+from gyrotrack.tracking._hub import (
+    LEAST_SIGMA,
+    CentrePath,
+    Radii,
+    marked_paths,
+    refine_centre,
+    wandering_centre,
+)
 from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
 from gyrotrack.tracking._profile import Profile
@@ -116,6 +122,42 @@ def view(
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
 """Systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
 rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]."""
+
+
+_BETTER = 4.0
+"""Reduction of the mean square of the radii in standard errors from which a path of the hub is preferred."""
+_TOGETHER = 16
+"""Frames over which the errors of radii count as correlated."""
+
+
+def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
+    """Select the path of the hub about which the radii of the markers vary least; the first one unless it is worse.
+
+    An error n of the centre changes the radius of a marker at the angle of the unit vector r by -n . r. The errors of
+    the radii are independent of those of the disc.
+    """
+    best = paths[0]
+    flat = _flattening(best, views) if len(paths) > 1 else {}
+
+    def squares(path: CentrePath) -> Floats:
+        radii = [one for name, seen in views.items() for one in seen.radii(path.centre, flat[name])]
+        return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
+
+    before = squares(best) if len(paths) > 1 else np.zeros(0)
+    for path in paths[1:]:
+        after = squares(path)
+        gain = []
+        for one, other in zip(before, after, strict=True):
+            use = np.isfinite(one) & np.isfinite(other)
+            size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
+            # outliers, as of a marker that is mistaken for another one, are limited
+            change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
+            groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
+            gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
+        mean = np.mean(gain, axis=0)
+        if len(mean) > 2 and mean.mean() > _BETTER * mean.std() / np.sqrt(len(mean) - 1):
+            best, before = path, after
+    return best
 
 
 def correct_view(
@@ -363,7 +405,7 @@ def _join_even(
 ) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
     centre, flattening = correct_view(
-        _centre(seen, scene, profile), views, profile, marked=seen.disc is not None
+        _centre(seen, views, scene, profile), views, profile, marked=seen.disc is not None
     )
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
     sense = find_rotation_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
@@ -430,9 +472,9 @@ def _followed(
     return bodies, warnings
 
 
-def _centre(seen: FilmObservations, scene: Scene, profile: Profile) -> CentrePath:
+def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
-        return smooth_path(seen.disc)
+        return followed_path(marked_paths(seen.disc), views)
     observations = [s for body in seen.bodies.values() for s in body.markers.values()]
     best = max(observations, key=lambda s: int(plausible(s).sum()))
     good = plausible(best) & best.open

@@ -19,7 +19,17 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
-from gyrotrack.tracking._registration import Area, Picture, Pose, Ring, explained, follow, learn, register
+from gyrotrack.tracking._registration import (
+    Area,
+    Picture,
+    Pose,
+    Ring,
+    StoredPolars,
+    explained,
+    follow,
+    learn,
+    register,
+)
 from gyrotrack.tracking._tracked import Tracked, white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -315,7 +325,8 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     )
     shift = path.place - hub
     where = {int(frame): k for k, frame in enumerate(path.frame)}
-    polars = [ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where]
+    pictures = (ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where)
+    polars = StoredPolars.of(ring, len(where), pictures)
     # frames of a body at rest are excluded: they carry no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)

@@ -13,7 +13,7 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output
 from gyrotrack.apps.cli._settings import (
     CaseFiles,
     EffectsFile,
@@ -63,7 +63,7 @@ def laws_command(
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
 
     Several cases are searched jointly. Formulas are generated from a grammar, fitted, and ranked; the result is the set
@@ -73,7 +73,6 @@ def laws_command(
     """
     from fitting._workers import WorkerPool
     from fitting.discovery._laws import laws
-    from fitting.discovery._verdict import diagnose
     from fitting.study._law_documents import check_name, laws_document
     from fitting.study._law_documents import save_law as save
 
@@ -88,35 +87,32 @@ def laws_command(
         fit, fit_id = study.base(start)
         own = own_effects(effects)
         entry = study.entry(fit_id)
-        diagnosis = entry.diagnosis(fit, own) if entry is not None else None
-        if diagnosis is None:
-            diagnosis = diagnose(fit, own, workers=workers)
-            study.keep_diagnosis(fit_id, diagnosis, own)
+        known = entry.diagnosis(fit, own) if entry is not None else None
         found = laws(
-            fit, diagnosis=diagnosis, beyond_library=beyond_library, workers=workers, progress=progress
+            fit, own, diagnosis=known, beyond_library=beyond_library, workers=workers, progress=progress
         )
+        if known is None and found.diagnosis is not None:
+            study.keep_diagnosis(fit_id, found.diagnosis, own)
     document = laws_document(found, fit_id)
     if picture is not None:
         from gyrotrack.plotting._results import write_laws_picture
 
         write_laws_picture(found, picture, force=force)
-    if save_law is not None:
-        name, path = save_law
-        if law > len(found.laws):
-            many = f"there are {len(found.laws)}" if found.laws else "no law was found"
-            raise UsageError(
-                f"There is no law number {law}: {many}.", "Choose a law of the table with --law N."
-            )
-        labels = ", ".join(fit.labels)
-        save(found.laws[law - 1], name, path, f"gyrotrack laws on {labels} (fit {fit_id})")
     out.result(document)
     out.show(_laws_table(found, fit_id))
-    if save_law is not None:
-        out.show(
-            f"saved: {save_law[0]} in {save_law[1]}; add it with --effects {save_law[1]} --add {save_law[0]}"
-        )
     if picture is not None:
         out.show(f"written: {picture}")
+    if save_law is None:
+        return DONE
+    name, path = save_law
+    if law > len(found.laws):
+        many = f"there are {len(found.laws)} laws" if found.laws else "no law was found"
+        out.warn(f"Law number {law} was not saved: {many}.")
+        return FAULT
+    source = f"gyrotrack laws on {', '.join(fit.labels)} (fit {fit_id})"
+    save(found.laws[law - 1], name, path, source)
+    out.show(f"saved: {name} in {path}; add it with --effects {path} --add {name}")
+    return DONE
 
 
 def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> None:

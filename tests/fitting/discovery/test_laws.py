@@ -116,6 +116,28 @@ def test_a_saturating_drag_is_found_with_its_parameters():
 
 
 @pytest.mark.slow
+def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_values():
+    """The same touch point in both recordings is none; one of 4e-6 N m in the second is found, with both values."""
+    shared = ["touchpoint.constant.b1", "casing.air.linear.b2"]
+    first = case({}, 2, "a", ou=3e-8)
+    same, other = (case({"b1": b1}, 3, "b", (740.0, 12.0), ou=3e-8) for b1 in (twobody.PAPER["b1"], 4e-6))
+    assert (
+        _laws._different_parameter(fit(Model.of(REDUCED), [first, same], share=shared), None, DEFAULT) is None
+    )
+    base = fit(Model.of(REDUCED), [first, other], share=shared)
+    found = _laws._different_parameter(base, None, DEFAULT)
+    assert found.name == "touchpoint.constant.b1"
+    for label, true in (("a", twobody.PAPER["b1"]), ("b", 4e-6)):
+        assert abs(found.estimates[label].value - true) < 4 * found.estimates[label].stderr
+        assert found.estimates[label].stderr < 0.1 * true
+    assert found.p_value < 1e-6
+    assert found.delta_bic < -20
+    document = laws_document(Laws(base, "parameter", "", (), None, (), "", 0, None, found), "f1")
+    assert document["differs"]["parameter"] == found.name
+    assert document["differs"]["values"]["b"]["value"] == found.estimates["b"].value
+
+
+@pytest.mark.slow
 def test_the_torque_depends_on_the_speed_of_the_casing():
     _, found = saturating()
     first = found.depends_on[0]

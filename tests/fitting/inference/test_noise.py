@@ -46,7 +46,7 @@ def test_another_correlation_time_changes_the_level_little(time):
     assert 1e-7 < noise.pure < 5e-7
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])
 def test_without_process_noise_its_level_is_that_of_the_resolution(seed):
     (noise,) = fitted(seed=seed).noise
     assert 0 < noise.pure < 1e-9

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._hub import smooth_path
+from gyrotrack.tracking._body_angles import followed_path, view
+from gyrotrack.tracking._hub import marked_paths, smooth_path
+from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._scene import Marker
 
 
 def _error(path, truth):
@@ -52,3 +55,62 @@ def test_a_clip_of_a_few_frames_takes_the_mean():
 def test_nothing_measured_is_nothing_known():
     path = smooth_path(np.full((20, 2), np.nan))
     assert np.isnan(path.sigma).all()
+
+
+def _views(truth, radii=(80.0, 60.0), noise=0.3):
+    """Markers on circles about the true centre, with errors of their radii that do not depend on the disc."""
+    rng = np.random.default_rng(5)
+    n = len(truth)
+    found = {}
+    for name, r in zip(("casing", "rotor"), radii, strict=True):
+        theta = (0.05 if name == "casing" else 0.4) * np.arange(n)
+        reach = r + rng.normal(0, noise, n)
+        place = truth + reach[:, None] * np.stack([np.cos(theta), -np.sin(theta)], axis=1)
+        about = truth.mean(axis=0)  # the ring does not follow the hub
+        x, y = place[:, 0] - about[0], about[1] - place[:, 1]
+        marker = Marker(name, name, "red", r - 9, r + 9, 0.1, (20.0, 20.0), 0.15)
+        seen = MarkerObservations(
+            angle=np.arctan2(y, x),
+            radius=np.hypot(x, y),
+            corner_angle=np.zeros((n, 2)),
+            corner_radius=np.zeros((n, 2)),
+            gain=np.ones(n),
+            misfit=np.full(n, 0.02),
+            weakness=np.ones(n),
+            open=np.ones(n, dtype=bool),
+            centre=np.tile(about, (n, 1)),
+        )
+        found[name] = view((marker,), {name: seen}, (640, 480))
+    return found
+
+
+def _correlated(n, size):
+    rng = np.random.default_rng(6)
+    noise = [np.convolve(rng.normal(0, 1, n + 5), np.ones(6), "valid") for _ in (0, 1)]
+    return np.stack(noise, axis=1) * size / np.std(noise)
+
+
+def test_the_path_of_a_hand_held_camera_is_followed():
+    """A broad band of fast motion, as of a hand, is no line in the spectrum; the radii of the markers show it."""
+    rng = np.random.default_rng(8)
+    bell = np.exp(-0.5 * (np.arange(-15, 16) / 4.0) ** 2)
+    hand = np.stack([np.convolve(rng.normal(0, 1, 430), bell, "valid") for _ in (0, 1)], axis=1)
+    truth = _slow(400) + hand / hand.std()
+    measured = truth + np.random.default_rng(7).normal(0, 0.1, truth.shape)
+    smooth, *_ = paths = marked_paths(measured)
+    path = followed_path(paths, _views(truth))
+    assert _error(smooth.centre, truth) > 0.25
+    assert _error(path.centre, truth) < 0.08
+    assert np.median(path.sigma) == pytest.approx(_error(path.centre, truth), rel=0.5)
+
+
+def test_errors_of_an_encoder_are_not_followed():
+    truth = _slow(400)
+    paths = marked_paths(truth + _correlated(400, 0.15))
+    assert followed_path(paths, _views(truth)) is paths[0]
+
+
+def test_a_path_of_a_few_frames_has_no_alternatives():
+    paths = marked_paths(_slow(30))
+    assert len(paths) == 1
+    assert followed_path(paths, {}) is paths[0]

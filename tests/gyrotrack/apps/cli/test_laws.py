@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from fitting.discovery._laws import Laws
 from fitting.effects._user import read_effects
 
 
@@ -19,6 +20,20 @@ def test_a_law_needs_a_name_of_its_own(gyrotrack, simulated, tmp_path, name):
     said = gyrotrack("laws", simulated / "plain.h5", "--save-law", name, file, "--json")
     assert said.code in {1, 2}
     assert name in said.error["message"]
+    assert not file.exists()
+
+
+@pytest.mark.slow
+def test_the_result_is_printed_where_there_is_no_law_to_save(gyrotrack, simulated, tmp_path, monkeypatch):
+    def nothing(base, extra, **options):
+        return Laws(base, "none", "No law is significant.", (), None, (), "", 7)
+
+    monkeypatch.setattr("fitting.discovery._laws.laws", nothing)
+    file = tmp_path / "lab.toml"
+    said = gyrotrack("laws", simulated / "plain.h5", "--save-law", "lab.found", file, "--json")
+    assert said.code == 1
+    assert (said.json["verdict"], said.json["trials"]) == ("none", 7)
+    assert "no law was found" in said.err
     assert not file.exists()
 
 
