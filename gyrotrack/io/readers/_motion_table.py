@@ -105,6 +105,8 @@ class MotionTable:
 
 
 COORDINATES = ("x", "y")
+_STEADY = 100.0
+"""Ratio of squared mean and variance of a speed from which on it is constant."""
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
@@ -181,7 +183,13 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     chosen: dict[str, int] = {}
     for role, places in found.items():
         chosen[role] = places[0] if len(places) == 1 else _one_of(raw, role, places, options)
-    if options.names and "t" not in chosen and not raw.headed:
+    if (
+        options.names
+        and "t" not in chosen
+        and not raw.headed
+        and 0 not in chosen.values()
+        and not options.fps
+    ):
         chosen["t"] = 0
     if options.names and "t" not in chosen:
         chosen |= {
@@ -205,10 +213,14 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         of_body = [i for i in places if options.body in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
-    stems = {_stem_without_axis(n) for n in names}
-    values = [raw.numeric(i) for i in places]
-    if len(stems) == 1 and all(v is not None for v in values):  # three axes of one sensor
-        return places[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
+    # beside the axes of a sensor, its magnitude contains no sense of rotation
+    axes = [
+        i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
+    ]
+    stems = {_stem_without_axis(raw.names[i]) for i in axes}
+    values = [raw.numeric(i) for i in axes]
+    if axes and len(stems) == 1 and all(v is not None for v in values):
+        return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
     raise DatasetError(
         f"{raw.path}, line {raw.header_line}: {len(places)} columns for '{role}': "
         f"{', '.join(map(repr, names))[:120]}.",
@@ -216,14 +228,35 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     )
 
 
+def _words(name: str) -> list[str]:
+    return name.casefold().replace("_", " ").split()
+
+
 def _stem_without_axis(name: str) -> str:
-    return " ".join(w for w in name.casefold().replace("_", " ").split() if w not in {"x", "y", "z"})
+    words = [w for w in _words(name) if w not in {"x", "y", "z"}]
+    # gx, gyroY, wz: the last letter is the axis
+    return " ".join(w[:-1] if len(words) == 1 and w[-1:] in {"x", "y", "z"} else w for w in words)
+
+
+def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
+    """Return angular velocities (n, axes) along the direction in which they vary most, and this direction.
+
+    An axis of rotation that is inclined to the axes of a sensor by an angle a gives each of them a part cos a of the
+    speed. A constant error of an axis does not turn the direction of the variation; a constant speed has none, and its
+    direction is that of the mean.
+    """
+    known = values[np.isfinite(values).all(axis=1)]
+    mean = known.mean(axis=0)
+    size, directions = np.linalg.eigh(np.atleast_2d(np.cov(known.T)))
+    direction = directions[:, -1] if float(mean @ mean) < _STEADY * size[-1] else mean / np.linalg.norm(mean)
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return values @ direction, direction
 
 
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: the time column, or frame numbers divided by the rate.
+    """Return the times of a table [s]: the time column, or frame numbers, or those of the rows, divided by the rate.
 
     Raises
     ------
@@ -238,6 +271,8 @@ def times_of(
     if "frame" in columns:
         return raw.numbers(columns["frame"], "frame") / frame_rate(raw.path, options) + options.start
     where = f"{raw.path}, line {raw.header_line}"
+    if options.fps:
+        return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
         raise DatasetError(
             f"{where}: the {len(raw.names)} columns have no header.",
@@ -316,12 +351,24 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         )
     if quantity == "angle" and "omega" in columns:
         unused.append(raw.names[columns["omega"]] or "omega")
+    title = raw.names[columns[quantity]]
+    axes = [i for i, n in enumerate(raw.names) if _stem_without_axis(n) == _stem_without_axis(title)]
+    parts = [raw.numeric(i) for i in axes]
+    if (
+        len(axes) in {2, 3}
+        and not options.names
+        and quantity == "omega"
+        and all(p is not None for p in parts)
+    ):
+        value, direction = _along_rotation(np.stack([p for p in parts if p is not None], axis=1))
+        text = ", ".join(f"{c:.3f}" for c in direction)
+        unused = [name for name in unused if name not in {raw.names[i] for i in axes}]
+        notes.append(
+            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(axes)} axes of "
+            f"'{_stem_without_axis(title)}', in which it varies most; the scale factor of the sensor is not determined"
+        )
     if unused:
         notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
-    title = raw.names[columns[quantity]]
-    axes = sum(_stem_without_axis(n) == _stem_without_axis(title) for n in raw.names)
-    if axes > 1 and not options.names:
-        notes.append(f"{raw.path.name}: of {axes} axes '{title}' was used, which has the largest signal")
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
 
@@ -461,9 +508,12 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
             )
             return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
     lengths = np.diff([0, *(back + 1), len(time)])
-    if len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all():
+    several = len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all()
+    # every restart begins at the first time of the file again
+    from_first = np.abs(time[back + 1] - time[0]) < 5 * usual
+    if several or (from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
         raise DatasetError(
             f"{path}: times are not strictly increasing (line {line[back[0] + 1]}): the clock restarts.",
-            "Split the file at this line: it contains several recordings.",
+            f"Split the file at this line: it contains {len(back) + 1} recordings.",
         )
     return time

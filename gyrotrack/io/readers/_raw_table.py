@@ -25,6 +25,10 @@ MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
 Lines = Sequence[tuple[int, str]]
+_MOST_SETTINGS = 10
+"""Largest number of lines of settings between header and samples."""
+_FEW_ROWS = 5
+"""Largest number of rows of a transposed table, which has five times as many columns at least."""
 
 
 @dataclass(frozen=True)
@@ -221,12 +225,27 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
             units, names, header_line = names, above[-2], lines[first - 2][0]
     usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
+    above_table = next((i for i, r in enumerate(rows) if len(r) == usual), 0)
+    preamble: list[str] = []
+    regular = all(len(r) == usual for r in rows[above_table:-1])
+    if 0 < above_table <= _MOST_SETTINGS and len(names) != usual and regular:
+        # settings of the instrument, in a table of their own
+        preamble = [
+            f"{path.name}: ignored the lines before line {lines[first + above_table][0]} (another table)"
+        ]
+        rows, first, names, units = rows[above_table:], first + above_table, [], []
+    elif len(rows) <= _FEW_ROWS < usual / _FEW_ROWS and not names:
+        preamble = [f"{path.name}: the {len(rows)} rows are the columns of the table"]
+        rows = [list(cells) for cells in zip(*rows, strict=False)]
+        usual = len(rows[0])
+        lines, first = [(lines[first][0], "")] * len(rows), 0
     if delimiter is None and len(names) != usual:
         names = _names_between_blanks(lines[first - 1][1], usual) or names
     width = len(names) or usual
     rows, kept, notes = _checked_rows(
         path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
     )
+    notes = [*preamble, *notes]
     return RawTable(
         path,
         sha256,
