@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
-from fitting._numbers import rounded
+from fitting._numbers import percentage, rounded
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -378,7 +378,7 @@ def grade(
         )
     # a contradicting test alone, such as a sinusoid, states its own size
     size = (
-        f" {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square unmodelled torque"
+        f" {format_torque(rms, unit=base.torque_unit)} rms, {percentage(share)} of the mean square unmodelled torque"
         if share > _NO_TORQUE
         else ""
     )

@@ -113,6 +113,8 @@ def _fall(curve: Floats, level: float) -> float:
 
 LEAST_CONTRAST = 6.0
 """Grey levels by which a marker must differ from its surroundings."""
+CLEAREST = 5.0
+"""Smallest height of a white marker in standard deviations of its ring."""
 LONGEST_DWELL = 0.3
 """Largest share of samples with a marker at one angle for which their median is used as the background."""
 
@@ -287,7 +289,9 @@ def _brightest_place(
     if extent is None or extent.half_width > 2.5 * half_width + 0.05:
         return None
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
-    if contrast < max(least, 1.5 * float(np.std(turned[rows]))):
+    apart = np.abs(np.angle(np.exp(1j * (np.arange(ring.columns) - column[0]) * ring.step)))
+    scatter = spread(mean[0][apart > 2.0 * half_width])  # robust against the remains of other markers
+    if contrast < least or mean[0, column[0]] < CLEAREST * scatter:
         return None
     return Marker(
         name=wanted.name,

@@ -38,6 +38,7 @@ from gyrotrack._smoothing import (
     line_through,
     local_fit,
     median_of,
+    median_smooth,
     share_of_floor,
     smooth_path,
     spread,
@@ -494,6 +495,20 @@ def join(
     return _result(state, half, degree, floor, axis)
 
 
+WEAKEST_BODY = 10.0
+"""Uncertainty of a frame, relative to the median of its neighbours, from which it has no angle.
+
+Such a frame shows a small part of one marker. It carries 1/100 of the information of a typical frame, and its errors,
+those of the edge of the object that hides the marker, are not normally distributed."""
+_NEIGHBOURS = 101
+
+
+def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
+    """Return the frames whose uncertainty exceeds that of their neighbours by `WEAKEST_BODY`."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sigma > WEAKEST_BODY * median_smooth(sigma, _NEIGHBOURS))
+
+
 def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
@@ -517,8 +532,11 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
         scale = excess(off)
         return np.asarray(whole * scale * tail_factor(off / scale))
 
-    own = {"angle": state.path + residual, "sigma": calibrated(residual, sigma, 1.0), "count": count}
-    del residual, sigma, count
+    angle, sigma = state.path + residual, calibrated(residual, sigma, 1.0)
+    hidden = _mostly_hidden(sigma)
+    angle[hidden], sigma[hidden], count[hidden] = np.nan, np.nan, 0
+    own = {"angle": angle, "sigma": sigma, "count": count}
+    del residual, angle, sigma, count
     body = in_file(own)
     markers = {}
     for name, c in state.candidates.items():
