@@ -105,6 +105,7 @@ class MotionTable:
 
 
 COORDINATES = ("x", "y")
+_DAY = 86400.0
 _STEADY = 100.0
 """Ratio of squared mean and variance of a speed from which on it is constant."""
 
@@ -501,10 +502,11 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
     if not len(back) or len(time) < 2 * MIN_SAMPLES:
         return time
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS)):
-        if (np.abs(step[back] + period) < 0.02 * period).all():
+    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS), _DAY):
+        if (np.abs(step[back] + period) < 0.02 * period).all() and (period != _DAY or time.max() <= _DAY):
+            which = "time of day" if period == _DAY else "32-bit clock"
             notes.append(
-                f"{path.name}: the 32-bit clock restarts at line {line[back[0] + 1]}; times were continued"
+                f"{path.name}: the {which} restarts at line {line[back[0] + 1]}; times were continued"
             )
             return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
     lengths = np.diff([0, *(back + 1), len(time)])

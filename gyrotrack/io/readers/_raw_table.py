@@ -24,6 +24,9 @@ from gyrotrack.io.readers._units import is_unit
 MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
+_COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
+"""A comment after the last number of a line."""
+
 Lines = Sequence[tuple[int, str]]
 _MOST_SETTINGS = 10
 """Largest number of lines of settings between header and samples."""
@@ -171,7 +174,7 @@ def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     return [
-        (number, line)
+        (number, _COMMENT.sub("", line))
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip(' \t,;"') and not line.lstrip().startswith("#")
     ]

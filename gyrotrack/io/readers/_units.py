@@ -22,15 +22,20 @@ UNITS: dict[str, dict[str, float]] = {
 """Factor of each unit to SI, by quantity."""
 
 _HEADER_WORDS = {
-    "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed"},
+    "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed",
+          "millis", "micros"},
     "angle": {"angle", "angles", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel", "yaw", "heading", "azimuth", "alpha"},
     "omega": {"omega", "w", "ω", "speed", "angularvelocity", "gyro", "gyroscope", "gyr", "drehzahl", "rpm",
-              "winkelgeschwindigkeit", "rotationrate", "angularspeed", "angularrate"},
+              "winkelgeschwindigkeit", "rotationrate", "angularspeed", "angularrate",
+              "gx", "gy", "gz", "gyrox", "gyroy", "gyroz", "gyrx", "gyry", "gyrz", "wx", "wy", "wz"},
     "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
     "frame": {"frame", "frames", "step", "frameidx"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 """Words in a header for each quantity; the first match is used."""
+
+_TICKS = {"millis": "ms", "micros": "us"}
+"""Functions of microcontrollers that give times, and their units."""
 
 ROLES = tuple(_HEADER_WORDS)
 
@@ -83,6 +88,7 @@ def header_of(name: str) -> tuple[str, str]:
     """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one)."""
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
+    unit = unit or _TICKS.get(word.strip().casefold(), "")
     if not unit:
         parts = [p for p in word.split("_") if not re.fullmatch(r"\d+fps", p)]
         for size in (2, 1):

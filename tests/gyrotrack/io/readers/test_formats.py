@@ -471,3 +471,36 @@ def test_many_recordings_in_one_file_are_not_averaged(tmp_path):
     with pytest.raises(DatasetError, match="restarts") as caught:
         read_motion(write(tmp_path / "a.csv", text))
     assert "9 recordings" in caught.value.hint
+
+
+@pytest.mark.parametrize("head", ["time,counts\n", ""])
+def test_sampled_counts_of_an_encoder_are_angles_of_its_resolution(tmp_path, head):
+    """Several counts from row to row, in both senses: no pulses, and no counter of events."""
+    angle = 3 * np.sin(4 * TIME)
+    counts = np.floor(angle / TURN * 2048)
+    time = TIME if head else 1e6 * TIME
+    text = head + "".join(f"{t:.9g},{int(c)}\n" for t, c in zip(time, counts, strict=True))
+    read = read_motion(write(tmp_path / "a", text), options(pulses_per_turn=2048))
+    assert read.quantity == "angle"
+    np.testing.assert_allclose(read.time, TIME, atol=1e-6)
+    np.testing.assert_allclose(read.value, angle, atol=TURN / 2048)
+    assert read.least_sigma == pytest.approx(TURN / 2048 / np.sqrt(12), rel=0.01)
+
+
+def test_times_of_day_through_midnight_and_comments_after_a_row(tmp_path):
+    clock = [f"{(t // 3600) % 24:02d}:{t // 60 % 60:02d}:{t % 60:02d}" for t in range(86395, 86395 + 20)]
+    text = "time,angle\n" + "".join(
+        f"{c},{k / 7:.6f}{'  # touched' * (k == 3)}\n" for k, c in enumerate(clock)
+    )
+    read = read_motion(write(tmp_path / "a", text))
+    np.testing.assert_allclose(np.diff(read.time), 1.0)
+    np.testing.assert_allclose(read.value, np.arange(20) / 7, atol=1e-6)
+    assert any("time of day" in note for note in read.notes)
+
+
+def test_a_log_of_a_microcontroller(tmp_path):
+    text = "millis,ax,gx,gy,gz\n" + rows(np.round(1000 * TIME), 9.8 + 0 * TIME, 0 * TIME, 0 * TIME, ANGLE)
+    read = read_motion(write(tmp_path / "a", text))
+    assert read.quantity == "omega"
+    np.testing.assert_allclose(read.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(read.value, ANGLE, atol=1e-6)
