@@ -1,7 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line.
+clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps; where it
+contains no uncertainty, that of its samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -12,13 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
-from gyrotrack.io.readers._raw_table import RawTable
-from gyrotrack.io.readers._units import ROLES, UNITS, clean, factor, header_of, role_of
+from gyrotrack.io.readers._raw_table import ROLES, UNITS, RawTable, clean, factor, header_of, role_of
 
 MIN_SAMPLES = 8
+_GAP = 20.0
+_BLOCK = 15
+_ORDER = 3
+_NEIGHBOURS = 41
+_FLOOR = 1e-6
+_MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
 _TICKS = 2**32
 """Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
 
@@ -519,3 +526,53 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
             f"Split the file at this line: it contains {len(back) + 1} recordings.",
         )
     return time
+
+
+def pieces(time: Floats) -> list[slice]:
+    """Return the pieces between gaps, which are intervals longer than 20 times the local median of eleven.
+
+    The median is local because intervals between pulses of a slowing body increase.
+    """
+    step = np.diff(time)
+    if not len(step):
+        return [slice(0, len(time))]
+    usual = median_filter(step, 11, mode="nearest")
+    cuts = np.flatnonzero(step > _GAP * usual) + 1
+    return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(time)], strict=True)]
+
+
+def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
+    """Return the uncertainty of each sample, from the residuals of local cubics.
+
+    Cubics are fitted to blocks of 15 samples. The variance is the running median of their residual variances over 41
+    blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. Errors that
+    vary more slowly than a block (centre offset, tilt) are not included.
+
+    Parameters
+    ----------
+    time, value : ndarray, shape (n,)
+        The series, unwrapped, n >= 8.
+    floor : float
+        Lower bound, in the unit of `value`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Standard uncertainty, in the unit of `value`.
+    """
+    starts = np.arange(0, max(len(time) - _BLOCK, 0) + 1, _BLOCK)
+    centre = np.array([float(np.mean(time[i : i + _BLOCK])) for i in starts])
+    variance = np.array([_residual_variance(time[i : i + _BLOCK], value[i : i + _BLOCK]) for i in starts])
+    half = _NEIGHBOURS // 2
+    smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
+    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
+    return np.asarray(np.maximum(sigma, floor))
+
+
+def _residual_variance(time: Floats, value: Floats) -> float:
+    if len(time) <= _ORDER + 1:
+        return 0.0
+    width = max(float(np.ptp(time)), 1e-300)
+    basis = np.vander((time - time.mean()) / width, _ORDER + 1)
+    residual = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
+    return float(residual @ residual) / (len(time) - _ORDER - 1)

@@ -26,11 +26,10 @@ from gyrotrack.io.readers._motion_table import (
     continued_clock,
     find_columns,
     scale_of,
+    scatter,
     times_of,
 )
-from gyrotrack.io.readers._raw_table import RawTable
-from gyrotrack.io.readers._scatter import scatter
-from gyrotrack.io.readers._units import TURN
+from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _MAX_MISSED = 20
 _MAX_MARKS = 512

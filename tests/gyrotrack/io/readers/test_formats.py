@@ -13,9 +13,9 @@ from gyrotrack.io._contents import export_file
 from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io.readers._import_case import import_body, import_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution
+from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, read_cuts
-from gyrotrack.io.readers._units import TURN
 
 TIME = np.arange(400) / 100
 ANGLE = 0.3 + 20 * TIME - 1.5 * TIME**2
