@@ -653,5 +653,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
         lines += _oscillator_lines(document["oscillator"])
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
+        lines.append(
+            "Uncertainties are those of this record alone; repeats of a run may differ by more: `gyrotrack compare`."
+        )
     written = [str(document[key]) for key in ("case", "report", "picture") if document[key] is not None]
     return ["\n".join([*lines, *([f"written: {', '.join(written)}"] if written else [])])]
