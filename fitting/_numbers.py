@@ -68,6 +68,32 @@ def short(value: float, digits: int = 3) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
+def plain(value: float) -> str:
+    """Return a number of a sentence in three digits, without an exponent from 0.0001 to 99 999."""
+    text = f"{value:.3g}"
+    if "e" not in text:
+        return text
+    if 1 <= abs(value) < 99950:
+        return f"{float(text):.0f}"
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa} x 10^{int(exponent)}"
+
+
+def interval(first: float, last: float) -> tuple[str, str]:
+    """Return both ends of an interval, with as many digits as show its length."""
+    length = last - first
+    digits = 1 if length <= 0 else min(max(1 - math.floor(math.log10(length)), 1), 6)
+    return f"{first:.{digits}f}", f"{last:.{digits}f}"
+
+
+def percentage(share: float) -> str:
+    """Return a share in per cent: two digits below 10 %, above in whole per cent, as 99.6 % only near 100 %."""
+    percent = 100 * share
+    if percent < 10:
+        return f"{plain(float(f'{percent:.2g}'))} %"
+    return f"{percent:.0f} %" if percent < 99 or share >= 1 else f"{min(percent, 100.0):.3g} %"
+
+
 def probability(p: float) -> str:
     """Return a p-value: 0.34, 2 × 10⁻⁷, or < 10⁻³⁰."""
     if math.isfinite(p) and p < 1e-30:

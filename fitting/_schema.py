@@ -179,13 +179,19 @@ class AngleNoiseDocument(Document):
 
 
 class CaseDocument(MetricsDocument):
-    """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise."""
+    """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise.
+
+    `torque_unresolved_Nm`: random torque that is not separable from the angle noise, included in the uncertainties.
+    """
 
     torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))  # noqa: N815
     torque_noise_u_Nm: Number = Field(  # noqa: N815
         math.nan, validation_alias=AliasChoices("torque_noise_u_Nm", "pure_u")
     )
     torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
+    torque_unresolved_Nm: Number = Field(  # noqa: N815
+        0.0, validation_alias=AliasChoices("torque_unresolved_Nm", "unresolved")
+    )
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
     angle_noise: AngleNoiseDocument | None = None
     rotor_angle_noise: AngleNoiseDocument | None = None
@@ -440,12 +446,16 @@ class StepDocument(Document):
 
 
 class NoiseDocument(Document):
-    """Noise of one case: scale of the white noise, process noise, its uncertainty, and that of the model [N m]."""
+    """Noise of one case: scale of the white noise, process noise, its uncertainty, and that of the model [N m].
+
+    `unresolved` is the random torque that the residuals do not exclude.
+    """
 
     scale: Number
     pure: Number
     pure_u: Number = 0.0
     level: Number
+    unresolved: Number = 0.0
 
 
 class StoredNoise(NoiseDocument):

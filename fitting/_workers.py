@@ -162,7 +162,8 @@ class _Unpickler(pickle.Unpickler):
 
 def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
     stream = io.BytesIO()
-    _Pickler(stream, shared(common)).dump(work(common, item))
+    with single_blas_thread():
+        _Pickler(stream, shared(common)).dump(work(common, item))
     return stream.getvalue()
 
 

@@ -10,6 +10,7 @@ from fitting.effects._library import LIBRARY
 from gyrotrack.apps.cli import _app as app
 
 DOCS = Path(__file__).parents[1] / "docs"
+FORMS = [*sorted((DOCS.parent / ".github").rglob("*.yml")), DOCS.parent / "CITATION.cff"]
 
 
 def maker(name):
@@ -57,3 +58,13 @@ def test_the_tables_of_the_format_are_those_of_a_real_file(tmp_path):
         ):
             assert name in file.attrs
             assert f"{name}" in text
+
+
+@pytest.mark.parametrize("path", FORMS, ids=lambda p: p.name)
+def test_workflows_and_forms_are_valid(path):
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if path.parent.name == "ISSUE_TEMPLATE":
+        assert all(part["attributes"]["label"] for part in document["body"])
+    elif path.parent.name == "workflows":
+        assert all(job["steps"] for job in document["jobs"].values())

@@ -37,9 +37,25 @@ REPLACED = {
     r"(?<!there )is no (?:column|body|number|table|file|model)": "is not a",
     r"look-alikes?|twins?": "equivalence class",
     r"go(?:es)? about": "centre",
+    r"objections?": "lack of fit",
+    r"in reach": "above the detection limit",
+    r"start values?": "initial value",
+    r"ripples": "harmonic, residual",
+    r"(?:a|one|the) ripple": "harmonic",
+    r"not determined together": "degenerate",
+    r"swallow\w*": "absorb",
+    r"slant": "view correction",
 }
 PATTERN = re.compile(rf"\b(?:{'|'.join(REPLACED)})\b", re.IGNORECASE)
 KEYS = {"rung"}  # of stored JSON documents
+# names that a module must not have: what a stranger cannot read
+NAMES = re.compile(
+    r"account|any_law|asked|beside|boards|body_watch|breaks|chance|common|cover|departures|evenness|"
+    r"first_search|floor|following|freed|guard|heap|helpers|intact|lack|late_starts|layout|look|"
+    r"marker_watch|memento|notes|objection|oddity|pace|plain|polish|repeating|rippling|rough_speeds|"
+    r"rounding|seal|sense|sharpening|sightings|slant|spool|stage|surroundings|task|unattended|utils|waves|"
+    r"wish|wording"
+)
 
 
 def _messages(path):
@@ -68,6 +84,12 @@ def test_pages_use_the_terms_of_the_glossary(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     found = [f"line {n}: {m[0]!r}" for n, line in enumerate(lines, 1) if (m := PATTERN.search(line))]
     assert not found, found
+
+
+def test_names_of_modules_are_those_of_the_glossary():
+    """A module is private, and named by its content."""
+    assert not [p.stem for p in MODULES if NAMES.fullmatch(p.stem.strip("_"))]
+    assert all(p.stem.startswith("_") for p in MODULES)
 
 
 def test_pages_name_options_that_exist():

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
-from fitting._numbers import rounded
+from fitting._numbers import percentage, rounded
 from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -40,9 +40,12 @@ from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
+from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit_like
+from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
+from fitting.inference._noise_level import fails_grossly
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -103,8 +106,14 @@ class Torques:
         self._time = [np.linspace(*d.record.span, _POINTS) for d in end.problem.data]
         self.unmodelled = self._difference(end)
         if residual:
+            slow = {d.record.label: _slow_residual(end, i) for i, d in enumerate(end.problem.data)}
             for curve in residual_torques(end):
-                self._add(curve)
+                if slow[curve.label] is None:
+                    self._add(curve)
+            for label, torque in slow.items():
+                if torque is not None:
+                    case = end.labels.index(label)
+                    self.unmodelled[case][0][1] += np.interp(self._time[case], *torque)
 
     def _add(self, curve: ResidualTorque) -> None:
         case = self._end.labels.index(curve.label)
@@ -182,6 +191,32 @@ class Torques:
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
         return numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]
+
+
+def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
+    """Return times and unmodelled torque [N m] of an oscillation whose phase a model does not describe.
+
+    Residuals a of the amplitude A and p of the phase are the responses to the torques 2 w a' and 2 w A p' in quadrature
+    and in phase with the deflection. The torque estimated from residuals of the angles would contain the deflection
+    times the error of the phase. None where the residuals are a random torque, or no oscillation.
+    """
+    data = end.problem.data[case]
+    if not end.model.restoring or not fails_grossly(data, end.predictions[case], end.noise[case]):
+        return None
+    assert data.oscillation is not None  # noqa: S101 - only an oscillation fails grossly
+    motion, fitted = data.oscillation.slow_motion, averaged_fit(end.model, [data])
+    if motion is None or fitted is None or not fitted.phase_error < LARGEST_PHASE_ERROR:
+        return None
+    amplitude, phase = (fitted.rows[0][2] * fitted.scales[0]).reshape(2, -1)
+    rate = np.gradient(motion.phase, motion.time)
+    quadrature = 2 * rate * np.gradient(amplitude, motion.time)
+    inphase = 2 * rate * motion.amplitude * np.gradient(phase, motion.time)
+    t = data.oscillation.time
+    at = data.oscillation.phase(t)
+    torque = np.interp(t, motion.time, inphase) * np.cos(at) - np.interp(t, motion.time, quadrature) * np.sin(
+        at
+    )
+    return t, data.record.I_casing * torque
 
 
 def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
@@ -343,7 +378,7 @@ def grade(
         )
     # a contradicting test alone, such as a sinusoid, states its own size
     size = (
-        f" {format_torque(rms, unit=base.torque_unit)} rms, {100 * share:.2g} % of the mean square unmodelled torque"
+        f" {format_torque(rms, unit=base.torque_unit)} rms, {percentage(share)} of the mean square unmodelled torque"
         if share > _NO_TORQUE
         else ""
     )

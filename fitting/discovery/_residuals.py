@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import PER_INERTIA, TORQUE
+from fitting._numbers import PER_INERTIA, TORQUE, interval, plain, rounded
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
@@ -263,7 +263,7 @@ class Failure:
     residual_rad_s : float
         Largest speed residual in the interval, with its sign; of a harmonic, where the casing is slowest.
     residual_torque_Nm : float
-        Mean unmodelled torque; amplitude of a harmonic.
+        Mean unmodelled torque, weighted by the inverse variances; amplitude of a harmonic.
     omega_c : tuple of float
         The casing's lowest and highest speed in the interval [rad/s].
     called : str
@@ -296,10 +296,16 @@ class Failure:
                 f"({self.size_sigma:.0f} sigma)"
             )
         sign = "+" if self.residual_torque_Nm > 0 else ""
+        first, last = self.times
         return (
-            f"unmodelled torque on the {self.called} {sign}{torque}, {self.t_start:.1f} s to {self.t_stop:.1f} s, "
-            f"{self.where} ({self.size_sigma:.0f} sigma)"
+            f"unmodelled torque on the {self.called} {sign}{torque}, {first} s to {last} s, "
+            f"{self.where} (up to {self.size_sigma:.0f} sigma)"
         )
+
+    @property
+    def times(self) -> tuple[str, str]:
+        """Begin and end [s]."""
+        return interval(self.t_start, self.t_stop)
 
 
 _TORQUE_UNITS = ((0.1, (1.0, "N m")), (1e-3, (1e3, "mN m")), (1e-8, (1e6, "uN m")), (0.0, (1e9, "nN m")))
@@ -315,9 +321,8 @@ def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE)
     units = _PER_INERTIA_UNITS if unit == PER_INERTIA else _TORQUE_UNITS
     scale, unit = next((u for least, u in units if size >= least), units[-1][1])
     if not np.isfinite(sigma) or sigma <= 0:
-        return f"{value * scale:.3g} {unit}"
-    digits = max(0, -int(np.floor(np.log10(sigma * scale))))
-    return f"{value * scale:.{digits}f} +- {sigma * scale:.{digits}f} {unit}"
+        return f"{plain(value * scale)} {unit}"
+    return rounded(value * scale, sigma * scale, unit)
 
 
 def find_failures(
@@ -392,7 +397,8 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
         size = float(np.abs(ratio[a:b]).max())
         if size < least:
             continue
-        mean = float(curve.torque[a:b].mean())
+        weight = 1 / np.maximum(curve.sigma[a:b], 1e-300)
+        mean = float(curve.torque[a:b] @ weight**2 / np.sum(weight**2))
         failures.append(
             Failure(
                 curve.label,
@@ -406,7 +412,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
                 mean,
                 (float(curve.omega_c[a:b].min()), float(curve.omega_c[a:b].max())),
                 called,
-                float(curve.sigma[a:b].mean()),
+                float(weight.sum() / np.sum(weight**2)),
                 record.torque_unit,
             )
         )

@@ -21,6 +21,7 @@ from fitting._display import BLUE, block, draw_history, figure, figure_of, marku
 from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
     has_less_process_noise,
     initial_values_of,
@@ -148,12 +149,22 @@ def rank(
     chosen = _to_refit(found, criteria)
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
-        chosen = [w and c.p_value < _OSCILLATION_REFIT_P for w, c in zip(chosen, found, strict=True)]
-        chosen = [w and sum(chosen[:i]) < criteria.refit_least for i, w in enumerate(chosen)]
+        least = criteria.refit_share * max((c.score for c in found), default=0.0)
+        chosen = [
+            w and c.p_value < _OSCILLATION_REFIT_P and c.score >= least
+            for w, c in zip(chosen, found, strict=True)
+        ]
+        oscillation = data[0].oscillation
+        long = oscillation is not None and len(oscillation.reversals) > _MANY_REVERSALS
+        allowed = 1 if long else criteria.refit_least
+        chosen = [w and sum(chosen[:i]) < allowed for i, w in enumerate(chosen)]
     if restoring_only:
-        error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
-        most = criteria.equation_error * min(error.values(), default=math.inf)
-        chosen = [error[c.effect.name] <= most for c in found]
+        possible = possible_restoring(base.model, effects, data, criteria)
+        if possible is None:
+            error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
+            most = criteria.equation_error * min(error.values(), default=math.inf)
+            possible = {name for name, value in error.items() if value <= most}
+        chosen = [c.effect.name in possible for c in found]
         found = [
             c if w else replace(c, score=0.0, p_value=1.0, significant=False)
             for c, w in zip(found, chosen, strict=True)
@@ -170,6 +181,8 @@ def rank(
     return ordered(found, criteria)
 
 
+# reversals of an oscillation from which on only the best candidate is refitted
+_MANY_REVERSALS = 200
 # range of an oscillation from which on a harmonic of the angle is distinguishable from its Taylor series [rad]
 _SMALLEST_RANGE = 1.0
 # family-wise p-value above which a law of an oscillation is not refitted
@@ -513,7 +526,8 @@ def select(
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
-    if end is not named:
+    if end is not named and not named.model.restoring:
+        # the averaged equations of an oscillation have one minimum
         named = restarted_from(named, end)
     if chosen.indistinguishable_from and end is not named:
         # at the noise of the most complete fit the data may separate the class

@@ -24,7 +24,7 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import probability, rounded, short, typeset, unit_text
+from fitting._numbers import percentage, probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
@@ -177,7 +177,7 @@ class Diagnosis:
             (
                 f.label,
                 f.called,
-                f"{f.t_start:.1f} – {f.t_stop:.1f}",
+                " – ".join(f.times),
                 short(f.residual_torque_Nm),
                 short(f.residual_rad_s, 2),
                 f"{f.size_sigma:.0f}",
@@ -387,7 +387,7 @@ def _sentence(
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
         parts += (
-            _unexplained(selection, doubt, size)
+            _unexplained(selection, doubt, size, criteria)
             if verdict == "unexplained"
             else _missing(selection, size, criteria)
         )
@@ -396,7 +396,10 @@ def _sentence(
 
 
 def _unexplained(
-    selection: Selection, doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None, size: Grade
+    selection: Selection,
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
+    size: Grade,
+    criteria: Criteria,
 ) -> list[str]:
     chosen = selection.chosen
     if isinstance(doubt, PeriodogramPeak):
@@ -406,7 +409,7 @@ def _unexplained(
             f'No effect of the library explains it: add "{doubt.law}" as a hypothesis and diagnose again.',
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None and size.unknown:
-        share = f"{100 * max(size.explained, 0.0):.3g} % of the mean square unmodelled torque"
+        share = f"{percentage(max(size.explained, 0.0))} of the mean square unmodelled torque"
         closest = f"the closest one, {chosen.effect.name} ({share})"
         return [
             f"No effect of the library explains it: a smooth law of {size.unknown} explains more than {closest}.",
@@ -414,7 +417,14 @@ def _unexplained(
             size.remainder.sentence,
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None:
-        share = f"{100 * max(size.explained, 0.0):.0f} % of the mean square unmodelled torque"
+        if size.explained < 1 - criteria.explained:
+            # no more than what a law that is only close to the right one leaves: no hypothesis
+            return [
+                f"No effect of the library explains more than {percentage(1 - criteria.explained)} of it.",
+                size.remainder.sentence,
+                "Check the tracking and the noise of the angle; `gyrotrack laws` searches beyond the library.",
+            ]
+        share = f"{percentage(size.explained)} of the mean square unmodelled torque"
         return [
             f"No effect of the library explains it; the closest, {chosen.effect.name}, explains {share}.",
             size.remainder.sentence,

@@ -130,7 +130,11 @@ class _Linearised:
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
-        r, j = fit.problem.residuals(fit.predictions)
+        r, _ = fit.problem.residuals(fit.predictions)
+        # as for the standard errors
+        self.noise = [n.with_unresolved for n in fit.noise]
+        self.problem = fit.problem.with_noise(self.noise)
+        _, j = self.problem.residuals(fit.predictions)
         layout = fit.problem.layout
         self.free = ~surely_at_bound(layout, layout.at_bound(fit.theta), r, j)
         moving = int((~layout.at_bound(fit.theta)).sum())
@@ -141,7 +145,7 @@ class _Linearised:
         """Return the covariance with the first camera effects free, and P W J of each case."""
         blocks = []
         for data, noise, prediction in zip(
-            self.fit.problem.data, self.fit.noise, self.fit.predictions, strict=True
+            self.fit.problem.data, self.noise, self.fit.predictions, strict=True
         ):
             columns = data.nuisance
             has_camera = data.has_camera_prior or data.record.gradients
@@ -158,7 +162,7 @@ class _Linearised:
         covariance, blocks = self._projected(0)
         base = np.diag(covariance)
         process, starts = np.zeros(len(base)), np.zeros(len(base))
-        for data, noise, block in zip(self.fit.problem.data, self.fit.noise, blocks, strict=True):
+        for data, noise, block in zip(self.fit.problem.data, self.noise, blocks, strict=True):
             gain = covariance @ block.T
             w = noise.whitener
             roots = np.zeros((len(data.z), len(w.values)))
@@ -179,10 +183,9 @@ class _Linearised:
 
     def sensitivity(self, columns: Sequence[Array]) -> Array:
         """Return the change of all variables per unit of an input that changes the rows of each case by columns."""
-        problem = self.fit.problem
         gradient = np.zeros(len(self.fit.theta))
         for project, prediction, column in zip(
-            problem.projections, self.fit.predictions, columns, strict=True
+            self.problem.projections, self.fit.predictions, columns, strict=True
         ):
             gradient += project(prediction.jacobian).T @ project(column)
         return np.asarray(-(self.covariance @ gradient))

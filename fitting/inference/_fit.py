@@ -36,7 +36,7 @@ from fitting.inference._initial_values import initial_shapes, initial_values, un
 from fitting.inference._noise import Noise
 from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
-from fitting.inference._parameters import ParameterLayout
+from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem
 from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
@@ -231,7 +231,7 @@ def fit(
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)
         theta, active = found.theta, found.active
-    elif not set(problem.layout.names) <= set(start or ()):
+    elif not _free_names(problem) <= set(start or ()):
         # far from the minimum residuals far exceed the noise, and the search would take long at a low level
         problem = problem.with_noise(raised_noise(problem, theta, noise))
         problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
@@ -239,6 +239,8 @@ def fit(
         theta, active = found.theta, found.active
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
+    # without a restoring torque, the parameters fitted to an oscillation have no meaning
+    quick = quick or (any(d.oscillation is not None for d in data) and not model.restoring)
     held = tuple(steady)
     if held:
         found = search_with_held(problem, theta, held, active=active)
@@ -259,6 +261,12 @@ def fit(
         problem = problem.with_noise(noise)
         found = search(problem, found.theta, quick=quick, active=found.active)
     return outcome(problem, found.theta, noise, converged=found.minimum.converged)
+
+
+def _free_names(problem: Problem) -> set[str]:
+    """Return the names of the variables on which the rows depend: of a body alone, all but the speed of a rotor."""
+    single = problem.data[0].record.single
+    return {n for n in problem.layout.names if not (single and n.startswith(f"{START_ROTOR}@"))}
 
 
 def fit_like(

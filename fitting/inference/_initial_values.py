@@ -27,6 +27,7 @@ from fitting._errors import EstimationError, SimulationError
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.effects._effect import RATIO, Effect
 from fitting.effects._library import LIBRARY
+from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged, averaged
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import r_factor
@@ -73,7 +74,9 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
         found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem))
         if oscillates and not known:
-            found = _period_by_period(problem, found)
+            slow = averaged(layout, problem.data, found, _strengths, _regress)
+            follows = slow is not None and slow.phase_error < LARGEST_PHASE_ERROR
+            found = slow.theta if slow is not None and follows else _period_by_period(problem, found)
         usual = dict(zip(layout.names, found.tolist(), strict=True))
         known = usual | {k: v for k, v in known.items() if k in usual}
     return np.array([known[n] for n in layout.names])
@@ -88,8 +91,31 @@ def _is(start: str, name: str) -> bool:
     return name.partition("@")[0] == start
 
 
+def averaged_fit(
+    model: Model, data: Sequence[CaseData], errors: Sequence[Array] | None = None
+) -> Averaged | None:
+    """Return the fit of the averaged equations of motion of an oscillation; None if it has too few periods.
+
+    Parameters
+    ----------
+    model : Model
+        One with a restoring torque.
+    data : sequence of CaseData
+        The cases.
+    errors : sequence of ndarray, optional
+        `Averaged.scales` of another model.
+    """
+    if any(d.oscillation is None or d.oscillation.slow_motion is None for d in data):
+        return None
+    layout = ParameterLayout.of(model, [d.record for d in data])
+    rough = [d.initial_speeds for d in data]
+    deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
+    theta = start_values(layout, reference_speed(data), rough, deflections)
+    return averaged(layout, data, theta, _strengths, _regress, errors)
+
+
 def equation_error(model: Model, data: Sequence[CaseData]) -> float:
-    """Return the relative error of the measured change of the speeds under a model, without a fit.
+    """Return the error of the equations of motion under a model, without a fit.
 
     Parameters
     ----------
@@ -101,9 +127,13 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     Returns
     -------
     float
-        Norm of the residuals of the integrated equations of motion over that of the change [1].
+        Over many periods of an oscillation the rms error of the phase [rad]; otherwise the norm of the residuals of the
+        integrated equations of motion over that of the change of the speeds [1].
     """
     layout = ParameterLayout.of(model, [d.record for d in data])
+    slow = averaged_fit(model, data) if model.restoring else None
+    if slow is not None:
+        return slow.phase_error
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
     theta = start_values(layout, reference_speed(data), rough, deflections)

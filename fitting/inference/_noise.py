@@ -98,6 +98,9 @@ class Noise:
         The process noise as an acceleration.
     excess : float
         Twice the logarithm of the likelihood ratio of `level` against no random torque.
+    unresolved : float
+        Rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the angle
+        noise is correlated.
     """
 
     scale: float
@@ -108,10 +111,16 @@ class Noise:
     whitener: Whitener = field(repr=False)
     process: ProcessNoise = field(repr=False)
     excess: float = 0.0
+    unresolved: float = 0.0
 
     def at(self, level: float) -> Noise:
         """Return the noise at another level of the random torque [N m]."""
         return replace(self, level=level, whitener=self.whitener.at(level))
+
+    @property
+    def with_unresolved(self) -> Noise:
+        """The noise that the uncertainties of parameters include."""
+        return self.at(max(self.level, self.unresolved))
 
     @property
     def least(self) -> float:
@@ -181,6 +190,9 @@ LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 _ROUNDING = 1e-20
 # ratio to the lowest level that the recording allows from which on a level counts as raised
 _MORE = 1.5
+# unresolved levels: the lowest over that to which the most responsive row responds as much as to white noise, the
+# highest over the expected one, their number
+_LEAST_RESPONSE, _MOST_EXPECTED, _UNRESOLVED_LEVELS = 0.1, 4.0, 16
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
@@ -197,18 +209,51 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     free : ndarray, shape (rows, columns)
         Derivatives by the free parameters, and nuisance columns.
     """
+    rotated, values = _rotated(whitener, residual, free)
+    # rows of a casing at rest do not respond to a torque
+    responding = values[values > _ROUNDING * values.max(initial=0.0)]
+    levels = LEVELS / np.sqrt(np.median(responding)) if len(responding) else np.zeros(1)
+    deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
+    best = int(np.argmin(deviances))
+    return _peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
+
+
+def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected: float) -> float:
+    """Return the rms random torque that residuals do not exclude [N m]: the root of the posterior mean of s^2.
+
+    In a short record, or for slow torques, the most likely level is often zero although larger levels are as likely;
+    the standard errors of parameters would not include them. With equal prior probabilities there is no random torque,
+    or one whose rms has the positive half of a Student distribution with three degrees of freedom, of scale
+    `expected`: that of the recording. Where the residuals exclude most of these levels, no random torque is far more
+    probable.
+
+    Parameters
+    ----------
+    whitener, residual, free
+        As for `remaining_level`.
+    expected : float
+        Rms of the process noise of the recording [N m].
+    """
+    rotated, values = _rotated(whitener, residual, free)
+    largest = values.max(initial=0.0)
+    if not (largest > 0 and expected > 0):
+        return 0.0
+    first = min(_LEAST_RESPONSE / np.sqrt(largest), expected)
+    s = np.geomspace(first, _MOST_EXPECTED * expected, _UNRESOLVED_LEVELS)
+    deviance = np.array([_deviance(rotated, 1 + x**2 * values) for x in (0.0, *s)])
+    none, *likelihood = np.exp(0.5 * (deviance.min() - deviance))
+    prior = np.sqrt(2 / np.pi) * np.exp(-0.5 * (s / expected) ** 2) / expected
+    weight = np.array(likelihood) * prior * np.gradient(s)
+    return float(np.sqrt(weight @ s**2 / (none + weight.sum())))
+
+
+def _rotated(whitener: Whitener, residual: Array, free: Array) -> tuple[Array, Array]:
+    """Return scaled free columns and residual along the principal axes of K, and the eigenvalues of all rows."""
     m = len(whitener.values)
     size = np.linalg.norm(free, axis=0)
     columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
     rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
-    values = np.concatenate([whitener.values, np.zeros(len(residual) - m)])
-    # rows of a casing at rest do not respond to a torque
-    responding = whitener.values > _ROUNDING * whitener.values.max(initial=0.0)
-    unit = 1 / np.sqrt(np.median(whitener.values[responding]) + 1e-300) if responding.any() else 0.0
-    levels = LEVELS * unit if unit else np.zeros(1)
-    deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
-    best = int(np.argmin(deviances))
-    return _peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
+    return rotated, np.concatenate([whitener.values, np.zeros(len(residual) - m)])
 
 
 def _peak(levels: Array, likelihood: Array) -> float:

@@ -81,7 +81,7 @@ def minimise(
         r, j = problem(x)
     except SimulationError as fault:
         raise EstimationError(
-            f"the model cannot be computed at its start values: {fault.message}", fault.hint
+            f"the model cannot be computed at its initial values: {fault.message}", fault.hint
         ) from None
     cost = float(r @ r)
     damping, growth = 1e-3, 2.0

@@ -9,6 +9,8 @@ sides by dry friction as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,16 @@ _PROGRESS = 0.6
 _PHASE_DEGREE = 5
 # harmonics of an oscillation, and highest power of time of the amplitude of each
 _HARMONICS, _MODULATION = 3, 3
+# largest number of windows of a slow motion, smallest number of samples in one
+_MOST_WINDOWS, _FEWEST_SAMPLES = 300, 10
+
+
+class SlowMotion(NamedTuple):
+    """Amplitude [rad] and phase [rad] of an oscillation at some times [s]: deflection = amplitude cos phase."""
+
+    time: Array
+    amplitude: Array
+    phase: Array
 
 
 @dataclass(frozen=True)
@@ -64,6 +76,32 @@ class Oscillation:
         inside = np.clip(x, -1.0, 1.0)
         steady = 2 * np.pi / self.period * half * (x - inside)
         return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + steady)
+
+    @cached_property
+    def slow_motion(self) -> SlowMotion | None:
+        """Amplitude and phase in windows of a period or more; None for a few periods, or few samples in each.
+
+        In each window the first and the third harmonic, the first with linearly varying amplitude and phase, a
+        constant and a drift are fitted by least squares.
+        """
+        count = min(_MOST_WINDOWS, int(self.periods))
+        edges = np.linspace(self.time[0], self.time[-1], count + 1)
+        first = np.searchsorted(self.time, edges[:-1])
+        if count < _FEWEST or np.diff([*first, len(self.time)]).min() < _FEWEST_SAMPLES:
+            return None
+        middle, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
+        window = np.minimum(((self.time - edges[0]) / width).astype(int), count - 1)
+        first = np.searchsorted(window, np.arange(count))
+        phase, x = self.phase(self.time), (self.time - middle[window]) / width
+        cos, sin = np.cos(phase), np.sin(phase)
+        columns = np.stack(
+            [cos, sin, x * cos, x * sin, np.cos(3 * phase), np.sin(3 * phase), np.ones_like(x), x], axis=1
+        )
+        normal = np.add.reduceat(columns[:, :, None] * columns[:, None], first)
+        right = np.add.reduceat(columns * self.deflection[:, None], first)
+        found = np.linalg.solve(normal + 1e-9 * np.eye(len(normal[0])) * normal[:, :1, :1], right[..., None])
+        a, b = found[:, 0, 0], found[:, 1, 0]
+        return SlowMotion(middle, np.hypot(a, b), np.unwrap(np.arctan2(-b, a)) + self.phase(middle))
 
     def harmonics(self) -> Array:
         """Return harmonics of the oscillation with slowly varying amplitude and phase: products with powers of time.

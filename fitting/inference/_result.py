@@ -7,8 +7,8 @@ computed on first access: most candidate effects are only ranked.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
@@ -43,10 +43,11 @@ from fitting.inference._metrics import (
     lack_of_fit,
     smoothing_noise,
 )
-from fitting.inference._noise import Noise
+from fitting.inference._noise import Noise, unresolved_level
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
+from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 
@@ -181,13 +182,11 @@ def summary_lines(fit: FitSummary) -> list[str]:
         pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
         text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
-    for label, noise in _angle_noises(fit):
-        level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
-        parts = [f"{level}, correlation time {noise.time:.2g} s"] if noise.sigma else []
-        if noise.turn_sigma:
-            level = rounded(1e3 * noise.turn_sigma, 1e3 * noise.turn_sigma_u, "mrad")
-            parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
-        text = f"correlated angle noise{label}: {'; '.join(parts)}"
+        if any(n.unresolved > n.level for n in noises):
+            unresolved = ", ".join(f"{max(n.level, n.unresolved):.2g}" for n in noises)
+            text = f"not separable from the angle noise, included in the uncertainties: {unresolved} {unit}"
+            lines += wrap(text, 79, initial_indent="  ", subsequent_indent="  ")
+    for text in angle_noise_lines(fit):
         lines += wrap(text, 79, subsequent_indent="  ")
     prior = fit.prior if isinstance(fit, Fit) else None
     if prior is not None:
@@ -216,6 +215,19 @@ def summary_lines(fit: FitSummary) -> list[str]:
 
 def _levels(noises: Sequence[Noise]) -> str:
     return ", ".join(f"{n.level:.2g}" for n in noises)
+
+
+def angle_noise_lines(fit: FitSummary) -> list[str]:
+    """Return level and correlation time of the correlated angle noise of each camera, in words."""
+    found = []
+    for label, noise in _angle_noises(fit):
+        level = rounded(1e3 * noise.sigma, 1e3 * noise.sigma_u, "mrad")
+        parts = [f"{level}, correlation time {noise.time:.2g} s"] if noise.sigma else []
+        if noise.turn_sigma:
+            level = rounded(1e3 * noise.turn_sigma, 1e3 * noise.turn_sigma_u, "mrad")
+            parts.append(f"{level} that repeats with the turn, changing in {noise.turn_time:.2g} s")
+        found.append(f"correlated angle noise{label}: {'; '.join(parts)}")
+    return found
 
 
 def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
@@ -596,7 +608,11 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     chi2 = float(r @ r)
     rows = problem.rows
     at_bound = layout.at_bound(theta)
-    covariance = covariance_of(j, ~surely_at_bound(layout, at_bound, r, j))
+    noise = tuple(_with_unresolved(problem, predictions, noise, at_bound))
+    determined = ~surely_at_bound(layout, at_bound, r, j)
+    if any(n.unresolved > n.level for n in noise):
+        j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
+    covariance = covariance_of(j, determined)
     free = int((~at_bound).sum())
     # with a significant lack of fit, the noise alone understates the uncertainty
     covariance *= max(1.0, chi2 / max(1, rows - free))
@@ -617,6 +633,21 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         problem=problem,
         predictions=predictions,
     )
+
+
+def _with_unresolved(
+    problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise], at_bound: NDArray[np.bool_]
+) -> Iterator[Noise]:
+    """Yield the noise of each case with the random torque that its residuals do not exclude.
+
+    Only correlated deviations of an angle may be those of a random torque as well; white ones are none.
+    """
+    for data, p, n in zip(problem.data, predictions, noise, strict=True):
+        unresolved = 0.0
+        if n.excess < CONSISTENT and not data.angle_noise.is_white:
+            columns = np.concatenate([p.columns[:, ~at_bound[p.places]], data.nuisance], axis=1)
+            unresolved = unresolved_level(n.whitener, data.z - p.rows, columns, n.pure)
+        yield replace(n, unresolved=unresolved)
 
 
 def _estimates(

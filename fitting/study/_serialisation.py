@@ -80,7 +80,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
     """Return a fit under the keys of `fit --json`."""
     cases = [
         CaseDocument.model_validate(
-            {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "scale")}}
+            {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "unresolved", "scale")}}
             | {
                 "angle_noise": _angle_noise(d.angle_noise),
                 "rotor_angle_noise": _angle_noise(d.rotor_angle_noise),
@@ -256,6 +256,7 @@ class SavedNoise:
     pure_u: float
     level: float
     scale: float
+    unresolved: float = 0.0
 
 
 @dataclass(frozen=True, repr=False)

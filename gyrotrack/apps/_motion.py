@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from gyrotrack._correlated_noise import correlated_least_squares
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._pulses import Passages
 from gyrotrack.io.readers._run import start_of_oscillation
 
 Floats = npt.NDArray[np.float64]
@@ -25,6 +26,8 @@ _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 """Candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation."""
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
 """Degrees for the fit in growing windows; polynomials of higher degree extrapolate badly."""
+_PASSAGE_ORDER = 4
+"""Highest degree of the polynomials for times and durations of passages through a light gate."""
 _FIRST_PERIODS = 1.5
 """Half length of the first window [periods]."""
 _MAX_LOG_AMPLITUDE = 50.0
@@ -47,7 +50,7 @@ class BodyMotion:
     kind : {"spin-down", "oscillation", "steady"}
         Kind of motion.
     turns : float
-        Range of the angle [turns].
+        Range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured.
     omega : dict
         Angular velocity at the "first" and the "last" sample [rad/s].
     omega_mean : Value
@@ -117,6 +120,59 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     change = abs(omega["last"] - omega["first"])
     steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
     return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha)
+
+
+def motion_of_passages(passages: Passages) -> BodyMotion:
+    """Return the period and the decay rate of a pendulum from its passages through light gates.
+
+    Notes
+    -----
+    Pairs of neighbouring passages, one in each direction, are averaged: the distance of the gates from the equilibrium
+    delays one and advances the other. The times of the pairs, and the logarithms of their durations, which are
+    inversely proportional to the amplitude, are polynomials in the number of the passage. Period and decay rate are
+    those at the middle of the record.
+
+    Raises
+    ------
+    DatasetError
+        There are too few passages in immediate succession.
+    """
+    t, duration = passages.time, passages.duration
+    half = 0.5 * float(np.median(t[2:] - t[:-2]))
+    number = np.concatenate([[0], np.cumsum(np.maximum(np.round(np.diff(t) / half), 1))])
+    first = np.arange(0, len(t) - 1, 2)
+    first = first[np.diff(number)[first] == 1]
+    if len(first) < _MIN_SAMPLES:
+        raise DatasetError(
+            f"{passages.path} contains {len(first)} pairs of passages; {_MIN_SAMPLES} are needed.",
+            "Give a longer recording.",
+        )
+    when, size = (0.5 * (v[first] + v[first + 1]) for v in (t, -np.log(duration)))
+    count = number[first] + 0.5
+    x = 2 * (count - count[0]) / (count[-1] - count[0]) - 1
+    design = x[:, None] ** np.arange(_PASSAGE_ORDER + 1)
+    models = [list(range(order + 1)) for order in range(1, _PASSAGE_ORDER + 1)]
+    free = np.full(_PASSAGE_ORDER + 1, np.inf)
+    slopes = []
+    for values in (when, size):
+        fits = correlated_least_squares(count, design, values, np.ones(len(values)), models, free)
+        best = min(fits, key=lambda fit: fit.criterion)
+        slopes.append(Value(*best.of(np.eye(len(best.value))[1])))
+    by_time, by_size = slopes
+    period = 4 * by_time.value / (count[-1] - count[0])
+    relative = by_time.stderr / by_time.value
+    decay = -by_size.value / by_time.value
+    unknown, ends = Value(math.nan, math.nan), dict.fromkeys(("first", "last"), math.nan)
+    return BodyMotion(
+        "oscillation",
+        math.nan,
+        ends,
+        unknown,
+        unknown,
+        Value(period, period * relative),
+        None,
+        Value(decay, math.hypot(by_size.stderr / by_time.value, decay * relative)),
+    )
 
 
 def _reverses(t: Floats, angle: Floats, period: float) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +15,23 @@ import numpy.typing as npt
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import angular_velocity, smoothing_width
-from gyrotrack.apps._motion import TURN, BodyMotion, Value, end_of_motion, motion_of, start_of_motion
+from gyrotrack.apps._motion import (
+    TURN,
+    BodyMotion,
+    Value,
+    end_of_motion,
+    motion_of,
+    motion_of_passages,
+    start_of_motion,
+)
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
-from gyrotrack.io.readers._motion_table import ReadOptions, read_names
-from gyrotrack.io.readers._run import Limits
+from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
+from gyrotrack.io.readers._registry import read_passages
+from gyrotrack.io.readers._run import Limits, within
 from gyrotrack.plotting._proposal import write_body_picture
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._extract import extract
@@ -34,11 +43,13 @@ from gyrotrack.video._container import file_sha256
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
+    from fitting.discovery._oscillator import OscillatorLaws
     from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
+_MANY_REVERSALS = 200  # reversals of an oscillation from which on only a restoring torque is added
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -57,8 +68,8 @@ class SpindownOptions:
         Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2].
     pulses_per_turn : float, optional
         Number of pulses per turn; the table is one column of times of pulses.
-    keep_all : bool
-        Keep the start of the record also if a hand or a motor drives the body, and rest at its end.
+    limits : Limits
+        Times to include and to exclude, and whether to keep drive and rest at the ends of the record.
     label : str
         Name of the case.
     profile : Path, optional
@@ -69,19 +80,22 @@ class SpindownOptions:
         Meaning of columns of a table, such as "t=1" and "angle=2".
     marker, centre : str, optional
         Point to follow and centre of rotation, in a table or project of points.
+    likelihood : float
+        Minimum likelihood of the points that are used.
     """
 
     hub: tuple[float, float] | None = None
     capture_fps: float | None = None
     inertia: str | None = None
     pulses_per_turn: float | None = None
-    keep_all: bool = False
+    limits: Limits = field(default_factory=Limits)
     label: str = ""
     profile: Path | None = None
     body: str | None = None
     columns: tuple[str, ...] = ()
     marker: str | None = None
     centre: str | None = None
+    likelihood: float = 0.6
 
 
 def read_source(
@@ -112,21 +126,16 @@ def read_source(
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
     else:
-        reading = ReadOptions(
-            read_names(options.columns) or None,
-            options.marker,
-            options.centre,
-            options.capture_fps,
-            pulses_per_turn=options.pulses_per_turn,
-        )
-        case = import_body(source, moment.value, options=reading, limits=Limits(keep_all=options.keep_all))
+        case = import_body(source, moment.value, options=_reading(options), limits=options.limits)
     case = replace(case, I_casing_u=moment.u, per_inertia=int(options.inertia is None))
     warnings = list(case.warnings)
     if options.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
-    is_table = not case.recordings  # the reader of tables has removed drive and rest already
-    if not (options.keep_all or is_table):
+    is_table = not case.recordings  # the reader of tables applies the limits, and removes drive and rest
+    if not is_table:
+        series = _within(series, options.limits, warnings)
+    if not (options.limits.keep_all or is_table):
         whole = (series.time, series.angle, series.sigma)
         first, last = start_of_motion(*whole), end_of_motion(*whole)
         if first:
@@ -139,9 +148,57 @@ def read_source(
                 f"The body is at rest from {series.time[last]:.3f} s; {len(series.time) - last} samples after it are "
                 "excluded. --keep-all keeps them."
             )
-        names = ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
-        series = replace(series, **{name: getattr(series, name)[first:last] for name in names})
+        series = _rows(series, slice(first, last))
     return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), tracked
+
+
+def _reading(options: SpindownOptions) -> ReadOptions:
+    return ReadOptions(
+        read_names(options.columns) or None,
+        options.marker,
+        options.centre,
+        options.capture_fps,
+        likelihood=options.likelihood,
+        pulses_per_turn=options.pulses_per_turn,
+    )
+
+
+def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
+    """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
+    if not source.is_file() or source.suffix.lower() in (*_FILMS, ".h5", ".hdf5"):
+        return None
+    found = read_passages(source, _reading(options))
+    if found is None:
+        return None
+    keep = within(found.time, options.limits)
+    found = replace(found, time=found.time[keep], duration=found.duration[keep])
+    motion = motion_of_passages(found)
+    note = (
+        f"{source.name}: {len(found.time)} passages of a pendulum through the light gates; they show its period and "
+        "decay, but no angle: no case and no torque law."
+    )
+    parts = dict.fromkeys(("case", "report", "picture", "oscillator", "diagnosis"))
+    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note]}
+
+
+def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
+    names = ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
+    return replace(series, **{name: getattr(series, name)[rows] for name in names})
+
+
+def _within(series: Series, limits: Limits, warnings: list[str]) -> Series:
+    """Return the samples of a film within the limits of the user, and add their number to the warnings."""
+    keep = within(series.time, limits)
+    if keep.all():
+        return series
+    if keep.sum() < MIN_SAMPLES:
+        raise UsageError(
+            f"{keep.sum()} samples remain within the limits; the times are {series.time[0]:.6g} to "
+            f"{series.time[-1]:.6g} s.",
+            "Choose --from, --to and --cut within these times.",
+        )
+    warnings.append(f"{int((~keep).sum())} samples are excluded by --from, --to or --cut.")
+    return _rows(series, keep)
 
 
 def _recording_in(path: Path) -> Recording | None:
@@ -339,8 +396,28 @@ def spindown(
     dict
         The JSON document of `gyrotrack spindown`.
     """
+    from fitting._workers import single_blas_thread
+
+    with single_blas_thread():
+        passages = _passages(source, options)
+        if passages is not None:
+            return passages
+        return _analysed(source, target, report, options, command=command, force=force, progress=progress)
+
+
+def _analysed(
+    source: Path,
+    target: Path,
+    report: Path | None,
+    options: SpindownOptions,
+    *,
+    command: str,
+    force: bool,
+    progress: Progress | None,
+) -> dict[str, Any]:
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
+    from fitting.discovery._oscillator import oscillator_laws
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
@@ -366,18 +443,23 @@ def spindown(
         picture = target.with_suffix(".png")
         write_body_picture(picture, Film(source), tracked, force=True)
     recorder: Recorder | None = None
+    laws: OscillatorLaws | None = None
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
     try:
         study = open_study([target], None)
+        laws = oscillator_laws(study.data[0]) if motion.kind == "oscillation" else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case
             base = fit(study.model(REDUCED), study.data)
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
-            history = improve(base, [], workers=workers, keep=recorder)
+            oscillation = base.problem.data[0].oscillation
+            long = oscillation is not None and len(oscillation.reversals) > _MANY_REVERSALS
+            # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
+            history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
             if history.stopped:
                 warnings.append(f"The search stopped at a failed fit, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
@@ -406,6 +488,7 @@ def spindown(
         "report": written,
         "picture": picture,
         "motion": motion,
+        "oscillator": laws,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,

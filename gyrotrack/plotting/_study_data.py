@@ -155,7 +155,7 @@ class CaseView:
             Interval(
                 f.t_start,
                 f.t_stop,
-                f"{f.t_start:.1f}–{f.t_stop:.1f} s, {f.called}, {f.size_sigma:.0f} σ",
+                f"{'–'.join(f.times)} s, {f.called}, {f.size_sigma:.0f} σ",
                 f.body,
             )
             for f in failures

@@ -3,25 +3,19 @@
 Only the names of the colours are known beforehand. First, blobs that change from frame to frame are collected for each
 colour, and the common centre of their circles is found; then the disc at that point; then, in rings unrolled about it,
 each marker with its radii, width and measured shade (`find_markers`).
-
-An error n of the centre changes the radius of a marker by -n . r, with r the unit vector towards the marker. Video
-encoders keep a slowly moving disc fixed in the picture; its image then does not show the motion of the centre, but the
-radii of all markers over some dozen frames do (`refine_centre`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
-from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
 from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle, orbits_about
 from gyrotrack.tracking._polar import Ring, boxed
 from gyrotrack.tracking._profile import Blob, MarkerProfile, Profile, chroma_direction, find_blobs, hue_score
@@ -119,6 +113,8 @@ def _fall(curve: Floats, level: float) -> float:
 
 LEAST_CONTRAST = 6.0
 """Grey levels by which a marker must differ from its surroundings."""
+CLEAREST = 5.0
+"""Smallest height of a white marker in standard deviations of its ring."""
 LONGEST_DWELL = 0.3
 """Largest share of samples with a marker at one angle for which their median is used as the background."""
 
@@ -293,7 +289,9 @@ def _brightest_place(
     if extent is None or extent.half_width > 2.5 * half_width + 0.05:
         return None
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
-    if contrast < max(least, 1.5 * float(np.std(turned[rows]))):
+    apart = np.abs(np.angle(np.exp(1j * (np.arange(ring.columns) - column[0]) * ring.step)))
+    scatter = spread(mean[0][apart > 2.0 * half_width])  # robust against the remains of other markers
+    if contrast < least or mean[0, column[0]] < CLEAREST * scatter:
         return None
     return Marker(
         name=wanted.name,
@@ -597,68 +595,3 @@ def _mean_chroma(
         float(np.mean(still[0][window][core]) - neutral[0]),
         float(np.mean(still[1][window][core]) - neutral[1]),
     )
-
-
-HALF = 18
-"""Half width [frames] of the window in which the error of the centre is assumed to be constant."""
-EXPECTED = 0.1
-"""Standard deviation [px] of the prior of the error of the centre."""
-
-
-@dataclass(frozen=True)
-class Radii:
-    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px].
-
-    `excess` is NaN in frames that are not used.
-    """
-
-    direction: Floats
-    excess: Floats
-
-
-def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
-    """Correct the path of a centre by the radii of the markers about it.
-
-    Notes
-    -----
-    In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED`^2, with s the
-    scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.
-    """
-    count = len(path.centre)
-    normal, right = np.zeros((3, count)), np.zeros((2, count))
-    for wanted in markers:
-        known = np.isfinite(wanted.excess) & np.isfinite(wanted.direction)
-        if known.sum() < 20:
-            continue
-        scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
-        for part in row_blocks(count):
-            weight = known[part] / scatter**2
-            angle = np.where(known[part], wanted.direction[part], 0.0)
-            x, y = np.cos(angle), -np.sin(angle)
-            excess = np.clip(np.where(known[part], wanted.excess[part], 0.0), *limits)
-            normal[:, part] += weight * np.stack([x * x, x * y, y * y])
-            right[:, part] -= weight * excess * np.stack([x, y])
-    for row in (*normal, *right):
-        row[:] = _windowed(row)
-    better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
-    for part in row_blocks(count):
-        (a, b, c), (u, v) = normal[:, part], right[:, part]
-        a, c = a + 1.0 / EXPECTED**2, c + 1.0 / EXPECTED**2
-        determinant = a * c - b * b
-        error = np.stack([(c * u - b * v) / determinant, (a * v - b * u) / determinant], axis=1)
-        sigma, before = np.sqrt(0.5 * (a + c) / determinant), path.sigma[part]
-        better["centre"][part] = path.centre[part] - error
-        better["sigma"][part] = np.where(
-            np.isfinite(before), np.minimum(np.hypot(sigma, 0.4 * LEAST_SIGMA), before), np.nan
-        )
-    return CentrePath(reach=path.reach, **better)
-
-
-def _limits(excess: Floats) -> tuple[float, float]:
-    reach = 4.0 * spread(excess)
-    return -reach, reach
-
-
-def _windowed(row: Floats) -> Floats:
-    bell = 1.0 - (np.arange(-HALF, HALF + 1) / (HALF + 1)) ** 2
-    return np.asarray(np.convolve(np.pad(row, HALF), bell, mode="valid"))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
-from gyrotrack.tracking._film import Film, Plane, fresh_frames
+from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
@@ -34,7 +34,6 @@ from gyrotrack.tracking._registration import (
     register,
     rolled,
 )
-from gyrotrack.tracking._shake import Shake, camera_shake
 from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -44,6 +43,7 @@ Progress = Callable[[int, int | None], None]
 _TRIAL = 300  # frames on which a candidate for the hub is evaluated
 _EXCERPT = 300  # frames that `read_excerpt` reads
 _LEARNT = 300  # frames from which the template is learnt
+_HUB_FRAMES = 100  # frames from which the motion of the hub is measured
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4
@@ -495,6 +495,8 @@ def _good(poses: Sequence[Pose]) -> Floats:
 
 def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
     """Return the standard deviation of the displacement of the hub [px]; 0 if it is not significant."""
+    use = np.unique(np.linspace(0, len(polars) - 1, _HUB_FRAMES).astype(int))
+    polars, angle = [polars[i] for i in use], angle[use]
     fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
     moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
     gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)

@@ -10,12 +10,18 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import TimeBase, jitter_is_real
-from gyrotrack.tracking._acquisition import Radii, refine_centre
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
-from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, marked_paths, wandering_centre
+from gyrotrack.tracking._hub import (
+    LEAST_SIGMA,
+    CentrePath,
+    Radii,
+    marked_paths,
+    refine_centre,
+    wandering_centre,
+)
 from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
 from gyrotrack.tracking._profile import Profile

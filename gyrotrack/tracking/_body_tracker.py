@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._association import LONGEST_COAST, Motion, Prediction, find_lock, follow
-from gyrotrack.tracking._illumination import AngleMap, Occlusion
 from gyrotrack.tracking._marker_tracker import MarkerTracker
-from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow, common_columns
+from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, MarkerWindow, Occlusion, common_columns
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples

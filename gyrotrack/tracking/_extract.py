@@ -31,10 +31,9 @@ from gyrotrack.tracking._film_tracker import (
     release_memory,
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
-from gyrotrack.tracking._fusion import BodyAngles
+from gyrotrack.tracking._fusion import BodyAngles, wrapped
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
-from gyrotrack.tracking._residuals import wrapped
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
 from gyrotrack.video._time_base import CaptureRate, FrameTimes, Timing, capture_rate

@@ -1,18 +1,244 @@
-"""The luma of a film's frames, for trackers that go through a film several times."""
+"""The luma of a film's frames, for trackers that go through a film several times, and the motion of the camera.
+
+The motion of the camera is measured by the background at rest. Features of a reference frame are tracked into every
+other frame (B. Lucas, T. Kanade, IJCAI 1981, pyramidal). Those of the background move as one rigid picture in all
+frames, whatever turns in front of it. Their displacement and roll are compensated in the frames by resampling before
+any other measurement.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.tracking._shake import Shake
 from gyrotrack.video._decoder import Reader
 
+Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
+
+_MOST = 400
+_FEWEST = 6
+"""Smallest number of inliers; fewer features may belong to a small body."""
+_ALIKE = 0.7
+"""Largest residual [px] of a feature of the background from the motion of the picture."""
+_STILL = 0.35
+"""Largest displacement [px] of a feature of the background for a camera at rest."""
+_OFTEN = 0.8
+"""Smallest share of frames in which a feature of the background is an inlier."""
+_MOST_ROLL = 0.05
+"""Largest roll of the camera [rad]; a body that turns farther is not the background."""
+_APART = 0.15
+"""Smallest distance of two features that determine the roll, relative to the size of the picture."""
+_TRIES = 300
+_WIDEST_BODY = 0.05
+"""Smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less."""
+_CLEAR = 5.0
+"""Smallest significant motion of the camera in standard uncertainties."""
+_LEAST = 0.15
+"""Rms displacement [px] below which a camera counts as at rest, the size of tracking errors."""
+
+
+@dataclass(frozen=True)
+class Shake:
+    """Displacement of the picture in each frame.
+
+    Attributes
+    ----------
+    shift : ndarray, shape (n, 2)
+        Displacement (x, y) of the picture about `centre` against the reference frame [px].
+    roll : ndarray, shape (n,)
+        Its rotation, clockwise in the picture [rad].
+    centre : tuple of float
+        Centroid of the features (x, y) [px].
+    features : int
+        Number of inliers of the background.
+    shift_sigma, roll_sigma : float
+        Standard uncertainty of both in one frame [px], [rad].
+    """
+
+    shift: Floats
+    roll: Floats
+    centre: tuple[float, float]
+    features: int
+    shift_sigma: float
+    roll_sigma: float
+
+    @property
+    def rms(self) -> float:
+        """Rms displacement of the picture [px]."""
+        return float(np.sqrt(np.mean(np.sum((self.shift - self.shift.mean(axis=0)) ** 2, axis=1))))
+
+    def margin(self, shape: tuple[int, ...]) -> int:
+        """Return the width of the incomplete margin [px] of a stabilised picture of this shape (height, width)."""
+        turned = 0.5 * max(shape) * float(np.abs(self.roll).max())
+        return int(np.ceil(float(np.abs(self.shift).max()) + turned)) + 1
+
+    @property
+    def significant(self) -> bool:
+        """Whether the motion of the camera is significant."""
+        return self.rms > max(_LEAST, _CLEAR * self.shift_sigma)
+
+    def stabilised(self, frame: Plane, index: int) -> Plane:
+        """Return a frame resampled to the position of the camera in the reference frame."""
+        cos, sin = np.cos(self.roll[index]), np.sin(self.roll[index])
+        x, y = self.centre
+        dx, dy = self.shift[index]
+        # from the reference to this frame: p -> R (p - c) + c + d
+        back = np.array([[cos, -sin, x + dx - cos * x + sin * y], [sin, cos, y + dy - sin * x - cos * y]])
+        return np.asarray(
+            cv2.warpAffine(
+                frame,
+                back,
+                frame.shape[::-1],
+                flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_REPLICATE,
+            ),
+            dtype=np.uint8,
+        )
+
+
+def features_of(frame: Plane) -> npt.NDArray[np.float32]:
+    """Return the corners of a frame that can be tracked, shape (n, 2) [px]."""
+    found = cv2.goodFeaturesToTrack(frame, _MOST, 0.01, 8, blockSize=7)
+    return np.zeros((0, 2), dtype=np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+
+
+def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> Floats:
+    """Return the displacements of features (n, 2) [px] from the reference to a frame; NaN where they are lost."""
+    found, status, error = cv2.calcOpticalFlowPyrLK(
+        reference,
+        frame,
+        places[:, None],
+        None,  # type: ignore[call-overload]
+        winSize=(21, 21),
+        maxLevel=3,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003),
+    )
+    moved: Floats = np.asarray(found[:, 0] - places, dtype=np.float64)
+    moved[(status.ravel() == 0) | (error.ravel() > 20.0)] = np.nan
+    return moved
+
+
+def background(
+    places: npt.NDArray[np.float32], moved: Floats, shape: tuple[int, ...]
+) -> npt.NDArray[np.bool_]:
+    """Return which features belong to the background, (features,); none if it is not visible.
+
+    Parameters
+    ----------
+    places : ndarray, shape (features, 2)
+        Their places in the reference frame [px].
+    moved : ndarray, shape (frames, features, 2)
+        Their displacements [px], NaN where a feature is lost.
+    shape : tuple of int
+        Height and width of the picture [px].
+
+    Notes
+    -----
+    Features at rest in the picture are the background. If there are too few, it is the largest set of features that
+    moves as a rigid picture with little roll, determined by two of them in each frame (random sample consensus,
+    M. Fischler and R. Bolles, Comm. ACM 24, 381, 1981).
+    """
+    with np.errstate(invalid="ignore"):
+        # a hand or the body may occlude a feature at times
+        still = (np.hypot(*np.moveaxis(moved, 2, 0)) < _STILL).mean(axis=0) > _OFTEN
+    if _wide(places[still], shape):
+        return np.asarray(still)
+    rng = np.random.default_rng(0)
+    place = places[:, 0].astype(np.complex128) + 1j * places[:, 1]
+    motion = moved[..., 0] + 1j * moved[..., 1]
+    best = np.zeros(len(places), dtype=np.bool_)
+    for _ in range(_TRIES):
+        a, b = rng.choice(len(places), 2, replace=False)
+        if abs(place[b] - place[a]) < _APART * max(shape):
+            continue
+        roll = np.angle(1.0 + (motion[:, b] - motion[:, a]) / (place[b] - place[a]))
+        expected = motion[:, [a]] + (np.exp(1j * roll[:, None]) - 1.0) * (place - place[a])
+        with np.errstate(invalid="ignore"):
+            alike = (np.abs(motion - expected) < _ALIKE) & (np.abs(roll) < _MOST_ROLL)[:, None]
+        together = alike.mean(axis=0) > _OFTEN
+        if together.sum() > best.sum():
+            best = together
+    return best if _wide(places[best], shape) else np.zeros(len(places), dtype=np.bool_)
+
+
+def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
+    """Tell whether features enclose enough of the picture to be its background."""
+    if len(places) < _FEWEST:
+        return False
+    return bool(cv2.contourArea(cv2.convexHull(places)) > _WIDEST_BODY * shape[0] * shape[1])
+
+
+def camera_shake(samples: Sequence[Plane], frames: Iterable[Plane]) -> Shake | None:
+    """Measure the motion of the camera; None if it is at rest, or no background is visible.
+
+    Parameters
+    ----------
+    samples : sequence of ndarray, shape (height, width)
+        Frames from all of the film; the first one is the reference, in whose place a hub is given.
+    frames : iterable of ndarray, shape (height, width)
+        All frames; used only where the samples show that the camera moves.
+    """
+    reference = samples[0]
+    places = features_of(reference)
+    if len(places) < _FEWEST:
+        return None
+    few = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))]
+    moved = np.stack([tracked(reference, places, frame) for frame in few])
+    use = background(places, moved, reference.shape)
+    if not use.any():
+        return None
+    places = places[use]
+    found = _rigid(places, moved[:, use])
+    if found is None or not found.significant:
+        return None
+    return _rigid(places, np.stack([tracked(reference, places, frame) for frame in frames]))
+
+
+def _rigid(places: npt.NDArray[np.float32], moved: Floats) -> Shake | None:
+    """Fit displacement and roll of the picture in each frame by least squares without outliers."""
+    centre = places.mean(axis=0).astype(np.float64)
+    own = places - centre
+    shift, roll = np.full((len(moved), 2), np.nan), np.full(len(moved), np.nan)
+    errors, rolls = [], []
+    for k, one in enumerate(moved):
+        use = np.isfinite(one).all(axis=1)
+        for _ in range(3):
+            if use.sum() < _FEWEST // 2:
+                break
+            x = own[use]
+            middle = x.mean(axis=0)
+            d = one[use].mean(axis=0)
+            across = np.stack([-(x - middle)[:, 1], (x - middle)[:, 0]], axis=1)
+            inertia = float(np.sum(across**2))
+            turn = float(np.sum(across * (one[use] - d))) / max(inertia, 1e-9)
+            shift[k] = d - turn * np.array([-middle[1], middle[0]])
+            roll[k] = turn
+            rest = one - shift[k] - turn * np.stack([-own[:, 1], own[:, 0]], axis=1)
+            size = np.hypot(*np.nan_to_num(rest, nan=1e9).T)
+            spread = float(np.median(size[use])) + 1e-3
+            errors.append(spread / np.sqrt(use.sum()))
+            rolls.append(spread / np.sqrt(max(inertia, 1e-9)))
+            use = size < 3.0 * spread
+    known = np.isfinite(roll)
+    if known.mean() < 0.9:
+        return None
+    at = np.arange(len(roll))
+    roll = np.interp(at, at[known], roll[known])
+    shift = np.stack([np.interp(at, at[known], shift[known, i]) for i in (0, 1)], axis=1)
+    roll_sigma = float(np.median(rolls))
+    if roll.std() < _CLEAR * roll_sigma:  # a tripod on a shaking table does not roll
+        roll, roll_sigma = np.zeros(len(roll)), 0.0
+    return Shake(
+        shift, roll, (float(centre[0]), float(centre[1])), len(places), float(np.median(errors)), roll_sigma
+    )
+
 
 _HELD = 600_000_000
 """Largest size of the decoded pictures that are kept in memory [bytes]."""

@@ -41,7 +41,7 @@ from gyrotrack.tracking._film_tracker import (
     Progress,
     Rows,
 )
-from gyrotrack.tracking._illumination import AngleMap
+from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from gyrotrack.tracking._association import LEAST_SCATTER
 from gyrotrack.tracking._body_tracker import BodyTracker
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._illumination import AngleMap
+from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Samples, Scene
 from gyrotrack.video._container import Frame

@@ -5,6 +5,10 @@ true path. The path of a disc is therefore modelled as a slow curve (local parab
 cross-validation on points at least `HOLE` frames away) plus significant spectral lines of the residuals: a precession
 or a wobble at the frequency of the casing.
 
+An error n of the centre changes the radius of a marker by -n . r, with r the unit vector towards the marker. Video
+encoders keep a slowly moving disc fixed in the picture; its image then does not show the motion of the centre, but the
+radii of all markers over some dozen frames do (`refine_centre`).
+
 Without a disc, the position of a marker is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation
 constrains c(t) along its radius; over half a turn both coordinates are determined. c(t) is piecewise linear with about
 one knot per turn.
@@ -13,15 +17,15 @@ one knot per turn.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import row_blocks
+from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
-from gyrotrack._smoothing import local_fit
+from gyrotrack._smoothing import local_fit, spread
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
@@ -327,3 +331,68 @@ def _rows(
             two = [w * d for w in (1.0 - share, share) for d in (c, s)]
             at = np.array([2 * ends[0], 2 * ends[0] + 1, 2 * ends[1], 2 * ends[1] + 1, *bent])
             yield part, at, np.stack([*two, *shape], axis=1)
+
+
+_REFINED_HALF = 18
+"""Half width [frames] of the window in which the error of the centre is assumed to be constant."""
+EXPECTED_ERROR = 0.1
+"""Standard deviation [px] of the prior of the error of the centre."""
+
+
+@dataclass(frozen=True)
+class Radii:
+    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px].
+
+    `excess` is NaN in frames that are not used.
+    """
+
+    direction: Floats
+    excess: Floats
+
+
+def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
+    """Correct the path of a centre by the radii of the markers about it.
+
+    Notes
+    -----
+    In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED_ERROR`^2, with s the
+    scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.
+    """
+    count = len(path.centre)
+    normal, right = np.zeros((3, count)), np.zeros((2, count))
+    for wanted in markers:
+        known = np.isfinite(wanted.excess) & np.isfinite(wanted.direction)
+        if known.sum() < 20:
+            continue
+        scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
+        for part in row_blocks(count):
+            weight = known[part] / scatter**2
+            angle = np.where(known[part], wanted.direction[part], 0.0)
+            x, y = np.cos(angle), -np.sin(angle)
+            excess = np.clip(np.where(known[part], wanted.excess[part], 0.0), *limits)
+            normal[:, part] += weight * np.stack([x * x, x * y, y * y])
+            right[:, part] -= weight * excess * np.stack([x, y])
+    for row in (*normal, *right):
+        row[:] = _windowed(row)
+    better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
+    for part in row_blocks(count):
+        (a, b, c), (u, v) = normal[:, part], right[:, part]
+        a, c = a + 1.0 / EXPECTED_ERROR**2, c + 1.0 / EXPECTED_ERROR**2
+        determinant = a * c - b * b
+        error = np.stack([(c * u - b * v) / determinant, (a * v - b * u) / determinant], axis=1)
+        sigma, before = np.sqrt(0.5 * (a + c) / determinant), path.sigma[part]
+        better["centre"][part] = path.centre[part] - error
+        better["sigma"][part] = np.where(
+            np.isfinite(before), np.minimum(np.hypot(sigma, 0.4 * LEAST_SIGMA), before), np.nan
+        )
+    return CentrePath(reach=path.reach, **better)
+
+
+def _limits(excess: Floats) -> tuple[float, float]:
+    reach = 4.0 * spread(excess)
+    return -reach, reach
+
+
+def _windowed(row: Floats) -> Floats:
+    bell = 1.0 - (np.arange(-_REFINED_HALF, _REFINED_HALF + 1) / (_REFINED_HALF + 1)) ** 2
+    return np.asarray(np.convolve(np.pad(row, _REFINED_HALF), bell, mode="valid"))

@@ -17,8 +17,14 @@ import numpy.typing as npt
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._corners import near_corners
-from gyrotrack.tracking._illumination import AngleMap, even_light, places_apart, shaded_columns
-from gyrotrack.tracking._marker_window import MarkerStrip, MarkerWindow
+from gyrotrack.tracking._marker_window import (
+    AngleMap,
+    MarkerStrip,
+    MarkerWindow,
+    even_light,
+    places_apart,
+    shaded_columns,
+)
 from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._scene import Marker
 

@@ -32,6 +32,7 @@ TURN = 2 * np.pi
 _PHASES = 8  # copies of the template shifted by fractions of a column
 _ITERATIONS = 6
 _CLOSE = 1e-3  # columns; a step below this ends the iteration
+ALL = slice(None)
 _HELD = 256  # polar pictures in memory
 
 
@@ -219,8 +220,8 @@ class Template:
         ... of the noise that both share.
     allowed : ndarray of bool, shape (rows, columns)
         Samples within the picture.
-    part : ndarray, shape (rows, columns), optional
-        Share of the body's samples that are used, 0 to 1; all without it.
+    rows : slice
+        Rows of the ring that are used.
     hub_sigma : float
         Standard deviation of the hub's displacement from frame to frame [px]; 0 for a fixed hub.
     """
@@ -232,7 +233,7 @@ class Template:
     fixed_variance: Picture
     noise: float
     allowed: Bools
-    part: Picture | None = None
+    rows: slice = field(default_factory=lambda: ALL)
     hub_sigma: float = 0.0
     _phases: list[tuple[Picture, Picture]] = field(default_factory=list, repr=False)
     _shifts: list[Picture] = field(default_factory=list, repr=False)
@@ -258,21 +259,21 @@ class Template:
 
     def whole(self) -> Template:
         """Return the same template for the whole ring."""
-        return replace(self, part=None)
+        return replace(self, rows=ALL)
 
     def information(self) -> Floats:
         """Return the information of each row about the angle, of arbitrary unit, shape (rows,)."""
-        known = self.ring.area * _slope(self.body) ** 2 / self.body_variance
-        used = known if self.part is None else known * self.part
-        return np.asarray(np.sum(used, axis=1), dtype=np.float64)
+        each = self.ring.area * _slope(self.body) ** 2 / self.body_variance
+        known: Floats = each.sum(axis=1, dtype=np.float64)
+        used: Floats = np.zeros(len(known))
+        used[self.rows] = known[self.rows]
+        return used
 
     def halves(self) -> tuple[Template, Template]:
         """Return the same template with the inner and with the outer half of the ring alone, of equal information."""
         known = np.cumsum(self.information())
         row = int(np.clip(np.searchsorted(known, 0.5 * known[-1]), 1, len(known) - 1))
-        inner = np.zeros_like(self.body)
-        inner[:row] = 1.0
-        return replace(self, part=inner), replace(self, part=1.0 - inner)
+        return replace(self, rows=slice(0, row)), replace(self, rows=slice(row, None))
 
 
 @dataclass(frozen=True)
@@ -318,27 +319,27 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
         Whether the displacement of the hub is fitted as well.
     """
     ring = template.ring
-    held = polar - template.fixed
+    rows = template.rows
+    held = (polar - template.fixed)[rows]
     turned = start / ring.step
-    area = ring.area.astype(np.float32)
+    area = ring.area[rows].astype(np.float32)
     shift, gain, normal, misfit = np.zeros(2), 0.0, np.eye(1), 1.0
-    usable = template.allowed.astype(np.float32)
+    usable = template.allowed[rows].astype(np.float32)
+    body_variance, fixed_variance = template.body_variance[rows], template.fixed_variance[rows]
     for _ in range(_ITERATIONS):
         whole = int(np.rint(turned))
         k = int(np.clip(np.rint((turned - whole) * _PHASES), -_PHASES // 2, _PHASES // 2 - 1))
-        body, slope = template.phases()[k + _PHASES // 2]
+        body, slope = (picture[rows] for picture in template.phases()[k + _PHASES // 2])
         here = whole + k / _PHASES
         seen = np.roll(held, -whole, axis=1)
-        variance = template.body_variance + np.roll(template.fixed_variance, -whole, axis=1) - template.noise
+        variance = body_variance + np.roll(fixed_variance, -whole, axis=1) - template.noise
         weight = area * np.roll(usable, -whole, axis=1) / np.maximum(variance, template.noise)
-        if template.part is not None:
-            weight = weight * template.part
         if not float(weight.sum()) > 0:  # all of the ring is outside the picture
             return Pose(start, float("inf"), (0.0, 0.0), float("inf"), 0.0, float("inf"))
         level = float(np.sum(weight * body) / np.sum(weight))
         columns = [-slope, np.ones_like(body), body - level]
         if move or template.hub_sigma:
-            columns += template.shifts()
+            columns += [moved_by[rows] for moved_by in template.shifts()]
         residual = seen - body
         clipped = 1.0 / np.maximum(1.0, residual**2 / np.maximum(9.0 * variance, 1e-6)) ** 0.5
         robust = weight * clipped

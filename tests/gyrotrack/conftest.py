@@ -24,16 +24,24 @@ def foreign():
 
 
 @pytest.fixture(scope="session")
-def draw(foreign, tmp_path_factory):
-    """Draw a film once a session: draw(casing=..., frames=...) -> (path, film); name edited ones by `key`."""
-    folder = tmp_path_factory.mktemp("films")
+def draw(foreign, made_once, tmp_path_factory):
+    """Draw a film once a session: draw(casing=..., frames=...) -> (path, film); name edited ones by `key`.
+
+    A film with a `key` is drawn once for all processes.
+    """
+    own = tmp_path_factory.mktemp("films")
     done = {}
 
     def make(suffix=".mp4", key=None, edit=None, **settings):
         film = dataclasses.replace(foreign.Film(), **settings)
         name = key or hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:16]
+        file = f"{name}{suffix}"
+        if key is not None:
+            return made_once(
+                f"film-{key}", lambda folder: foreign.render(film, folder / file, edit)
+            ) / file, film
         if name not in done:
-            done[name] = (foreign.render(film, folder / f"{name}{suffix}", edit), film)
+            done[name] = (foreign.render(film, own / file, edit), film)
         return done[name]
 
     return make

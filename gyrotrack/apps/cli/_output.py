@@ -280,7 +280,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
             f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{'speed [rad/s]':>15}{'sigma':>7}",
         ]
         for f in d.failures:
-            time = f"{f.t_start:.1f} - {f.t_stop:.1f}"
+            time = " - ".join(f.times)
             lines.append(
                 f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
                 f"{f.residual_torque_Nm:>16.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
@@ -308,6 +308,8 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
 
 def _curves(d: Diagnosis) -> list[str]:
     """Return the unmodelled torque of each case as a sparkline, with marks below the intervals with lack of fit."""
+    from fitting._numbers import interval
+
     lines = []
     body = d.fit.problem.data[0].record.body
     for t in d.torques:
@@ -315,11 +317,12 @@ def _curves(d: Diagnosis) -> list[str]:
         if t.body != "casing" or not intervals:
             continue
         start, stop = float(t.time[0]), float(t.time[-1])
+        first, last = (f"{x:.0f}" for x in (start, stop)) if stop - start > 10 else interval(start, stop)
         torque = f"{t.torque.min():.2g} to {t.torque.max():.2g} {d.fit.torque_unit}"
         label = f", {t.label[:12]}" if len({x.label for x in d.torques}) > 1 else ""
         lines += [
             "",
-            f"unmodelled torque on the {body}{label}, {torque}, from {start:.0f} s to {stop:.0f} s:",
+            f"unmodelled torque on the {body}{label}, {torque}, from {first} s to {last} s:",
             f"  {sparkline(t.torque)}",
             f"  {marks(intervals, start, stop)}".rstrip() + "  lack of fit",
         ]

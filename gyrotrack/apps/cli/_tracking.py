@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
@@ -488,7 +489,13 @@ def spindown_command(
         typer.Option("--body", help="Body to analyse, if the film or recording contains two."),
     ] = None,
     capture_fps: Annotated[
-        float | None, typer.Option("--capture-fps", metavar="N", help="Frames per second of the camera.")
+        float | None,
+        typer.Option(
+            "--capture-fps",
+            "--casing-fps",
+            metavar="N",
+            help="Frames per second of the camera, also of a table without times.",
+        ),
     ] = None,
     inertia: Annotated[
         str | None,
@@ -517,6 +524,20 @@ def spindown_command(
             "--centre", metavar="C", help="Centre of rotation in files of points: a point, X,Y or orbit."
         ),
     ] = None,
+    likelihood: Annotated[
+        float,
+        typer.Option("--likelihood", metavar="P", help="Minimum likelihood of the points that are used."),
+    ] = 0.6,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
+    ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
+    ] = None,
     keep_all: Annotated[
         bool,
         typer.Option(
@@ -540,6 +561,7 @@ def spindown_command(
     """
     from gyrotrack.apps._spindown import SpindownOptions, spindown
     from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else Path(source.with_suffix(".h5").name)
@@ -558,13 +580,14 @@ def spindown_command(
         capture_fps,
         inertia,
         pulses_per_turn,
-        keep_all,
+        Limits(start, stop, read_cuts(cut or ()), keep_all),
         label,
         profile,
         body.value if body else None,
         tuple(columns or ()),
         marker,
         centre,
+        likelihood,
     )
     with out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
@@ -592,12 +615,31 @@ def _position(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
+def _oscillator_lines(laws: Any) -> list[str]:
+    """Return the restoring torque and the damping of an oscillator, with the sets of laws that are not separated."""
+
+    def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
+        values = [
+            f"{key} = {p.value:.4g} +- {p.stderr:.2g} {p.unit}"
+            for key, p in laws.parameters.items()
+            if key.rpartition(".")[0] in chosen
+        ]
+        others = [" + ".join(names) or "none" for names in classes if names != chosen]
+        return ", ".join(values or ["none"]) + (f" (or {' or '.join(others)})" if others else "")
+
+    return [
+        f"restoring  {of(laws.restoring, laws.restoring_classes)}",
+        f"damping    {of(laws.damping, laws.damping_classes)}",
+    ]
+
+
 def _lines(document: dict[str, Any]) -> list[str]:
     motion = document["motion"]
-    lines = [f"{motion.kind}, {motion.turns:.3f} turns"]
+    lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
         lines.append(f"period     {motion.period.value:.6g} +- {motion.period.stderr:.2g} s")
-        lines.append(f"amplitude  {motion.amplitude.value:.6g} +- {motion.amplitude.stderr:.2g} rad")
+        if motion.amplitude is not None:
+            lines.append(f"amplitude  {motion.amplitude.value:.6g} +- {motion.amplitude.stderr:.2g} rad")
         lines.append(f"decay      {motion.decay.value:.4g} +- {motion.decay.stderr:.2g} 1/s")
         if motion.quality_factor is not None:
             lines.append(
@@ -607,7 +649,9 @@ def _lines(document: dict[str, Any]) -> list[str]:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
         lines.append(f"mean       {motion.omega_mean.value:.6g} +- {motion.omega_mean.stderr:.2g} rad/s")
         lines.append(f"alpha      {motion.alpha.value:.4g} +- {motion.alpha.stderr:.2g} rad/s2")
+    if document["oscillator"] is not None:
+        lines += _oscillator_lines(document["oscillator"])
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
     written = [str(document[key]) for key in ("case", "report", "picture") if document[key] is not None]
-    return ["\n".join([*lines, f"written: {', '.join(written)}"])]
+    return ["\n".join([*lines, *([f"written: {', '.join(written)}"] if written else [])])]

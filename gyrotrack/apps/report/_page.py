@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
+from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
 from gyrotrack.io._atomic import new_file, refusal, refuse_existing
@@ -247,7 +248,8 @@ def _interval(f: Failure, *, named: bool) -> str:
     sign = "" if f.kind == "ripple" else "+" if f.residual_torque_Nm > 0 else "−"
     size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}{unit_text(f.unit)}"
     of = f" of {f.label}" if named else ""
-    return f"{size} on the {f.called}{of} from {f.t_start:.1f} s to {f.t_stop:.1f} s ({f.size_sigma:.0f} σ)"
+    first, last = f.times
+    return f"{size} on the {f.called}{of} from {first} s to {last} s (up to {f.size_sigma:.0f} σ)"
 
 
 def _failures(view: StudyView) -> list[str]:
@@ -261,7 +263,8 @@ def _whiteness(view: StudyView) -> str:
     text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in view.whiteness)
     if any(p < _SMALL_P for _, p in view.whiteness) and view.final.verdict == "adequate":
         text += ". A small p indicates correlated residuals; process noise causes them and is included in the verdict"
-    return text
+    noise = [typeset(line[:1].upper() + line[1:]) for line in angle_noise_lines(view.final)]
+    return ". ".join([text, *noise])
 
 
 def _equal(number: str) -> str:

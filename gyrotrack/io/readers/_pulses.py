@@ -3,9 +3,16 @@
 The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks. Its uncertainty is
 omega times that of the time, which follows from the scatter of the times about local cubics in k and from the
 resolution of the clock, q / sqrt(12).
+
+A pendulum also passes a light gate again and again, but its passages are not pulses of a rotation. They are recognised
+by what no rotation does: two gates are passed in the order A, B, B, A; or passages take longer and longer relative to
+the time between them, because their duration is inversely proportional to the amplitude.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,6 +35,14 @@ from gyrotrack.io.readers._units import TURN
 _MAX_MISSED = 20
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
+_ALTERNATING = 0.9
+"""Smallest share of passages in the opposite order of the gates to the previous one, for a pendulum."""
+_DURATION_CHANGE = 0.1
+"""Smallest rise of ln (duration / time between passages) from the first to the last quarter, for a pendulum."""
+_SIGNIFICANT_CHANGE = 5.0
+"""The same in standard errors."""
+_FLICKER = 0.1
+"""Largest duration of a flicker of a light gate [median duration]."""
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -58,6 +73,11 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
             notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
         time = time * scale + options.start
     line = raw.line
+    if passages_of(raw, options) is not None:
+        raise UsageError(
+            f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
+            "Run `gyrotrack spindown` without --pulses-per-turn: it measures period and decay.",
+        )
     gate = _gate(raw, place, options)
     state = raw.numbers(gate, raw.names[gate]) if gate is not None else np.ones(len(time))
     known = np.isfinite(time) & np.isfinite(state)
@@ -78,6 +98,17 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
     """Return the column with the state of a light gate, if there is one; the option `marker` selects one of several."""
+    found = _gates(raw, place)
+    named = [
+        i
+        for i in found
+        if options.marker is not None and options.marker.casefold() in raw.names[i].casefold()
+    ]
+    return next(iter(named or found), None)
+
+
+def _gates(raw: RawTable, place: int) -> list[int]:
+    """Return the columns of states, which are 0 or 1 except for rare errors; `place` is the column of the time."""
     found = []
     for i, column in enumerate(raw.columns):
         words = {str(c).strip() for c in column if str(c).strip()} if i != place else set()
@@ -86,12 +117,95 @@ def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
             str(c).strip() in whole for c in column
         ) < 0.02 * len(raw.line):
             found.append(i)
-    named = [
-        i
-        for i in found
-        if options.marker is not None and options.marker.casefold() in raw.names[i].casefold()
-    ]
-    return next(iter(named or found), None)
+    return found
+
+
+@dataclass(frozen=True)
+class Passages:
+    """Passages of a pendulum through one or two light gates near its equilibrium.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Middle of each passage [s].
+    duration : ndarray, shape (n,)
+        Time for which the gates are interrupted [s], inversely proportional to the speed.
+    notes : tuple of str
+        Repairs made while reading.
+    """
+
+    path: Path
+    time: Floats
+    duration: Floats
+    notes: tuple[str, ...]
+
+
+def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
+    """Return the passages of a pendulum through light gates; None for another table, or a rotation."""
+    if not raw.headed:
+        return None
+    columns, units, _ = find_columns(raw, options)
+    if "t" not in columns or {"angle", "omega"} & set(columns):
+        return None
+    gates = _gates(raw, columns["t"])[:2]
+    if not gates:
+        return None
+    notes: list[str] = []
+    time = times_of(raw, columns, units, options)
+    blocked = [_blocked(time, raw.numbers(g, raw.names[g]), raw, notes) for g in gates]
+    if min(len(b) for b in blocked) < MIN_SAMPLES:
+        return None
+    if len(blocked) == 1:
+        begin, end = blocked[0].T
+        found = Passages(raw.path, 0.5 * (begin + end), end - begin, (*raw.notes, *notes))
+        return found if _slows_down(*blocked) else None
+    both = np.concatenate([np.column_stack([b, np.full(len(b), k)]) for k, b in enumerate(blocked)])
+    both = both[np.argsort(both[:, 0] + both[:, 1])]
+    # intervals of the two gates that follow each other more closely than the next passage
+    step, order = np.diff(0.5 * (both[:, 0] + both[:, 1])), np.diff(both[:, 2])
+    first = np.flatnonzero((order != 0) & (step < 0.5 * np.append(step[1:], np.inf)))
+    if len(first) < MIN_SAMPLES:
+        return None
+    alternates = (order[first][1:] * order[first][:-1] < 0).mean() > _ALTERNATING
+    if not alternates and not all(_slows_down(b) for b in blocked):
+        return None
+    begin, end = (both[first, k] + both[first + 1, k] for k in (0, 1))
+    return Passages(raw.path, 0.25 * (begin + end), end - begin, (*raw.notes, *notes))
+
+
+def _slows_down(blocked: Floats) -> bool:
+    """Return whether the passages of a gate take longer and longer relative to the time between them."""
+    middle, duration = 0.5 * blocked.sum(axis=1), np.diff(blocked, axis=1)[:, 0]
+    share = np.log(duration[1:-1] / (middle[2:] - middle[:-2]))
+    part = len(share) // 4
+    if part < 2:
+        return False
+    early, late = share[:part], share[-part:]
+    error = 1.5 * np.median(np.abs(share - np.median(share))) / np.sqrt(part)
+    return bool(np.median(late) - np.median(early) > max(_DURATION_CHANGE, _SIGNIFICANT_CHANGE * error))
+
+
+def _blocked(time: Floats, state: Floats, raw: RawTable, notes: list[str]) -> Floats:
+    """Return the intervals in which a gate is interrupted, (intervals, 2); flicker at their ends is removed."""
+    known = np.isfinite(time) & np.isfinite(state)
+    time = continued_clock(raw.path, time[known], raw.line[known], notes)
+    order = np.argsort(time, kind="stable")
+    time, inside = time[order], state[known][order] > 0.5
+    change = np.flatnonzero(np.diff(inside.astype(int))) + 1
+    if len(change) and not inside[change[0]]:
+        change = change[1:]
+    change = change[: len(change) // 2 * 2]
+    found = time[change].reshape(-1, 2)
+    if len(found) < MIN_SAMPLES:
+        return found
+    usual = float(np.median(found[:, 1] - found[:, 0]))
+    apart = np.append(True, found[1:, 0] - found[:-1, 1] > _FLICKER * usual)
+    group = np.flatnonzero(apart)
+    merged = np.column_stack([found[group, 0], np.append(found[group[1:] - 1, 1], found[-1, 1])])
+    kept = merged[:, 1] - merged[:, 0] > _FLICKER * usual
+    if lost := len(found) - int(kept.sum()):
+        notes.append(f"{raw.path.name}: {lost} flickers of a light gate were removed")
+    return np.asarray(merged[kept])
 
 
 def from_events(

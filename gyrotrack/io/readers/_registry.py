@@ -25,7 +25,7 @@ from gyrotrack.io.readers._motion_table import (
 )
 from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
-from gyrotrack.io.readers._pulses import counters_of, read_counter, read_pulses
+from gyrotrack.io.readers._pulses import Passages, counters_of, passages_of, read_counter, read_pulses
 from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
 from gyrotrack.io.readers._tables import (
     read_excel_97,
@@ -100,11 +100,21 @@ def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
     UsageError
         An option is missing: marker, frame rate, or pulses per turn.
     """
-    path, options = Path(path), options or ReadOptions()
+    options = options or ReadOptions()
+    found = _content(Path(path), options)
+    return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
+
+
+def read_passages(path: Path, options: ReadOptions) -> Passages | None:
+    """Read the passages of a pendulum through light gates; None if a file contains something else."""
+    found = _content(Path(path), options)
+    return None if isinstance(found, Points) else passages_of(found, options)
+
+
+def _content(path: Path, options: ReadOptions) -> Content:
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
-    found = next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
-    return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
+    return next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
 
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:

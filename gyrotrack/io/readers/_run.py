@@ -70,6 +70,18 @@ def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
     return tuple(cuts)
 
 
+def within(time: Floats, limits: Limits) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which times are within the limits and outside of the excluded intervals."""
+    keep = np.ones(len(time), dtype=bool)
+    if limits.start is not None:
+        keep &= time >= limits.start
+    if limits.stop is not None:
+        keep &= time <= limits.stop
+    for first, last in limits.cuts:
+        keep &= (time < first) | (time > last)
+    return keep
+
+
 def limited(table: MotionTable, limits: Limits) -> MotionTable:
     """Return the samples within the limits and outside of the excluded intervals.
 
@@ -78,13 +90,7 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
     UsageError
         Too few samples remain.
     """
-    keep = np.ones(len(table.time), dtype=bool)
-    if limits.start is not None:
-        keep &= table.time >= limits.start
-    if limits.stop is not None:
-        keep &= table.time <= limits.stop
-    for first, last in limits.cuts:
-        keep &= (table.time < first) | (table.time > last)
+    keep = within(table.time, limits)
     if keep.all():
         return table
     if keep.sum() < MIN_SAMPLES:

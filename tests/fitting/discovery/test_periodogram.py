@@ -44,6 +44,7 @@ def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
     assert line.angle == pytest.approx(TORQUE / (twobody.I_CASING * RATE**2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_amplitude_of_a_driven_oscillator_is_that_of_the_formula():
     """Off resonance the amplitude is k / |kappa - I rate^2|; an amplitude larger than the motion does not count."""
     own, rate, drive = 25.0, 2.0, 0.2

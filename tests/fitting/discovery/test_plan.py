@@ -112,6 +112,7 @@ def test_the_noncentrality_of_90_percent_power():
 
 
 class TestLimits:
+    @pytest.mark.slow
     def test_the_standard_error_is_that_of_a_fit_with_the_effect(self):
         found = fit(base().model.with_effect(DRAG), base().problem.data, noise=base().noise)
         stderr = found.estimates["casing.air.quadratic.k"].stderr

@@ -59,7 +59,9 @@ def test_level_and_correlation_time_are_estimated(sigma, correlation):
     assert 0.02 * found.sigma < found.sigma_u < 0.3 * found.sigma
 
 
-@pytest.mark.parametrize("torque_noise", [0.0, pytest.param(1e-7, marks=pytest.mark.slow), 1e-6])
+@pytest.mark.parametrize(
+    "torque_noise", [0.0, *(pytest.param(x, marks=pytest.mark.slow) for x in (1e-7, 1e-6))]
+)
 def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
@@ -110,6 +112,7 @@ def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     )
 
 
+@pytest.mark.slow
 def test_whitening_is_invertible():
     data = case(3e-3, 0.1)
     rows = np.random.default_rng(0).standard_normal((len(data.z), 2))
@@ -144,7 +147,7 @@ def test_deceleration_of_a_real_wheel_is_fitted():
     )
     found = fit(Model.of(["touchpoint.constant"]), [record])
     friction = found.estimates["touchpoint.constant.b1"]
-    assert 0.006 < friction.stderr < 0.03
+    assert 0.012 < friction.stderr < 0.03
     assert friction.value == pytest.approx(0.402, abs=2 * np.hypot(0.018, friction.stderr))
     assert found.verdict == "adequate"
     noise = found.problem.data[0].angle_noise

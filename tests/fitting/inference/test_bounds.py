@@ -39,6 +39,7 @@ def test_a_parameter_held_far_off_is_a_misfit():
     assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "misfit"
 
 
+@pytest.mark.slow
 def test_a_superfluous_power_law_has_strength_zero():
     measured = case({"f": 0.0, "d": 2.5e-7}, 41, "case1")
     full, linear = fit(Model.of(REDUCED), [measured]), fit(Model.of(LINEAR), [measured])

@@ -10,7 +10,14 @@ from fitting.dynamics._model import Model
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.effects._library import LINEAR, REDUCED
 from fitting.inference._fit import fit
-from fitting.inference._noise import WHITE, TorqueNoise, TorqueResponse, Whitener, remaining_level
+from fitting.inference._noise import (
+    WHITE,
+    TorqueNoise,
+    TorqueResponse,
+    Whitener,
+    remaining_level,
+    unresolved_level,
+)
 
 TIME = 1.0
 
@@ -39,7 +46,7 @@ def test_another_correlation_time_changes_the_level_little(time):
     assert 1e-7 < noise.pure < 5e-7
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3, 4))])
 def test_without_process_noise_its_level_is_that_of_the_resolution(seed):
     (noise,) = fitted(seed=seed).noise
     assert 0 < noise.pure < 1e-9
@@ -188,3 +195,25 @@ def test_the_remaining_level_is_that_of_simulated_rows():
             assert gain > 10
         else:
             assert max(found) < 3e-8
+
+
+def test_the_unresolved_level_is_a_posterior_mean():
+    """Levels drawn from the prior, rows from each: the mean of the squares is that of the truth (total expectation)."""
+    random = np.random.default_rng(4)
+    expected, rows, draws = 0.2, 12, 600
+    values = np.geomspace(3e3, 1e-3, rows)
+    vectors = np.linalg.qr(random.standard_normal((rows, rows)))[0]
+    whitener = Whitener(vectors, values)
+    free = np.vander(np.linspace(-1, 1, rows), 3)
+    true = expected * np.abs(random.standard_normal(draws)) * (random.random(draws) < 0.5)
+    found = []
+    for s in true:
+        torque = vectors @ (s * np.sqrt(values) * random.standard_normal(rows))
+        residual = torque + random.standard_normal(rows) + free @ [3.0, -2.0, 1.0]
+        found.append(unresolved_level(whitener, residual, free, expected))
+    square = np.array(found) ** 2
+    error = np.std(square - true**2) / np.sqrt(draws)
+    assert square.mean() == pytest.approx(np.mean(true**2), abs=4 * error)
+    # far below what would be expected without any data: they exclude most levels where there is no torque
+    assert np.sqrt(square[true == 0].mean()) < 0.6 * expected / np.sqrt(2)
+    assert error < 0.1 * expected**2

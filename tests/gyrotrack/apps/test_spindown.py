@@ -55,7 +55,9 @@ def test_oscillation():
     assert quality.stderr / quality.value == pytest.approx(found.decay.stderr / found.decay.value, rel=0.01)
 
 
-@pytest.mark.parametrize(("rate", "amplitude", "drag"), [(12.0, 1.3, 0.02), (40.0, 2.2, 0.05)])
+@pytest.mark.parametrize(
+    ("rate", "amplitude", "drag"), [(12.0, 1.3, 0.02), pytest.param(40.0, 2.2, 0.05, marks=pytest.mark.slow)]
+)
 def test_a_pendulum_whose_period_changes_with_its_amplitude(rate, amplitude, drag):
     """The phase of a sinusoid of one frequency slips by turns; period and decay at the middle are exact ones."""
     exact = solve_ivp(
@@ -210,6 +212,7 @@ def test_uncertainties_contain_correlated_errors():
     assert 0.4 < np.std(mean) < 1.4
 
 
+@pytest.mark.slow
 def test_less_than_one_turn_with_a_tilted_camera():
     """The harmonics of the view cannot be told from the motion: they are in the uncertainty."""
     t = np.arange(100) / 50

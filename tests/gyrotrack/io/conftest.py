@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from gyrotrack.io._hdf5 import write_case
 from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
 
 
@@ -60,8 +61,7 @@ def recording():
     return make_recording()
 
 
-@pytest.fixture
-def case(recording):
+def make_case(recording):
     time = np.arange(400) / 260
     angle = 20 * time
     sigma = np.full(400, 1e-3)
@@ -91,3 +91,15 @@ def case(recording):
         warnings=("careful",),
         extra={"sense": -1},
     )
+
+
+@pytest.fixture
+def case(recording):
+    return make_case(recording)
+
+
+@pytest.fixture(scope="session")
+def case_file(tmp_path_factory):
+    """The case as a file, written once."""
+    path = tmp_path_factory.mktemp("case") / "case.h5"
+    return write_case(path, make_case(make_recording()), command="", settings={})

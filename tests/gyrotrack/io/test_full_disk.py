@@ -41,8 +41,15 @@ def fill(folder, leave):
     (folder / "filler").write_bytes(b"x" * max(0, free - leave))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9])
-@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize(
+    ("share", "old"),
+    [
+        *((s, True) for s in (0.0, 0.1, 0.5, 0.9)),
+        (0.3, False),
+        *(pytest.param(s, True, marks=pytest.mark.slow) for s in (0.02, 0.3, 0.7)),
+        *(pytest.param(s, False, marks=pytest.mark.slow) for s in (0.0, 0.02, 0.1, 0.5, 0.7, 0.9)),
+    ],
+)
 def test_a_full_disk_is_a_sentence_and_the_old_file_stays(mounted, recording, tmp_path, share, old):
     whole = write_recording(tmp_path / "whole.h5", recording, command="", settings={}).read_bytes()
     folder = mounted(8 * len(whole) // 1024)

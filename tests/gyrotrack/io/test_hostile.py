@@ -1,5 +1,6 @@
 """Files made to mislead: refused before anything of them is read, whatever reads them."""
 
+import shutil
 import time
 
 import h5py
@@ -10,18 +11,26 @@ from fitting._errors import RecordError
 from fitting.inference._case_file import read_record
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._contents import export_file, inspect_file
-from gyrotrack.io._hdf5 import read_case, write_case
+from gyrotrack.io._hdf5 import read_case
 
 SECRET = b"the secret of the neighbour's file " * 400
 
 
-@pytest.fixture
-def path(tmp_path, case):
-    (tmp_path / "secret.txt").write_bytes(SECRET)
-    with h5py.File(tmp_path / "other.h5", "w") as other:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, case_file):
+    folder = tmp_path_factory.mktemp("hostile")
+    (folder / "secret.txt").write_bytes(SECRET)
+    with h5py.File(folder / "other.h5", "w") as other:
         other["x"] = np.full(400, 42.0)
         other["group/x"] = np.full(400, 42.0)
-    return write_case(tmp_path / "case.h5", case, command="", settings={})
+    shutil.copy(case_file, folder)
+    return folder
+
+
+@pytest.fixture
+def path(folder, tmp_path):
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "case.h5"
 
 
 def virtual(file, name):

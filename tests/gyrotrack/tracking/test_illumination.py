@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._illumination import AngleMap, even_light, open_columns, places_apart
+from gyrotrack.tracking._marker_window import AngleMap, even_light, open_columns, places_apart
 
 COLUMNS, REACH = 360, 14
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._acquisition import Radii, refine_centre
-from gyrotrack.tracking._hub import CentrePath
+from gyrotrack.tracking._hub import CentrePath, Radii, refine_centre
 
 
 def _scene(seed=0, noise=0.15):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._film import Film
-from gyrotrack.tracking._shake import camera_shake
+from gyrotrack.tracking._film import Film, camera_shake
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 SIZE = 240, 320

@@ -1,0 +1,176 @@
+"""The laws of an oscillator from its averaged equations of motion: restoring torque and damping.
+
+Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time: with the correlation r of
+neighbouring ones in the most general model, n residuals contain the information of n (1 - r) / (1 + r) (M. S. Bartlett,
+J. R. Stat. Soc. 98, 1935), and their chi-square counts by the same factor. What no set of laws describes, as a motion
+that is not plane, increases the errors in this way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect
+from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged
+from fitting.inference._case_data import CaseData
+from fitting.inference._initial_values import averaged_fit
+from fitting.inference._parameters import ParameterLayout
+
+Array = NDArray[np.float64]
+Names = tuple[str, ...]
+
+_SPRING, _CUBIC, _GRAVITY = "casing.spring.linear", "casing.spring.cubic", "casing.gravity"
+_RESTORING: tuple[Names, ...] = ((_SPRING,), (_GRAVITY,), (_SPRING, _CUBIC))
+_DAMPING = ("touchpoint.constant", "casing.air.linear", "casing.air.quadratic")
+_GENERAL = (_SPRING, _CUBIC, *_DAMPING)
+_MOST_CORRELATED = 0.98
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Strength of a law: value, standard uncertainty, unit."""
+
+    value: float
+    stderr: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class OscillatorLaws:
+    """The laws of an oscillator.
+
+    Attributes
+    ----------
+    restoring, damping : tuple of str
+        Names of the effects of the smallest set that the data do not separate from that of the lowest BIC.
+    restoring_classes, damping_classes : tuple of tuple of str
+        All sets of restoring torques, and of damping torques, that the data do not separate, by BIC.
+    parameters : dict of str to Strength
+        Strengths of the best set.
+    phase_error, amplitude_error : float
+        Rms residuals [rad].
+    """
+
+    restoring: Names
+    damping: Names
+    restoring_classes: tuple[Names, ...]
+    damping_classes: tuple[Names, ...]
+    parameters: dict[str, Strength]
+    phase_error: float
+    amplitude_error: float
+
+
+def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
+    """Return the laws of an oscillator.
+
+    Parameters
+    ----------
+    data : CaseData
+        The recording of a single body.
+    criteria : Criteria
+        `equivalence_width` is the difference of BIC of sets of laws that the data separate.
+
+    Returns
+    -------
+    OscillatorLaws or None
+        None if the body does not oscillate through enough periods, or if no set of laws describes its phase.
+    """
+    general = averaged_fit(Model.of(_GENERAL), [data])
+    if general is None:
+        return None
+    shares = _information(general)
+    found: list[tuple[float, Names, Names, Averaged]] = []
+    for restoring in _RESTORING:
+        for damping in chain.from_iterable(combinations(_DAMPING, n) for n in range(len(_DAMPING) + 1)):
+            fitted = averaged_fit(Model.of((*restoring, *damping)), [data], general.scales)
+            if fitted is not None and fitted.phase_error < LARGEST_PHASE_ERROR:
+                found.append((_bic(fitted, shares), restoring, damping, fitted))
+    if not found:
+        return None
+    found.sort(key=lambda f: f[0])
+    close = [f for f in found if f[0] - found[0][0] < criteria.equivalence_width]
+    _, restoring, damping, best = min(close, key=lambda f: len(f[1]) + len(f[2]))
+    count = len(general.scales[0]) // 2
+    relative = general.scales[0][count:].min() / general.scales[0][count:]
+    rest = best.rows[0][2] * general.scales[0]
+    return OscillatorLaws(
+        restoring,
+        damping,
+        tuple(dict.fromkeys(f[1] for f in close)),
+        tuple(dict.fromkeys(f[2] for f in close)),
+        _strengths(best, shares, data),
+        float(np.sqrt(np.mean((relative * rest[count:]) ** 2))),
+        float(np.sqrt(np.mean(rest[:count] ** 2))),
+    )
+
+
+def possible_restoring(
+    model: Model, effects: Sequence[Effect], data: Sequence[CaseData], criteria: Criteria
+) -> set[str] | None:
+    """Return the names of the restoring torques with which a model may describe an oscillation; None without an answer.
+
+    Parameters
+    ----------
+    model : Model
+        One without a restoring torque.
+    effects : sequence of Effect
+        Restoring torques.
+    data : sequence of CaseData
+        The cases.
+    criteria : Criteria
+        `equivalence_width`.
+    """
+    if len(data) > 1:
+        return None
+    general = averaged_fit(Model.of(_GENERAL), data)
+    if general is None:
+        return None
+    shares, found = _information(general), {}
+    for effect in effects:
+        fitted = averaged_fit(model.with_effect(effect), data, general.scales)
+        if fitted is not None and fitted.phase_error < LARGEST_PHASE_ERROR:
+            found[effect.name] = _bic(fitted, shares)
+    least = min(found.values(), default=math.inf) + criteria.equivalence_width
+    return {name for name, bic in found.items() if bic < least} or None
+
+
+def _information(general: Averaged) -> Array:
+    """Return the share of independent residuals of amplitude and phase."""
+    shares = []
+    for rest in np.split(general.rows[0][2], 2):
+        r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
+        r = min(max(r, 0.0), _MOST_CORRELATED)
+        shares.append((1 - r) / (1 + r))
+    return np.array(shares)
+
+
+def _bic(fitted: Averaged, shares: Array) -> float:
+    keys, _, rest = fitted.rows[0]
+    squares = (rest.reshape(2, -1) ** 2).sum(axis=1)
+    return float(shares @ squares) + len(keys) * math.log(max(float(shares.sum()) * len(rest) / 2, 2.0))
+
+
+def _strengths(best: Averaged, shares: Array, data: CaseData) -> dict[str, Strength]:
+    """Return the strengths of a set of laws with their standard uncertainties."""
+    keys, design, rest = best.rows[0]
+    blocks = np.split(design, 2)
+    precision = sum(
+        (share * block.T @ block for share, block in zip(shares, blocks, strict=True)), np.zeros(())
+    )
+    covariance = np.linalg.pinv(np.atleast_2d(precision))
+    chi2 = float(shares @ (rest.reshape(2, -1) ** 2).sum(axis=1))
+    free = max(float(shares.sum()) * len(rest) / 2 - len(keys) - 2, 1.0)
+    errors = np.sqrt(np.diag(covariance) * max(1.0, chi2 / free))
+    layout = ParameterLayout.of(Model.of([k.rpartition(".")[0] for k in keys]), [data.record])
+    by_key = dict(zip(layout.names, best.theta, strict=True))
+    return {
+        k: Strength(float(by_key[k]), float(u), layout.unit(k)) for k, u in zip(keys, errors, strict=True)
+    }
