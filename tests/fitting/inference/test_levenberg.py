@@ -116,7 +116,7 @@ def test_an_undefined_start_is_an_error():
     def problem(x):
         raise SimulationError("no bounded solution")
 
-    with pytest.raises(EstimationError, match="start values: no bounded solution"):
+    with pytest.raises(EstimationError, match="initial values: no bounded solution"):
         minimise(problem, np.zeros(1), np.array([-1.0]), np.array([1.0]))
 
 
