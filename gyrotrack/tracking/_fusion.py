@@ -505,8 +505,11 @@ _NEIGHBOURS = 101
 
 def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
     """Return the frames whose uncertainty exceeds that of their neighbours by `WEAKEST_BODY`."""
+    reach = min(_NEIGHBOURS // 2, len(sigma))
+    # reflected at the ends, where a hand may hide the markers
+    usual = median_smooth(np.pad(sigma, reach, mode="symmetric"), _NEIGHBOURS)[reach : reach + len(sigma)]
     with np.errstate(invalid="ignore"):
-        return np.asarray(sigma > WEAKEST_BODY * median_smooth(sigma, _NEIGHBOURS))
+        return np.asarray(sigma > WEAKEST_BODY * usual)
 
 
 def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._fusion import join
+from gyrotrack.tracking._fusion import _mostly_hidden, join
 from gyrotrack.tracking._observations import Candidate
 
 N = 1500
@@ -165,3 +165,10 @@ def test_errors_by_place_are_known_only_of_a_body_that_turns_round():
 
 def test_the_marker_that_errs_least_tells_how_large_errors_by_place_are():
     assert _few_turns(2, sizes=(6e-3, 1.5e-3, 4e-3))[1].place_error == pytest.approx(1.5e-3, rel=0.3)
+
+
+def test_frames_that_hardly_show_a_body_have_no_angle():
+    sigma = np.full(400, 1e-3)
+    sigma[200:] = 8e-3  # a blurred part of the film is as good as its surroundings
+    sigma[[0, 1, 150, 300]] = 2e-2, np.nan, 2e-2, 2e-2
+    assert np.flatnonzero(_mostly_hidden(sigma)).tolist() == [0, 150]
