@@ -33,7 +33,7 @@ from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_na
 from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, within
 from gyrotrack.plotting._proposal import write_body_picture
-from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._moving_hub import track_free_body
@@ -226,6 +226,8 @@ def _film(
     film = Film(source)
     try:
         return film_recording(film, options, progress)
+    except SeveralBodiesError:  # the user selects one
+        raise
     except TrackingError:
         if options.hub is None:
             fps, _, warnings = _rate(film, options.capture_fps)
@@ -510,7 +512,7 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:
         raise FittingError(
-            "the motion is an oscillation, and no restoring torque of the library describes it."
+            "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
 
 

@@ -50,6 +50,11 @@ _EXPLAINED = 0.4
 """Share of the change of brightness that the rotation must explain."""
 _OUTSIDE = 0.85
 """The same for a hub outside the picture that is not given, for which rotation resembles translation."""
+_UNDETERMINED = 0.25
+"""Error of the angles due to the centre of rotation, relative to their standard deviation, from which they are refused.
+
+Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say nothing about
+each other."""
 _AS_GOOD = 0.8
 """Explained share of a second body, relative to that of the best candidate, from which the film is ambiguous."""
 _ELSEWHERE = 0.2
@@ -64,6 +69,10 @@ _CLEARLY_BETTER = 0.02
 
 class NothingMovesError(TrackingError):
     """No part of the picture changes by more than noise."""
+
+
+class SeveralBodiesError(TrackingError):
+    """Several bodies turn about different centres."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +209,7 @@ def _track(
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
-        raise TrackingError(
+        raise SeveralBodiesError(
             f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
             "Give the centre of the body to track with --hub X,Y.",
         )
@@ -534,6 +543,13 @@ def _finish(
             f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
+    motion = float(np.std(angle[kept]))
+    if best.way != "given" and correlated > _UNDETERMINED * motion:
+        raise TrackingError(
+            f"The centre of rotation of the body in {film.path.name} is not determined: with the best candidate, the "
+            f"angles have an error of {100 * correlated / motion:.0f} % of the motion.",
+            "Give the centre of rotation with --hub X,Y.",
+        )
     if correlated > float(np.median(scale * inflated[kept])):
         warnings.append(
             f"The angles from the inner and the outer half of the ring differ as if the hub were displaced; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -23,6 +23,7 @@ from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
+from gyrotrack.tracking._film import Shake, camera_shake
 from gyrotrack.tracking._film_parts import PartWorkers, frames_done, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
@@ -36,6 +37,7 @@ from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
+from gyrotrack.video._decoder import Reader
 from gyrotrack.video._time_base import CaptureRate, FrameTimes, Timing, capture_rate
 
 Floats = npt.NDArray[np.float64]
@@ -200,17 +202,21 @@ def extract(
     timing = Timing(times, rate.fps)
     if body == "casing":
         profile = _only_casing(profile)
-    scene, seen = _observe(video, profile, threads, workers, progress, timing, journal)
+    scene, seen, shake = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
     if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
         raise VideoError(
             f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
             "Copy the film from the camera again.",
         )
+    if shake is not None:
+        seen = _without_roll(seen, shake)
     found = judge_repeats(seen, scene)
     when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
     seen = left_out(seen, when)
     joint = join_bodies(seen, scene, profile, rate.fps)
+    if shake is not None:
+        joint = _with_roll_sigma(joint, shake.roll_sigma)
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
     return _recording(info, sha256, rate, scene, seen, joint)
@@ -224,15 +230,54 @@ def _observe(
     progress: Progress | None,
     timing: Timing,
     journal: CheckpointFile | None,
-) -> tuple[Scene, FilmObservations]:
-    """Find the markers and track them through the film; the memory for this is released on return."""
+) -> tuple[Scene, FilmObservations, Shake | None]:
+    """Find the markers and track them through the film; the memory for this is released on return.
+
+    The motion of the camera is returned where it is significant and the background shows its roll.
+    """
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
+        with Reader(video, threads) as reader:
+            shake = camera_shake([frame.y for frame in samples.frames], (frame.y for frame in reader))
         del samples  # as large as the buffers of the tracker
         release_memory()
-        return scene, track_film(processes, video, scene, tracker, threads, progress, timing, journal)
+        seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
+        rolls = shake is not None and shake.roll.any() and len(shake.roll) == len(seen.pts_time)
+        return scene, seen, shake if rolls else None
+
+
+def _without_roll(seen: FilmObservations, shake: Shake) -> FilmObservations:
+    """Turn the markers back by the roll of the camera; their corners remain as seen.
+
+    The displacement of the picture needs no correction: the hub is measured in every frame. The centre of the rings is
+    a few px from the hub, which changes an angle by this fraction of its radius times the roll.
+    """
+    # the roll is clockwise in the picture, angles are counter-clockwise
+    bodies = {
+        name: replace(
+            body,
+            coarse=body.coarse + shake.roll,
+            markers={m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()},
+        )
+        for name, body in seen.bodies.items()
+    }
+    text = (
+        f"The camera moves by {shake.rms:.2g} px rms and rolls by {1e3 * shake.roll.std():.2g} mrad rms; "
+        f"{shake.features} features of the background are used to subtract the roll. "
+        f"Its uncertainty of {1e3 * shake.roll_sigma:.2g} mrad is included."
+    )
+    return replace(seen, bodies=bodies, warnings=(*seen.warnings, text))
+
+
+def _with_roll_sigma(joint: TrackedBodies, sigma: float) -> TrackedBodies:
+    """Add the uncertainty of the roll [rad] to that of the angles."""
+    bodies = {}
+    for name, body in joint.bodies.items():
+        markers = {m: replace(own, sigma=np.hypot(own.sigma, sigma)) for m, own in body.markers.items()}
+        bodies[name] = replace(body, markers=markers, sigma=np.hypot(body.sigma, sigma))
+    return replace(joint, bodies=bodies)
 
 
 def _recording(

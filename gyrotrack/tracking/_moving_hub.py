@@ -20,6 +20,7 @@ from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._registration import (
+    TURN,
     Area,
     Picture,
     Pose,
@@ -64,6 +65,8 @@ _TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest 
 _STEADY = 9  # frames of which most show the motion
 _WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
 _BODIES = 4  # paths of which the rotation is measured, at most
+_FASTEST = 0.25 * TURN
+"""Largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense."""
 _TURNS = 5.0
 """Smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle."""
 
@@ -105,6 +108,8 @@ def track_by_features(
     if share < _EXPLAINED:
         return None
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
+    if tracked.explained < _EXPLAINED:  # several bodies, of which the features show a mixture
+        return None
     # features at the edge of the body are biased by the background: the result is that of registration, and the
     # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
     kept = np.isin(usable, tracked.frame)
@@ -162,6 +167,9 @@ def track_free_body(
     for n, (path, ring, theta, shift) in enumerate(starts):
         tracked = _along_path(film, path.frame, ring, theta, shift, None, progress)
         if tracked.explained < _EXPLAINED or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
+            continue
+        steps = np.abs(np.diff(tracked.angle)) / np.diff(tracked.frame)
+        if np.median(steps) > _FASTEST:
             continue
         apart = tracked.halves[0] - tracked.halves[1]
         correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))

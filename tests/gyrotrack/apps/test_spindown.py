@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
+from gyrotrack.apps import _spindown
 from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers._import_case import import_body
-from gyrotrack.tracking._any_body import Film
+from gyrotrack.tracking._any_body import Film, SeveralBodiesError
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 
@@ -30,6 +31,15 @@ def test_spin_down():
     assert found.alpha.stderr < 0.01
     assert found.omega["first"] == pytest.approx(30, abs=0.05)
     assert found.omega["last"] == pytest.approx(30 - 2 * t[-1], abs=0.05)
+
+
+def test_speeds_at_the_ends_of_a_long_coast_down():
+    """Quadratic drag over two decades: a polynomial through the whole record ends with a negative speed."""
+    t = 400 * np.linspace(0, 1, 4000) ** 1.5
+    angle, sigma = noisy(t, np.log1p(90 * 0.02 * t) / 0.02, 1e-2, 4)
+    found = motion_of(t, angle, sigma)
+    assert found.omega["last"] == pytest.approx(90 / (1 + 90 * 0.02 * t[-1]), rel=0.05)
+    assert found.omega["first"] == pytest.approx(90, rel=0.2)
 
 
 def test_steady_with_a_hub_out_of_place():
@@ -330,3 +340,19 @@ def test_film_with_the_papers_markers(tmp_path, monkeypatch, capsys):
     motion = json.loads(captured.out)["motion"]
     truth = np.genfromtxt(film.with_suffix(".csv"), delimiter=",", names=True)
     assert motion["omega_mean"]["value"] == pytest.approx(truth["omega_casing_rad_s"].mean(), rel=0.01)
+
+
+def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
+    """Markers of equal colour on two bodies are no markers of one: the user selects a body."""
+
+    def two(*_):
+        raise SeveralBodiesError("Two bodies turn.", "Give --hub X,Y.")
+
+    def never(*_, **__):
+        pytest.fail("the film is tracked by its markers")
+
+    monkeypatch.setattr(_spindown, "Film", lambda _: None)
+    monkeypatch.setattr(_spindown, "film_recording", two)
+    monkeypatch.setattr(_spindown, "extract", never)
+    with pytest.raises(SeveralBodiesError):
+        _spindown._film(Path("two.mp4"), _spindown.SpindownOptions(), None)

@@ -11,6 +11,7 @@ import pytest
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
+from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._moving_hub import track_free_body
 
 HEIGHT, WIDTH, UP = 150, 300, 4
@@ -146,6 +147,39 @@ def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
         track_free_body(film(np.repeat(path[:1], 60, axis=0), np.zeros(60)))
+
+
+def pendulums(periods, phases, count=120, fps=30.0):
+    """Draw two pendulums before a table; return the film and their angles (2, n)."""
+    rng = np.random.default_rng(3)
+    background = cv2.resize(table(rng), None, fx=UP, fy=UP, interpolation=cv2.INTER_LINEAR)
+    time = np.arange(count) / fps
+    angles = np.array([0.3 * np.cos(2 * np.pi * time / t + p) for t, p in zip(periods, phases, strict=True)])
+    frames = []
+    for both in angles.T:
+        picture = background.copy()
+        for x, theta in zip((105.0, 195.0), both, strict=True):
+            hub, end = (x, 15.0), (x + 100 * np.sin(theta), 15.0 + 100 * np.cos(theta))
+            dot = (end[0] + 3 * np.cos(theta), end[1] - 3 * np.sin(theta))
+            near, far, mark = (tuple(round(16 * UP * v) for v in place) for place in (hub, end, dot))
+            cv2.line(picture, near, far, 160, 2 * UP, cv2.LINE_AA, 4)
+            cv2.circle(picture, far, 16 * 9 * UP, 190, -1, cv2.LINE_AA, 4)
+            cv2.circle(picture, mark, 16 * 3 * UP, 40, -1, cv2.LINE_AA, 4)
+        picture = cv2.resize(picture, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        frames.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    return Rendered(frames), angles
+
+
+@pytest.mark.slow
+def test_two_pendulums_are_never_one_body():
+    """The features of both move as one rigid picture about a hub far away: such an angle is refused."""
+    film, angles = pendulums((1.0, 1.0), (0.0, 0.0), count=60)
+    try:
+        tracked = track_body(film)
+    except TrackingError:
+        return
+    off = [np.std(tracked.angle - sign * one[tracked.frame]) for one in angles for sign in (1, -1)]
+    assert min(off) < 3 * np.median(tracked.sigma) + 0.02 * angles.std()
 
 
 @pytest.fixture(scope="module")

@@ -105,3 +105,29 @@ def test_lost_frames_are_said(draw):
     doubts = " ".join(extract(path).extra["doubts"])
     assert "The casing has an angle in 1" in doubts
     assert "of 180 frames" in doubts
+
+
+@pytest.mark.slow
+def test_the_roll_of_a_hand_held_camera_is_subtracted(draw):
+    """A roll of 6 mrad is no motion of the bodies: the background shows it."""
+    spots = np.random.default_rng(4).uniform(0, [320, 240], (150, 2))
+    spots = spots[np.hypot(*(spots - [160, 120]).T) > 115]
+
+    def rolled(k, picture):
+        for x, y in spots:
+            cv2.circle(picture, (round(x), round(y)), 3, (60.0, 60.0, 60.0), cv2.FILLED)
+        t = k / 260
+        move = cv2.getRotationMatrix2D((159.5, 119.5), np.degrees(8.5e-3 * np.sin(40.0 * t)), 1.0)
+        move[:, 2] += 2.0 * np.sin(50.0 * t), 1.5 * np.sin(33.0 * t + 1.0)
+        return cv2.warpAffine(
+            picture, move, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+
+    path, film = draw(**{**SMALL, "frames": 200}, edit=rolled)
+    recording = extract(path)
+    assert any("rolls by" in warning for warning in recording.warnings)
+    for body in ("casing", "rotor"):
+        error, track = _errors(recording, film, body)
+        assert len(track.time) >= 0.95 * film.frames, body
+        assert np.std(error) < 4e-3, body
+        assert np.std(error / track.sigma) < 1.6, body
