@@ -12,8 +12,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape
+from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
+from fitting.inference._case_data import CaseData
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._problem import Problem
+from fitting.inference._record import make_record
 
 HERE = Path(__file__).parents[1] / "benchmarks" / "discovery"
 if not HERE.is_dir():
@@ -74,6 +80,25 @@ def test_a_casing_spun_against_the_rotor_reverses_where_scipy_finds_it():
     assert np.abs(motion.time - first.t[-1]).min() < 1e-5
     assert motion.speed[-1] == pytest.approx(second.y[:2, -1], abs=1e-6)
     assert motion.turned[-1] == pytest.approx(second.y[2:, -1], abs=1e-5)
+
+
+def test_a_reversal_leaves_nothing_in_the_harmonics_of_the_angle():
+    """With the true parameters all residuals are noise, also in the block in which dry friction jumps."""
+    case = experiment.CASES[1] | {"start": (497.0, -165.0), "span": 240.0}
+    made = experiment.record(
+        case, experiment.Hidden(), torque_noise=0, rng=np.random.default_rng(3), label="a"
+    )
+    data = CaseData.of(make_record(**made))
+    problem = Problem.of(ParameterLayout.of(Model.of(REDUCED), [data.record]), [data])
+    known = {"omega_r": case["start"][0], "omega_c": case["start"][1]} | case
+    theta = np.array([known[n.partition("@")[0].rpartition(".")[2]] for n in problem.layout.names])
+    (prediction,) = problem.predict(theta)
+    assert len(prediction.path.kinks) == 1
+    residual = data.z - prediction.rows
+    residual -= data.nuisance @ np.linalg.lstsq(data.nuisance, residual, rcond=None)[0]
+    harmonic = residual[data.slices["harmonic"]]
+    assert np.abs(harmonic).max() < 4.5
+    assert np.mean(harmonic[harmonic != 0] ** 2) == pytest.approx(1.0, abs=0.3)
 
 
 @pytest.mark.parametrize("time", [1.0, 0.1])

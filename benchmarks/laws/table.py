@@ -63,7 +63,8 @@ def main() -> None:
     text = [_HEAD]
     for noise in sorted({x["noise"] for x in lines if x["key"].startswith("hidden")}):
         text += hidden([x for x in lines if x["key"].startswith("hidden") and x["noise"] == noise], noise)
-    text += whole([x for x in lines if x["key"].startswith("whole")])
+    text += whole([x for x in lines if x["key"].startswith("whole")], "")
+    text += whole([x for x in lines if x["key"].startswith("again")], ", with the short cut")
     text += empty([x for x in lines if x["key"].startswith("empty")])
     text += library([x for x in lines if x["key"].startswith("library")])
     text += rivals(lines, read("rivals.jsonl"))
@@ -107,15 +108,16 @@ def hidden(lines: list[Line], noise: float) -> list[str]:
     return [*text, *(f"| {words} | {Share(good(x) for x in some)} |" for words, some, good in rows), ""]
 
 
-def whole(lines: list[Line]) -> list[str]:
+def whole(lines: list[Line], words: str) -> list[str]:
     """Return what the whole command answers, the diagnosis by the library included."""
     if not lines:
         return []
     text = [
-        "## Hidden laws, the whole command, no process noise",
+        f"## Hidden laws, the whole command{words}, no process noise",
         "",
         "Other gyroscopes and constants than above. Where the library has the law, or one of the same torque beside",
-        "the base, its name is the answer.",
+        "the base, its name is the answer."
+        + (" The complete diagnosis runs only where an effect of the library may suffice." if words else ""),
         "",
         "| hidden | answer | true form | torque error | third | CPU s |",
         "|---|---|---|---|---|---|",
@@ -132,7 +134,7 @@ def whole(lines: list[Line]) -> list[str]:
         ("third below 1.5", lambda x: x["third"] < 1.5),
     ]
     text += ["", "| share | |", "|---|---|"]
-    return [*text, *(f"| {words} | {Share(good(x) for x in lines)} |" for words, good in rows), ""]
+    return [*text, *(f"| {share} | {Share(good(x) for x in lines)} |" for share, good in rows), ""]
 
 
 # laws that the library has, by itself or beside the constant friction of the base

@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 # neighbourhood of a changepoint as a share of the record, and times that are tried in it
 _NEIGHBOURHOOD, _STEPS = 0.04, 48
+# searches for changepoints of cases whose process noise remains high
+_SEARCHES = 3
 _RANK = 1e-7
 
 
@@ -181,10 +183,16 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
         found = _repeated_if_short(base, score, found, criteria)
     if not score.effect.breakpoint or found is None:
         return found
-    distant = distant_changepoints(found, score.effect, criteria)
-    found = _better(found, fit_together(base, score, distant) if distant else None)
-    local = local_changepoints(found, score.effect)
-    return _better(found, fit_together(base, score, local) if local else None)
+    for _ in range(_SEARCHES):
+        before = found
+        distant = distant_changepoints(found, score.effect, criteria)
+        found = _better(found, fit_together(base, score, distant) if distant else None)
+        local = local_changepoints(found, score.effect)
+        found = _better(found, fit_together(base, score, local) if local else None)
+        # after a step in the wrong sense of rotation one search may not suffice
+        if found is before or not has_model_noise(found):
+            break
+    return found
 
 
 def _fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:

@@ -45,7 +45,7 @@ from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit_like
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
-from fitting.inference._noise_level import fails_grossly
+from fitting.inference._problem import fails_grossly
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]

@@ -257,7 +257,8 @@ class Failure:
     kind : str
         "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle.
     where : str
-        In words: in the rise, near the peak, in the tail; once or twice a turn.
+        In words: in the rise, near the peak, in the tail; at the start, in the middle of a spin-down; once or twice a
+        turn.
     size_sigma : float
         Largest distance from zero in standard deviations.
     residual_rad_s : float
@@ -419,10 +420,16 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
     return failures
 
 
+# share of a record before which its highest speed is that of its start
+_AT_START = 0.02
+
+
 def _place(curve: ResidualTorque, a: int, b: int) -> str:
     peak = int(np.argmax(np.abs(curve.omega_c)))
     if a == 0 and b == len(curve.time):
         return "throughout"
+    if peak < _AT_START * len(curve.time):  # the body only slows down
+        return "at the start" if a <= peak else "in the tail" if a > len(curve.time) // 2 else "in the middle"
     if a <= peak < b:
         near = np.abs(curve.omega_c[a:b]).min() > 0.9 * abs(curve.omega_c[peak])
         return "near the peak" if near else "around the peak"

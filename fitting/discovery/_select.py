@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
@@ -506,7 +507,7 @@ def select(
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
         return Selection(ranked, None, base, base, History())
-    end = refined(chosen.fit, criteria)
+    end = _refined(chosen.fit, criteria)
     # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
     if less_noise:
@@ -536,6 +537,13 @@ def select(
         if now_best is not None and now_best.effect.name == chosen.effect.name:
             ranked, chosen = separated, now_best
     return Selection(ranked, chosen, named, end, history)
+
+
+def _refined(found: Fit, criteria: Criteria) -> Fit:
+    """Return a fit to full convergence, or as it is if the model cannot be computed on the way."""
+    with suppress(FittingError):
+        return refined(found, criteria)
+    return found
 
 
 def _with_free_shape(
@@ -625,7 +633,7 @@ def _steps(
     workers: WorkerPool | None,
 ) -> Iterator[Step]:
     """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
-    converged = refined(found, criteria)
+    converged = _refined(found, criteria)
     # a search at a new noise level may end in another, worse minimum, most often of an oscillation with dry friction
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:

@@ -507,13 +507,18 @@ class CaseData:
                 if oscillates
                 else None
             )
+            harmonic = self.slices["harmonic"].start
             for i, (where, operator) in enumerate(run.operators):
                 t = run.samples.time[where]
                 if everywhere is not None:
                     rows[first + i * k : first + (i + 1) * k] = operator[:k] @ everywhere[where]
                 elif any(t[0] < time < t[-1] for time in path.kinks):
                     observed = self._observed(Sampler(path.mesh, t), path, state, nodes)
-                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ observed
+                    projected = operator @ observed
+                    rows[first + i * k : first + (i + 1) * k] = projected[:k]
+                    # no polynomial, so its projections on the harmonics, which are orthogonal to those, do not vanish
+                    rows[harmonic : harmonic + len(operator) - k] = projected[k:]
+                harmonic += len(operator) - k
             first += len(run.z)
         return rows
 

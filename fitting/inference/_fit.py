@@ -34,10 +34,9 @@ from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
-from fitting.inference._noise_level import first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
-from fitting.inference._problem import Problem
+from fitting.inference._problem import Problem, first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
 

@@ -32,7 +32,6 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import r_factor
 from fitting.inference._noise import Noise
-from fitting.inference._noise_level import measure_noise
 from fitting.inference._optimisation import minimise, search
 from fitting.inference._parameters import (
     START_CASING,
@@ -41,7 +40,7 @@ from fitting.inference._parameters import (
     ParameterLayout,
     is_power_law,
 )
-from fitting.inference._problem import Problem, reference_speed
+from fitting.inference._problem import Problem, measure_noise, reference_speed
 from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]

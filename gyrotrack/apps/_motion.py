@@ -28,6 +28,8 @@ _TRACKED_ORDERS = _WAVE_ORDERS[2]
 """Degrees for the fit in growing windows; polynomials of higher degree extrapolate badly."""
 _PASSAGE_ORDER = 4
 """Highest degree of the polynomials for times and durations of passages through a light gate."""
+_END = 0.05
+"""Share of a record from which the angular velocity at its ends is determined."""
 _FIRST_PERIODS = 1.5
 """Half length of the first window [periods]."""
 _MAX_LOG_AMPLITUDE = 50.0
@@ -200,9 +202,39 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
         return np.concatenate([np.zeros(view), values])
 
     ends = [fit.of(row([k * e ** max(k - 1, 0) / half for k in range(order + 1)]))[0] for e in (x[0], x[-1])]
+    for i, place in enumerate((0, -1)):
+        local = _speed_at(t, angle, place)
+        # a polynomial through the whole record may swing at its ends
+        if abs(local.value - ends[i]) > 3 * local.stderr:
+            ends[i] = local.value
     mean = Value(*fit.of(row([(x[-1] ** k - x[0] ** k) / (t[-1] - t[0]) for k in range(order + 1)])))
     alpha = Value(*fit.of(row([0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])))
     return {"first": ends[0], "last": ends[1]}, mean, alpha
+
+
+def _speed_at(t: Floats, angle: Floats, place: int) -> Value:
+    """Return the angular velocity at the first (0) or last (-1) sample.
+
+    From a cubic through that end of the record, which is shortened while a quartic describes it better.
+    """
+    count = int((np.abs(t - t[place]) < _END * (t[-1] - t[0])).sum())
+    while True:
+        count = max(count, min(_MIN_SAMPLES, len(t)))
+        near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
+        x = t[near] - t[place]
+        design = x[:, None] ** np.arange(5)
+        scale = np.abs(design).max(axis=0)
+        values, errors = [], []
+        for order in (3, 4):
+            inverse = np.linalg.pinv(design[:, : order + 1] / scale[: order + 1])
+            found = inverse @ angle[near]
+            rest = angle[near] - design[:, : order + 1] / scale[: order + 1] @ found
+            variance = float(rest @ rest) / max(count - order - 1, 1)
+            values.append(found / scale[: order + 1])
+            errors.append(np.sqrt(variance * (inverse**2).sum(axis=1)) / scale[: order + 1])
+        if abs(values[1][4]) < 3 * errors[1][4] or count < 2 * _MIN_SAMPLES:
+            return Value(float(values[0][1]), float(errors[0][1]))
+        count //= 2
 
 
 @dataclass(frozen=True)

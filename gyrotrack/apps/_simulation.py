@@ -122,8 +122,16 @@ class SimulatedRun:
 
         Parameters
         ----------
+        model : Model
+            The model with its added effects.
         strength : float
             Torque of added effects [1e-4 N m].
+        experiment : Experiment
+            Speeds, duration, cameras and noise.
+        inertias : tuple of float
+            Moments of inertia of rotor and casing [kg m2].
+        seed : int
+            Seed of the noise.
         given : sequence of str
             Parameters as ``casing.air.quadratic.k=1e-9``.
 

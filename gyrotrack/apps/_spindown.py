@@ -512,7 +512,7 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:
         raise FittingError(
-            "the motion is an oscillation, and no restoring torque of the library describes it."
+            "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
 
 

@@ -198,7 +198,7 @@ def _line(name: str, part: dict[str, Any]) -> str:
     time = f"{part['t_start']:.3f} to {part['t_stop']:.3f}"
     known = part["omega_min"] is not None
     speed = f"{part['omega_min']:.1f} to {part['omega_max']:.1f}" if known else "-"
-    return f"{name:<10}{part['samples']:>9}{time:>22}{speed:>20}{part['median_sigma']:>16.2g}"
+    return f"{name:<10}{part['samples']:>9} {time:>21} {speed:>19}{part['median_sigma']:>16.2g}"
 
 
 class Table(StrEnum):

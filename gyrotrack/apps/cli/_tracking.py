@@ -617,10 +617,11 @@ def _position(text: str | None) -> tuple[float, float] | None:
 
 def _oscillator_lines(laws: Any) -> list[str]:
     """Return the restoring torque and the damping of an oscillator, with the sets of laws that are not separated."""
+    from fitting._numbers import rounded
 
     def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
         values = [
-            f"{key} = {p.value:.4g} +- {p.stderr:.2g} {p.unit}"
+            f"{key} = {rounded(p.value, p.stderr, p.unit)}"
             for key, p in laws.parameters.items()
             if key.rpartition(".")[0] in chosen
         ]
@@ -634,24 +635,33 @@ def _oscillator_lines(laws: Any) -> list[str]:
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
+    from fitting._numbers import rounded
+
     motion = document["motion"]
     lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
-        lines.append(f"period     {motion.period.value:.6g} +- {motion.period.stderr:.2g} s")
-        if motion.amplitude is not None:
-            lines.append(f"amplitude  {motion.amplitude.value:.6g} +- {motion.amplitude.stderr:.2g} rad")
-        lines.append(f"decay      {motion.decay.value:.4g} +- {motion.decay.stderr:.2g} 1/s")
-        if motion.quality_factor is not None:
-            lines.append(
-                f"Q          {motion.quality_factor.value:.4g} +- {motion.quality_factor.stderr:.2g}"
-            )
+        quantities = [
+            ("period", motion.period, "s"),
+            ("amplitude", motion.amplitude, "rad"),
+            ("decay", motion.decay, "1/s"),
+            ("Q", motion.quality_factor, ""),
+        ]
     else:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
-        lines.append(f"mean       {motion.omega_mean.value:.6g} +- {motion.omega_mean.stderr:.2g} rad/s")
-        lines.append(f"alpha      {motion.alpha.value:.4g} +- {motion.alpha.stderr:.2g} rad/s2")
+        quantities = [("mean", motion.omega_mean, "rad/s"), ("alpha", motion.alpha, "rad/s2")]
+    lines += [
+        f"{name:<9}  {rounded(q.value, q.stderr, unit)}" for name, q, unit in quantities if q is not None
+    ]
     if document["oscillator"] is not None:
         lines += _oscillator_lines(document["oscillator"])
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
+        lines += [
+            f"fit {step['fit_id']}: {step['added'] or 'base model'}, reduced chi-square {step['reduced_chi2']:.3g}"
+            for step in document["ladder"]
+        ]
+        lines.append(
+            "Uncertainties are those of this record alone; repeats of a run may differ by more: `gyrotrack compare`."
+        )
     written = [str(document[key]) for key in ("case", "report", "picture") if document[key] is not None]
     return ["\n".join([*lines, *([f"written: {', '.join(written)}"] if written else [])])]

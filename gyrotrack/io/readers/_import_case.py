@@ -13,11 +13,10 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, windows_of
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, scatter
+from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
-from gyrotrack.io.readers._scatter import pieces, scatter
-from gyrotrack.io.readers._units import TURN
 
 _SMOOTHING = 31
 _MIN_SAMPLES = 3
@@ -244,6 +243,8 @@ def import_body(
         Angles or speeds of the body, as for `import_case`.
     inertia : float
         Moment of inertia [kg m2].
+    label, surface : str
+        Name of the case, and the surface on which the body turns.
     options : ReadOptions, optional
         Options for reading the file.
     limits : Limits, optional

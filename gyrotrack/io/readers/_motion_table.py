@@ -1,7 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line.
+clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps; where it
+contains no uncertainty, that of its samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -12,13 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
-from gyrotrack.io.readers._raw_table import RawTable
-from gyrotrack.io.readers._units import ROLES, UNITS, clean, factor, header_of, role_of
+from gyrotrack.io.readers._raw_table import ROLES, UNITS, RawTable, clean, factor, header_of, role_of
 
 MIN_SAMPLES = 8
+_GAP = 20.0
+_BLOCK = 15
+_ORDER = 3
+_NEIGHBOURS = 41
+_FLOOR = 1e-6
+_MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
 _TICKS = 2**32
 """Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
 
@@ -105,6 +112,9 @@ class MotionTable:
 
 
 COORDINATES = ("x", "y")
+_DAY = 86400.0
+_STEADY = 100.0
+"""Ratio of squared mean and variance of a speed from which on it is constant."""
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
@@ -181,7 +191,13 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     chosen: dict[str, int] = {}
     for role, places in found.items():
         chosen[role] = places[0] if len(places) == 1 else _one_of(raw, role, places, options)
-    if options.names and "t" not in chosen and not raw.headed:
+    if (
+        options.names
+        and "t" not in chosen
+        and not raw.headed
+        and 0 not in chosen.values()
+        and not options.fps
+    ):
         chosen["t"] = 0
     if options.names and "t" not in chosen:
         chosen |= {
@@ -205,10 +221,14 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         of_body = [i for i in places if options.body in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
-    stems = {_stem_without_axis(n) for n in names}
-    values = [raw.numeric(i) for i in places]
-    if len(stems) == 1 and all(v is not None for v in values):  # three axes of one sensor
-        return places[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
+    # beside the axes of a sensor, its magnitude contains no sense of rotation
+    axes = [
+        i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
+    ]
+    stems = {_stem_without_axis(raw.names[i]) for i in axes}
+    values = [raw.numeric(i) for i in axes]
+    if axes and len(stems) == 1 and all(v is not None for v in values):
+        return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
     raise DatasetError(
         f"{raw.path}, line {raw.header_line}: {len(places)} columns for '{role}': "
         f"{', '.join(map(repr, names))[:120]}.",
@@ -216,14 +236,35 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     )
 
 
+def _words(name: str) -> list[str]:
+    return name.casefold().replace("_", " ").split()
+
+
 def _stem_without_axis(name: str) -> str:
-    return " ".join(w for w in name.casefold().replace("_", " ").split() if w not in {"x", "y", "z"})
+    words = [w for w in _words(name) if w not in {"x", "y", "z"}]
+    # gx, gyroY, wz: the last letter is the axis
+    return " ".join(w[:-1] if len(words) == 1 and w[-1:] in {"x", "y", "z"} else w for w in words)
+
+
+def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
+    """Return angular velocities (n, axes) along the direction in which they vary most, and this direction.
+
+    An axis of rotation that is inclined to the axes of a sensor by an angle a gives each of them a part cos a of the
+    speed. A constant error of an axis does not turn the direction of the variation; a constant speed has none, and its
+    direction is that of the mean.
+    """
+    known = values[np.isfinite(values).all(axis=1)]
+    mean = known.mean(axis=0)
+    size, directions = np.linalg.eigh(np.atleast_2d(np.cov(known.T)))
+    direction = directions[:, -1] if float(mean @ mean) < _STEADY * size[-1] else mean / np.linalg.norm(mean)
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return values @ direction, direction
 
 
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: the time column, or frame numbers divided by the rate.
+    """Return the times of a table [s]: the time column, or frame numbers, or those of the rows, divided by the rate.
 
     Raises
     ------
@@ -238,6 +279,8 @@ def times_of(
     if "frame" in columns:
         return raw.numbers(columns["frame"], "frame") / frame_rate(raw.path, options) + options.start
     where = f"{raw.path}, line {raw.header_line}"
+    if options.fps:
+        return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
         raise DatasetError(
             f"{where}: the {len(raw.names)} columns have no header.",
@@ -316,12 +359,24 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         )
     if quantity == "angle" and "omega" in columns:
         unused.append(raw.names[columns["omega"]] or "omega")
+    title = raw.names[columns[quantity]]
+    axes = [i for i, n in enumerate(raw.names) if _stem_without_axis(n) == _stem_without_axis(title)]
+    parts = [raw.numeric(i) for i in axes]
+    if (
+        len(axes) in {2, 3}
+        and not options.names
+        and quantity == "omega"
+        and all(p is not None for p in parts)
+    ):
+        value, direction = _along_rotation(np.stack([p for p in parts if p is not None], axis=1))
+        text = ", ".join(f"{c:.3f}" for c in direction)
+        unused = [name for name in unused if name not in {raw.names[i] for i in axes}]
+        notes.append(
+            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(axes)} axes of "
+            f"'{_stem_without_axis(title)}', in which it varies most; the scale factor of the sensor is not determined"
+        )
     if unused:
         notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
-    title = raw.names[columns[quantity]]
-    axes = sum(_stem_without_axis(n) == _stem_without_axis(title) for n in raw.names)
-    if axes > 1 and not options.names:
-        notes.append(f"{raw.path.name}: of {axes} axes '{title}' was used, which has the largest signal")
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
 
@@ -454,16 +509,70 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
     if not len(back) or len(time) < 2 * MIN_SAMPLES:
         return time
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS)):
-        if (np.abs(step[back] + period) < 0.02 * period).all():
+    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS), _DAY):
+        if (np.abs(step[back] + period) < 0.02 * period).all() and (period != _DAY or time.max() <= _DAY):
+            which = "time of day" if period == _DAY else "32-bit clock"
             notes.append(
-                f"{path.name}: the 32-bit clock restarts at line {line[back[0] + 1]}; times were continued"
+                f"{path.name}: the {which} restarts at line {line[back[0] + 1]}; times were continued"
             )
             return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
     lengths = np.diff([0, *(back + 1), len(time)])
-    if len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all():
+    several = len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all()
+    # every restart begins at the first time of the file again
+    from_first = np.abs(time[back + 1] - time[0]) < 5 * usual
+    if several or (from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
         raise DatasetError(
             f"{path}: times are not strictly increasing (line {line[back[0] + 1]}): the clock restarts.",
-            "Split the file at this line: it contains several recordings.",
+            f"Split the file at this line: it contains {len(back) + 1} recordings.",
         )
     return time
+
+
+def pieces(time: Floats) -> list[slice]:
+    """Return the pieces between gaps, which are intervals longer than 20 times the local median of eleven.
+
+    The median is local because intervals between pulses of a slowing body increase.
+    """
+    step = np.diff(time)
+    if not len(step):
+        return [slice(0, len(time))]
+    usual = median_filter(step, 11, mode="nearest")
+    cuts = np.flatnonzero(step > _GAP * usual) + 1
+    return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(time)], strict=True)]
+
+
+def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
+    """Return the uncertainty of each sample, from the residuals of local cubics.
+
+    Cubics are fitted to blocks of 15 samples. The variance is the running median of their residual variances over 41
+    blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. Errors that
+    vary more slowly than a block (centre offset, tilt) are not included.
+
+    Parameters
+    ----------
+    time, value : ndarray, shape (n,)
+        The series, unwrapped, n >= 8.
+    floor : float
+        Lower bound, in the unit of `value`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Standard uncertainty, in the unit of `value`.
+    """
+    starts = np.arange(0, max(len(time) - _BLOCK, 0) + 1, _BLOCK)
+    centre = np.array([float(np.mean(time[i : i + _BLOCK])) for i in starts])
+    variance = np.array([_residual_variance(time[i : i + _BLOCK], value[i : i + _BLOCK]) for i in starts])
+    half = _NEIGHBOURS // 2
+    smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
+    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
+    return np.asarray(np.maximum(sigma, floor))
+
+
+def _residual_variance(time: Floats, value: Floats) -> float:
+    if len(time) <= _ORDER + 1:
+        return 0.0
+    width = max(float(np.ptp(time)), 1e-300)
+    basis = np.vander((time - time.mean()) / width, _ORDER + 1)
+    residual = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
+    return float(residual @ residual) / (len(time) - _ORDER - 1)

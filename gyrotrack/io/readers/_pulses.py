@@ -11,7 +11,7 @@ the time between them, because their duration is inversely proportional to the a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +26,10 @@ from gyrotrack.io.readers._motion_table import (
     continued_clock,
     find_columns,
     scale_of,
+    scatter,
     times_of,
 )
-from gyrotrack.io.readers._raw_table import RawTable
-from gyrotrack.io.readers._scatter import scatter
-from gyrotrack.io.readers._units import TURN
+from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _MAX_MISSED = 20
 _MAX_MARKS = 512
@@ -422,6 +421,47 @@ def clock_scale(ticks: Floats) -> float:
         return 1.0
     typical = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
     return 1e-6 if typical >= 1000 else 1e-3 if typical > 10 else 1.0
+
+
+def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
+    """Return the column with the counts of an encoder that were sampled, by several counts a row; None without one.
+
+    Parameters
+    ----------
+    raw : RawTable
+        A table that is read with a number of pulses per turn.
+    columns : dict
+        Columns by quantity; in a table without header, the second of two columns may be the counts.
+    """
+    place = columns.get("revolutions")
+    if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:
+        place = 1
+    values = None if place is None else raw.numeric(place)
+    if values is None:
+        return None
+    values = values[np.isfinite(values)]
+    if (
+        len(values) < MIN_SAMPLES
+        or (values != np.round(values)).any()
+        or set(np.unique(values)) <= {0.0, 1.0}
+    ):
+        return None
+    step = np.diff(values)
+    events = (step >= 0).all() and np.isin(step, (0, 1)).mean() > 0.9
+    return None if events else place
+
+
+def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, options: ReadOptions) -> RawTable:
+    """Return the table of times and angles of the sampled counts of an encoder, which may turn in both senses."""
+    time = raw.numbers(time_column, "t", times=True)
+    note: tuple[str, ...] = ()
+    if not unit and not raw.headed and (scale := clock_scale(time)) != 1.0:
+        unit = _TICK_UNITS[scale]
+        note = (f"{raw.path.name}: times are integers and are assumed to be in {unit}",)
+    angle = raw.numbers(counts, "counts") * (TURN / (options.pulses_per_turn or 1.0))
+    return replace(
+        raw, names=("t", "angle"), units=(unit, "rad"), columns=(time, angle), notes=(*raw.notes, *note)
+    )
 
 
 def counters_of(raw: RawTable) -> list[int]:

@@ -1,7 +1,8 @@
 """Tables before interpretation: named columns of numbers or text, and the parser of text files.
 
 Text may be UTF-8, UTF-16 or Latin-1; cells may be separated by comma, semicolon, tab or blanks; a comma that is not the
-separator is a decimal comma; comment lines with ``#``, lines above the header and units below it are accepted.
+separator is a decimal comma; comment lines with ``#``, lines above the header and units below it are accepted. Units in
+a header, of seconds, angles and angular velocities, have factors to s, rad and rad/s.
 """
 
 from __future__ import annotations
@@ -19,12 +20,18 @@ import numpy.typing as npt
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
-from gyrotrack.io.readers._units import is_unit
 
 MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
+_COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
+"""A comment after the last number of a line."""
+
 Lines = Sequence[tuple[int, str]]
+_MOST_SETTINGS = 10
+"""Largest number of lines of settings between header and samples."""
+_FEW_ROWS = 5
+"""Largest number of rows of a transposed table, which has five times as many columns at least."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +174,7 @@ def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     return [
-        (number, line)
+        (number, _COMMENT.sub("", line))
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip(' \t,;"') and not line.lstrip().startswith("#")
     ]
@@ -221,12 +228,27 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
             units, names, header_line = names, above[-2], lines[first - 2][0]
     usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
+    above_table = next((i for i, r in enumerate(rows) if len(r) == usual), 0)
+    preamble: list[str] = []
+    regular = all(len(r) == usual for r in rows[above_table:-1])
+    if 0 < above_table <= _MOST_SETTINGS and len(names) != usual and regular:
+        # settings of the instrument, in a table of their own
+        preamble = [
+            f"{path.name}: ignored the lines before line {lines[first + above_table][0]} (another table)"
+        ]
+        rows, first, names, units = rows[above_table:], first + above_table, [], []
+    elif len(rows) <= _FEW_ROWS < usual / _FEW_ROWS and not names:
+        preamble = [f"{path.name}: the {len(rows)} rows are the columns of the table"]
+        rows = [list(cells) for cells in zip(*rows, strict=False)]
+        usual = len(rows[0])
+        lines, first = [(lines[first][0], "")] * len(rows), 0
     if delimiter is None and len(names) != usual:
         names = _names_between_blanks(lines[first - 1][1], usual) or names
     width = len(names) or usual
     rows, kept, notes = _checked_rows(
         path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
     )
+    notes = [*preamble, *notes]
     return RawTable(
         path,
         sha256,
@@ -301,4 +323,116 @@ def table_of(
         tuple(units) or ("",) * len(made),
         made,
         np.arange(1, rows + 1, dtype=np.int64),
+    )
+
+
+TURN = 2 * math.pi
+
+UNITS: dict[str, dict[str, float]] = {
+    "t": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "milliseconds": 1e-3,
+          "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "angle": {"rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180,
+              "degree": math.pi / 180, "degrees": math.pi / 180, "°": math.pi / 180, "gon": math.pi / 200,
+              "rev": TURN, "turn": TURN, "turns": TURN, "revolutions": TURN, "cycles": TURN},
+    "omega": {"rad/s": 1.0, "rads-1": 1.0, "rads^-1": 1.0, "rad/sec": 1.0, "s-1": 1.0, "s^-1": 1.0, "1/s": 1.0,
+              "mrad/s": 1e-3, "deg/s": math.pi / 180, "°/s": math.pi / 180, "degs-1": math.pi / 180,
+              "dps": math.pi / 180,
+              "rpm": TURN / 60, "1/min": TURN / 60, "min-1": TURN / 60, "u/min": TURN / 60, "rev/min": TURN / 60,
+              "rev/s": TURN, "rps": TURN, "turns/s": TURN, "hz": TURN},
+}  # fmt: skip
+"""Factor of each unit to SI, by quantity."""
+
+_HEADER_WORDS = {
+    "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed",
+          "millis", "micros"},
+    "angle": {"angle", "angles", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel", "yaw", "heading", "azimuth", "alpha"},
+    "omega": {"omega", "w", "ω", "speed", "angularvelocity", "gyro", "gyroscope", "gyr", "drehzahl", "rpm",
+              "winkelgeschwindigkeit", "rotationrate", "angularspeed", "angularrate",
+              "gx", "gy", "gz", "gyrox", "gyroy", "gyroz", "gyrx", "gyry", "gyrz", "wx", "wy", "wz"},
+    "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
+    "frame": {"frame", "frames", "step", "frameidx"},
+    "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
+}  # fmt: skip
+"""Words in a header for each quantity; the first match is used."""
+
+_TICKS = {"millis": "ms", "micros": "us"}
+"""Functions of microcontrollers that give times, and their units."""
+
+ROLES = tuple(_HEADER_WORDS)
+
+
+def clean(unit: str) -> str:
+    """Return a unit without blanks and multiplication signs."""
+    return re.sub(r"[\s*·_]", "", unit)
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a word is a unit, of the supported quantities or others."""
+    return factor("", text) is not None or clean(text).casefold() in {
+        "state",
+        "px",
+        "m",
+        "cm",
+        "mm",
+        "1",
+        "v",
+    }
+
+
+def factor(role: str, unit: str) -> float | None:
+    """Return the factor of a unit to SI for a role (any role if it is empty); None if the unit is unknown.
+
+    Units that are not in the table are converted with `pint`, if it is installed.
+    """
+    bare = clean(unit)
+    tables = [UNITS[role]] if role else list(UNITS.values())
+    for table in tables:
+        for text in (bare, bare.casefold()):
+            if text in table:
+                return table[text]
+    return _by_pint(role, unit) if role else None
+
+
+def _by_pint(role: str, unit: str) -> float | None:
+    try:
+        import pint
+    except ImportError:
+        return None
+    try:
+        target = {"t": "s", "angle": "rad", "omega": "rad/s"}[role]
+        return float(pint.UnitRegistry().Quantity(1.0, unit).to(target).magnitude)
+    except Exception:
+        return None
+
+
+def header_of(name: str) -> tuple[str, str]:
+    """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one)."""
+    match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
+    word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
+    unit = unit or _TICKS.get(word.strip().casefold(), "")
+    if not unit:
+        parts = [p for p in word.split("_") if not re.fullmatch(r"\d+fps", p)]
+        for size in (2, 1):
+            tail = "/".join(parts[-size:]) if size == 2 else parts[-1]
+            if len(parts) > size and factor("", tail) is not None:
+                return "_".join(parts[:-size]), tail
+    return word.strip(), unit
+
+
+def role_of(name: str) -> str | None:
+    """Return the quantity of a column by its name without unit; None if it is unknown."""
+    text = name.casefold()
+    if "accel" in text:
+        return None
+    if text.startswith(("sigma_", "err_", "d_", "u_")) or text.endswith(
+        ("_sigma", "_err", "_error", " error")
+    ):
+        return "sigma"
+    words = [w for w in re.split(r"[\s_.\-:#]+", text) if w]
+    whole = "".join(words)
+    for role, known in _HEADER_WORDS.items():
+        if whole in known:
+            return role
+    return next(
+        (role for w in words for role, known in _HEADER_WORDS.items() if w in known and role != "sigma"), None
     )

@@ -25,7 +25,15 @@ from gyrotrack.io.readers._motion_table import (
 )
 from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
-from gyrotrack.io.readers._pulses import Passages, counters_of, passages_of, read_counter, read_pulses
+from gyrotrack.io.readers._pulses import (
+    Passages,
+    counted_angles,
+    counters_of,
+    passages_of,
+    read_counter,
+    read_pulses,
+    sampled_counts,
+)
 from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
 from gyrotrack.io.readers._tables import (
     read_excel_97,
@@ -120,6 +128,12 @@ def _content(path: Path, options: ReadOptions) -> Content:
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the motion in a table of angles, speeds, pulses or counts."""
     raw = _rows_of_body(raw, options)
+    if options.pulses_per_turn:
+        columns, units, _ = find_columns(raw, options)
+        counts = sampled_counts(raw, columns)
+        if counts is not None and not set(columns) & {"angle", "omega"}:
+            angles = counted_angles(raw, counts, columns.get("t", 0), units.get("t", ""), options)
+            return interpret(angles, replace(options, names=None, pulses_per_turn=None))
     if raw.headed or options.names:
         columns, units, _ = find_columns(raw, options)
         if set(COORDINATES) <= set(columns):

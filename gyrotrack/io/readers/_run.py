@@ -22,8 +22,7 @@ from scipy.ndimage import median_filter
 
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, MotionTable
-from gyrotrack.io.readers._scatter import scatter
+from gyrotrack.io.readers._motion_table import MIN_SAMPLES, MotionTable, scatter
 
 _BLOCKS = 400
 _MIN_BLOCK = 4

@@ -23,13 +23,15 @@ from gyrotrack.io.readers._raw_table import (
     RawTable,
     content_lines,
     delimiter_of,
+    factor,
+    header_of,
     is_number,
     number_of,
     read_text,
+    role_of,
     split,
     table_of,
 )
-from gyrotrack.io.readers._units import factor, header_of, role_of
 
 
 def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:

@@ -1,11 +1,13 @@
-"""Prefixes of torques in sentences."""
+"""Prefixes of torques and places of a lack of fit in sentences."""
+
+from types import SimpleNamespace
 
 import cases
 import numpy as np
 import pytest
 
 from fitting._numbers import per_inertia, percentage, plain
-from fitting.discovery._residuals import Failure, ResidualTorque, find_failures, format_torque
+from fitting.discovery._residuals import Failure, ResidualTorque, _place, find_failures, format_torque
 
 
 @pytest.mark.parametrize(
@@ -55,7 +57,7 @@ def test_the_prefix_follows_the_size(value, sigma, text):
             -95110.0,
             12278.0,
             (0.1931, 0.2071),
-            "-95000 +- 12000 rad/s2, 0.193 s to 0.207 s, in the tail (up to 300 sigma)",
+            "-95000 +- 12000 rad/s2, 0.193 s to 0.207 s",
         ),
         (5030.0, 810.0, (0.0, 0.19), "+5000 +- 800 rad/s2, 0.00 s to 0.19 s"),
         (0.5, 0.1, (12.0, 31.26), "+0.50 +- 0.10 rad/s2, 12.0 s to 31.3 s"),
@@ -122,3 +124,22 @@ def test_shares_have_no_exponent_where_none_is_needed(share, text):
 )
 def test_numbers_of_sentences(value, text):
     assert plain(value) == text
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "where"), [(0, 10, "at the start"), (20, 40, "in the middle"), (70, 90, "in the tail")]
+)
+def test_a_body_that_only_slows_down_has_no_peak(a, b, where):
+    curve = SimpleNamespace(time=np.arange(100.0), omega_c=-50 * np.exp(-np.arange(100) / 30))
+    assert _place(curve, a, b) == where
+
+
+def test_a_speed_that_rises_and_falls_has_a_peak():
+    time = np.arange(100.0)
+    curve = SimpleNamespace(time=time, omega_c=time * (100 - time))
+    assert [_place(curve, *ab) for ab in ((0, 20), (45, 55), (30, 70), (80, 100))] == [
+        "in the rise",
+        "near the peak",
+        "around the peak",
+        "in the tail",
+    ]

@@ -33,6 +33,15 @@ def test_spin_down():
     assert found.omega["last"] == pytest.approx(30 - 2 * t[-1], abs=0.05)
 
 
+def test_speeds_at_the_ends_of_a_long_coast_down():
+    """Quadratic drag over two decades: a polynomial through the whole record ends with a negative speed."""
+    t = 400 * np.linspace(0, 1, 4000) ** 1.5
+    angle, sigma = noisy(t, np.log1p(90 * 0.02 * t) / 0.02, 1e-2, 4)
+    found = motion_of(t, angle, sigma)
+    assert found.omega["last"] == pytest.approx(90 / (1 + 90 * 0.02 * t[-1]), rel=0.05)
+    assert found.omega["first"] == pytest.approx(90, rel=0.2)
+
+
 def test_steady_with_a_hub_out_of_place():
     t = np.arange(250) / 25
     clean = 3.4 * t

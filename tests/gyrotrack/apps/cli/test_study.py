@@ -107,17 +107,16 @@ class TestImprove:
         assert abs(strength["value"] - DRAG) < 4 * strength["stderr"]
 
     @pytest.mark.slow
-    def test_nothing_hidden_adds_nothing(self, gyrotrack, case):
-        said = gyrotrack("improve", case("plain"), "--json")
-        assert said.code == 0
-        assert said.json["verdict"] == "adequate"
-        assert len(said.json["ladder"]) == 1
-        assert len(said.json["final"]["model"]) == 5
-
-    @pytest.mark.slow
-    def test_for_people(self, gyrotrack, case):
+    def test_nothing_hidden_adds_nothing(self, gyrotrack, case, monkeypatch):
+        documents = []
+        monkeypatch.setattr("gyrotrack.apps.cli._output.Output.result", lambda _, d: documents.append(d))
         said = gyrotrack("improve", case("plain"))
+        assert said.code == 0
         assert "verdict: the model is adequate; no effect was added" in said.out
+        (found,) = documents
+        assert found["verdict"] == "adequate"
+        assert len(found["ladder"]) == 1
+        assert len(found["final"]["model"]) == 5
 
 
 class TestLadder:

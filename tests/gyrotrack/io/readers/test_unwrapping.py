@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrotrack.io.readers._import_case import is_wrapped, unwrap
-from gyrotrack.io.readers._scatter import pieces
-from gyrotrack.io.readers._units import TURN
+from gyrotrack.io.readers._motion_table import pieces
+from gyrotrack.io.readers._raw_table import TURN
 
 
 def wrapped(angle, low=0.0):
