@@ -89,6 +89,13 @@ class Criteria:
     equation_error: float = _criterion(
         3.0, "error of the equations, over the least, up to which a spring is fitted"
     )
+    many_reversals: int = _criterion(200, "reversals of an oscillation above which one candidate is refitted")
+    refit_oscillation_p: float = _criterion(
+        0.1, "family-wise p-value above which candidates of an oscillation are not refitted"
+    )
+    gross_misfit: float = _criterion(
+        100.0, "chi2 per row of an oscillation above which a model fails grossly", "10 sigma"
+    )
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
 
     def __post_init__(self) -> None:
@@ -122,7 +129,7 @@ class Criteria:
 
 _AT_MOST_ONE = frozenset({
     "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate", "spectral_line",
-    "shape_share", "refit_share", "refit_p", "rival_share", "quieter",
+    "shape_share", "refit_share", "refit_p", "refit_oscillation_p", "rival_share", "quieter",
 })  # fmt: skip
 
 DEFAULT = Criteria()

@@ -152,11 +152,11 @@ def rank(
         # through many periods a refit takes long, and that of a law with a small score is degenerate
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
         chosen = [
-            w and c.p_value < _OSCILLATION_REFIT_P and c.score >= least
+            w and c.p_value < criteria.refit_oscillation_p and c.score >= least
             for w, c in zip(chosen, found, strict=True)
         ]
         oscillation = data[0].oscillation
-        long = oscillation is not None and len(oscillation.reversals) > _MANY_REVERSALS
+        long = oscillation is not None and len(oscillation.reversals) > criteria.many_reversals
         allowed = 1 if long else criteria.refit_least
         chosen = [w and sum(chosen[:i]) < allowed for i, w in enumerate(chosen)]
     if restoring_only:
@@ -182,12 +182,8 @@ def rank(
     return ordered(found, criteria)
 
 
-# reversals of an oscillation from which on only the best candidate is refitted
-_MANY_REVERSALS = 200
 # range of an oscillation from which on a harmonic of the angle is distinguishable from its Taylor series [rad]
 _SMALLEST_RANGE = 1.0
-# family-wise p-value above which a law of an oscillation is not refitted
-_OSCILLATION_REFIT_P = 0.1
 
 
 def shared_data(fit: Fit) -> Sequence[CaseData]:

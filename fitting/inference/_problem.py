@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._criteria import DEFAULT
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
@@ -237,8 +238,6 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
 
 
 _FIRST_LEVEL = 0.01
-# chi2 per row above which the residuals of an oscillation are no random torque: an error of ten standard deviations
-_GROSS_MISFIT = 100.0
 # correlation time over the length of the record: a slower torque would absorb the error of the initial values
 _FIRST_TIME = 1 / 200
 
@@ -299,7 +298,7 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     columns = whitener(np.concatenate([prediction.columns, data.nuisance], axis=1))
     residual = whitener(data.z - prediction.rows)
     residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
-    return float(residual @ residual) > _GROSS_MISFIT * len(residual)
+    return float(residual @ residual) > DEFAULT.gross_misfit * len(residual)
 
 
 def refine_level(

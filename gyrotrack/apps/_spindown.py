@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_MANY_REVERSALS = 200  # reversals of an oscillation from which on only a restoring torque is added
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -417,6 +416,7 @@ def _analysed(
     force: bool,
     progress: Progress | None,
 ) -> dict[str, Any]:
+    from fitting._criteria import DEFAULT
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
     from fitting.discovery._oscillator import oscillator_laws
@@ -459,9 +459,14 @@ def _analysed(
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
             oscillation = base.problem.data[0].oscillation
-            long = oscillation is not None and len(oscillation.reversals) > _MANY_REVERSALS
+            long = oscillation is not None and len(oscillation.reversals) > DEFAULT.many_reversals
             # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
             history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
+            if long and oscillation is not None:
+                warnings.append(
+                    f"The oscillation has {len(oscillation.reversals)} reversals: one effect was added; "
+                    "`gyrotrack improve` continues the search."
+                )
             if history.stopped:
                 warnings.append(f"The search stopped at a failed fit, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)

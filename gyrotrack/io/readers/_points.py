@@ -14,6 +14,8 @@ from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, frame_r
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
+# rms deviation of a path from a circle about its fitted centre, over the radius; a circle seen at 45 degrees has 0.12
+_LARGEST_DEVIATION = 0.15
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     UsageError
         The marker or the frame rate is not given, or a name is unknown.
     DatasetError
-        The marker is too close to the centre, or tracked in too few frames.
+        The marker is too close to the centre, or tracked in too few frames, or its path is not a circle about the
+        fitted centre.
     """
     time = points.time.astype(float)
     if points.counted:
@@ -131,6 +134,14 @@ def _centre(points: Points, options: ReadOptions, name: str | None, place: Float
     if fixed is not None:
         return fixed, f"({fixed[0]:g}, {fixed[1]:g})"
     found = circle_centre(place)
+    radius = np.hypot(*(place - found).T)
+    deviation = float(np.nanstd(radius) / np.nanmean(radius))
+    if deviation > _LARGEST_DEVIATION:
+        raise DatasetError(
+            f"{points.path}: the path of the point is no circle about its fitted centre, ({found[0]:.4g}, "
+            f"{found[1]:.4g}): rms deviation {100 * deviation:.0f} % of the radius.",
+            "Give the centre of rotation with --centre, as a point or as coordinates: --centre 320,240.",
+        )
     return found, f"the centre of its path, ({found[0]:.4g}, {found[1]:.4g})"
 
 

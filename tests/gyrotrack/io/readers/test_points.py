@@ -253,3 +253,22 @@ def test_a_case_of_points(tmp_path, places):
     assert np.nanmedian(case.rotor.omega) == pytest.approx(3000, rel=0.01)
     assert case.rotor.time[0] == pytest.approx(1.5)
     assert np.median(case.casing.sigma) == pytest.approx(NOISE * np.sqrt(2) / ARM, rel=0.3)
+
+
+def test_a_path_that_is_no_circle_needs_a_centre(tmp_path):
+    """A wandering point: its direction from the centre of a fitted circle is no angle of rotation."""
+    x = 630 + 6 * np.sin(3 * TIME)
+    y = 160 + 12 * np.sin(2 * TIME + 1)
+    path = write(tmp_path / "a.csv", "t,x,y\n" + rows(TIME, x, y))
+    with pytest.raises(DatasetError, match=r"no circle about its fitted centre.* % of the radius") as error:
+        read_motion(path, ReadOptions(marker=None))
+    assert "--centre 320,240" in error.value.hint
+    assert len(read_motion(path, ReadOptions(centre="500,160")).time) == N
+
+
+def test_a_circle_seen_obliquely_is_one(tmp_path):
+    """At 40 degrees the ellipse has an axis ratio of 0.77."""
+    xy = CENTRE + ARM * np.stack([np.cos(ANGLE), -0.77 * np.sin(ANGLE)], axis=1)
+    path = write(tmp_path / "a.csv", "t,x,y\n" + rows(TIME, *xy.T))
+    turned = np.unwrap(read_motion(path, ReadOptions()).value)
+    assert abs(turned[-1] - turned[0]) == pytest.approx(ANGLE[-1] - ANGLE[0], abs=0.3)
