@@ -137,6 +137,7 @@ def test_small_oscillations_separate_no_restoring_torques_and_a_larger_release_w
     assert found.failures == ()
 
 
+@pytest.mark.slow
 def test_torques_are_compared_about_the_equilibrium_of_each_fit():
     def acceleration(t, a, w):
         return 1.5 - 12 * np.sin(a) - 0.05 * w
