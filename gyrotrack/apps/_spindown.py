@@ -521,15 +521,19 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
 
 
+_TURNS_WITH_HARMONICS = 2.0  # turns from which on harmonics of the angle are distinguishable from the motion
+
+
 def _with_view_errors(
     motion: BodyMotion, series: Series, recording: Recording, tracked: Tracked
 ) -> BodyMotion:
     """Add the difference between the inner and the outer half of the ring to the uncertainties.
 
     Perspective, a displaced hub and objects fixed in the image affect both halves differently; these errors are
-    systematic. The error by a displaced hub is `hub_leverage` times the difference that it causes.
+    systematic. In less than two turns the error by a displaced hub, `hub_leverage` times the difference that it causes,
+    is not distinguishable from the motion; in more it is a harmonic of the angle, which `motion_of` fits.
     """
-    leverage = max(0.5, tracked.hub_leverage)
+    leverage = max(0.5, tracked.hub_leverage) if motion.turns < _TURNS_WITH_HARMONICS else 0.5
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
 

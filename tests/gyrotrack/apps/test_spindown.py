@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.optimize import brentq, least_squares
 
 from gyrotrack.apps import _spindown
 from gyrotrack.apps._motion import motion_of, start_of_motion
+from gyrotrack.apps._spindown import _with_view_errors
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers._import_case import import_body
 from gyrotrack.tracking._any_body import Film, SeveralBodiesError
@@ -99,6 +101,21 @@ def test_an_oscillation_keeps_its_sign(tmp_path):
     case = import_body(path, 1.0)
     assert case.extra["sense"] == 1
     assert not any("negative sense" in w for w in case.warnings)
+
+
+@pytest.mark.parametrize(("speed", "factor"), [(23.0, 0.5), (4.0, 3.0)])
+def test_halves_of_the_ring_that_differ_widen_the_uncertainty(speed, factor):
+    """By half the difference over many turns; over less than two, also by the leverage of a displaced hub."""
+    t = np.arange(400) / 300
+    angle, sigma = noisy(t, speed * t - 0.2 * t**2, 1e-3, 5)
+    series = SimpleNamespace(time=t, sigma=sigma)
+    halves = np.stack([angle + 0.02 * t**2, angle - 0.02 * t**2])  # alpha differs by 0.08 rad/s2
+    recording = SimpleNamespace(bodies={"casing": SimpleNamespace(time=t)})
+    tracked = SimpleNamespace(halves=halves, hub_leverage=3.0)
+    plain = motion_of(t, angle, sigma)
+    found = _with_view_errors(plain, series, recording, tracked)
+    assert found.alpha.value == plain.alpha.value
+    assert found.alpha.stderr == pytest.approx(np.hypot(plain.alpha.stderr, factor * 0.08), rel=0.05)
 
 
 @pytest.mark.slow
