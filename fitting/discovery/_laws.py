@@ -58,7 +58,7 @@ from fitting.discovery._score import (
     score,
     score_of_columns,
 )
-from fitting.discovery._select import Candidate, rank
+from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._mesh import Sampler
@@ -186,7 +186,11 @@ class DifferentParameter:
     name : str
         The parameter, ``<effect>.<symbol>``.
     estimates : dict
-        Its value in each recording, by label.
+        Its value in each recording, by label. Their errors may be strongly correlated.
+    differences : dict
+        Its value in each other recording minus that in the first, by label.
+    indistinguishable_from : tuple of str
+        Other shared parameters whose difference describes the data as well.
     delta_bic : float
         BIC with a value for each recording minus BIC of the base.
     p_value : float
@@ -197,6 +201,8 @@ class DifferentParameter:
 
     name: str
     estimates: dict[str, Estimate]
+    differences: dict[str, Estimate]
+    indistinguishable_from: tuple[str, ...]
     delta_bic: float
     p_value: float
     fit: Fit = field(repr=False)
@@ -305,6 +311,20 @@ def laws(
     """
     steps = _Steps(progress)
     workers = workers or WorkerPool(0)
+    search = _Search(base, criteria, workers, steps)
+    differs = _different_parameter(base, None, criteria)
+    if (
+        differs is not None
+        and not beyond_library
+        and not differs.fit.fails(criteria)
+        and not search.improves_on_difference(differs, extra)
+    ):
+        depends_on = tuple(dependence(base))
+        steps.done()
+        return Laws(
+            base, "parameter", _difference_sentence(differs), (), None, depends_on, "", search.trials, diagnosis,
+            differs,
+        )  # fmt: skip
     if diagnosis is None:
         candidates: Sequence[Candidate] = rank(base, extra, criteria=criteria, workers=workers)
         steps.next()
@@ -313,7 +333,6 @@ def laws(
     if diagnosis is not None:
         candidates = diagnosis.candidates
     steps.next()
-    search = _Search(base, criteria, workers, steps)
     named = None if beyond_library or diagnosis is None else library_answer(diagnosis, criteria)
     if named is not None and not search.improves_on(named):
         depends_on = tuple(dependence(base))
@@ -326,16 +345,13 @@ def laws(
     found = search.best_set()
     terms = [e.name for e in found[0].effects] if found else []
     depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
-    differs = _different_parameter(base, found[0] if found else None, criteria)
     steps.done()
-    if not found and differs is not None:
-        return Laws(
-            base, "parameter", _difference_sentence(differs), (), None, depends_on, "", search.trials, diagnosis,
-            differs,
-        )  # fmt: skip
     if not found:
-        sentence = "No law is significant: this search finds nothing beyond noise."
-        return Laws(base, "none", sentence, (), None, depends_on, "", search.trials, diagnosis)
+        verdict, sentence = "none", "No law is significant: this search finds nothing beyond noise."
+        if differs is not None:
+            verdict, sentence = "parameter", _difference_sentence(differs)
+        return Laws(base, verdict, sentence, (), None, depends_on, "", search.trials, diagnosis, differs)
+    differs = _different_parameter(base, found[0], criteria)
     library = _equivalent_effect(candidates, found[0], criteria)
     clear = differs is not None and found[0].penalised - _penalised(differs) > criteria.equivalence_width
     answer = Laws(
@@ -549,13 +565,32 @@ class _Search:
         scored = self._scored(known.fit, [known.effect])
         own = score_of_columns(scored.context, torque_rows([known.effect], scored.cases)[:, None])
         own -= (len(known.fit.theta) - len(self.base.theta)) * float(np.log(self.base.n_eff))
-        best = max(map(self._worth, self.forms, scored.scores), default=-np.inf)
-        return best > own + self.criteria.equivalence_width
+        lengths = [f.description_length for f in self.forms]
+        return max(map(self._worth, scored.scores, lengths)) > own + self.criteria.equivalence_width
 
-    def _worth(self, law: LawForm, s: Score) -> float:
-        """Return the score minus the penalty of the law's constants and length."""
-        constants = s.columns + len(s.shape[0])
-        return s.score - constants * float(np.log(self.base.n_eff)) - law.description_length
+    def improves_on_difference(self, differs: DifferentParameter, extra: Sequence[Effect]) -> bool:
+        """Return whether a law or an effect describes the data better than different values of a shared parameter.
+
+        To first order about the fit with these values, the difference being part of the residuals.
+        """
+        about = differs.fit
+        names = about.problem.layout.names
+        cases = [CaseColumns(about, i) for i in range(len(about.predictions))]
+        own = [i for i, n in enumerate(names) if n.partition("@")[0] == differs.name]
+        change = about.theta[own] - about.theta[own].mean()
+        rows = np.concatenate([p.jacobian[:, own] @ change for p in about.predictions])
+        context = ScoreContext(about, 1, torque_rows=rows, shared=differs.name)
+        effects = applicable_effects(self.base, extra)
+        everything = [*(f.effect for f in self.forms), *effects]
+        lengths = [f.description_length for f in self.forms] + [0.0] * len(effects)
+        scores = score(about, everything, cases, self.criteria, context=context)
+        limit = score_of_columns(context, rows[:, None]) - description_length(1)
+        limit -= (len(own) - 1) * float(np.log(self.base.n_eff))
+        return max(map(self._worth, scores, lengths)) > limit
+
+    def _worth(self, s: Score, length: float) -> float:
+        """Return a score minus the penalty of the constants and of the length of the formula."""
+        return s.score - (s.columns + len(s.shape[0])) * float(np.log(self.base.n_eff)) - length
 
     def _scored(self, about: Fit, removed: Sequence[Effect], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit with some of its effects removed.
@@ -585,7 +620,9 @@ class _Search:
             if not s.absorbed and s.score > 0 and law.effect.name not in known
             if law.effect.state is None or not stateless
         ]
-        return sorted(found, key=lambda c: self._worth(c.law, c.score), reverse=True)[:most]
+        return sorted(found, key=lambda c: self._worth(c.score, c.law.description_length), reverse=True)[
+            :most
+        ]
 
     def _refits(
         self,
@@ -854,11 +891,8 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
 def _different_parameter(base: Fit, best: Law | None, criteria: Criteria) -> DifferentParameter | None:
     """Return the shared parameter whose difference between recordings describes the data best, if as well as a law."""
     layout = base.problem.layout
-    keys = [
-        k
-        for k in base.model.free
-        if k not in layout.per_case and not layout.at_bound(base.theta)[layout.index[k]]
-    ]
+    # one at its bound may be there only because of the difference
+    keys = [k for k in base.model.free if k not in layout.per_case]
     if len(layout.records) < 2 or not keys:
         return None
     context, ends = ScoreContext(base, 1), np.cumsum([0, *(len(d.z) for d in base.problem.data)])
@@ -870,27 +904,38 @@ def _different_parameter(base: Fit, best: Law | None, criteria: Criteria) -> Dif
         scores[key] = score_of_columns(context, columns)
     usual, own = layout.choices
     noise = base.noise if best is None else best.fit.noise
-    found: Fit | None = None
-    name = ""
+    trials: dict[str, Fit] = {}
     for key in sorted(keys, key=lambda k: -scores[k])[:_DIFFERING]:
         values = base.values
         start = values | {f"{key}@{r.label}": values[key] for r in layout.records}
         with suppress(FittingError):
-            trial = fit(
+            trials[key] = fit(
                 base.model, base.problem.data, share=[k for k in usual if k != key], per_case=[*own, key],
                 start={k: v for k, v in start.items() if k != key}, noise=noise,
             )  # fmt: skip
-            if found is None or trial.deviance < found.deviance:
-                found, name = trial, key
-    if found is None:
+    if not trials:
         return None
+    name = min(trials, key=lambda k: trials[k].deviance)
+    found = trials[name]
     from scipy.special import chdtrc
 
     same = base if best is None else refitted_at(base, noise)
     single = float(chdtrc(len(layout.records) - 1, max(same.deviance - found.deviance, 0.0)))
     p_value = min(1.0, len(keys) * single)
+    first, *others = [found.problem.layout.index[f"{name}@{r.label}"] for r in layout.records]
     estimates = {r.label: found.estimates[f"{name}@{r.label}"] for r in layout.records}
-    differs = DifferentParameter(name, estimates, found.bic - same.bic, p_value, found)
+    differences = {}
+    for label, i in zip(list(estimates)[1:], others, strict=True):
+        c = found.covariance
+        u = float(np.sqrt(max(c[i, i] + c[first, first] - 2 * c[i, first], 0.0)))
+        value = float(found.theta[i] - found.theta[first])
+        differences[label] = replace(estimates[label], value=value, stderr=u)
+    similar = [
+        k for k, f in trials.items() if k != name and f.deviance < found.deviance + criteria.equivalence_width
+    ]
+    differs = DifferentParameter(
+        name, estimates, differences, tuple(similar), found.bic - same.bic, p_value, found
+    )
     limit = same.bic - criteria.evidence if best is None else best.penalised + criteria.equivalence_width
     return differs if p_value < criteria.significance and _penalised(differs) < limit else None
 
@@ -901,11 +946,15 @@ def _penalised(differs: DifferentParameter) -> float:
 
 
 def _difference_sentence(differs: DifferentParameter) -> str:
-    values = ", ".join(
-        f"{rounded(e.value, e.stderr, e.unit)} in {label}" for label, e in differs.estimates.items()
-    )
+    values = [f"{rounded(e.value, e.stderr, e.unit)} in {label}" for label, e in differs.estimates.items()]
+    first = next(iter(differs.estimates))
+    values += [
+        f"{label} minus {first} {rounded(e.value, e.stderr, e.unit)}"
+        for label, e in differs.differences.items()
+    ]
     return (
-        f"The recordings may differ in {differs.name} ({values}): with its own value in each recording the model "
+        f"The recordings may differ in {' or '.join((differs.name, *differs.indistinguishable_from))} "
+        f"({', '.join(values)}): with its own value in each recording the model "
         f"describes the data without another law; fit with `--per-case {differs.name}`."
     )
 

@@ -75,6 +75,8 @@ class ScoreContext:
         Response of the rows to the torque of these effects.
     release : bool
         Whether parameters at a bound are free as well.
+    shared : str
+        A parameter of which each case has its own value in the fit, and which counts as one parameter here.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class ScoreContext:
         without: Sequence[str] = (),
         torque_rows: Array | None = None,
         release: bool = False,
+        shared: str = "",
     ) -> None:
         self.fit = fit
         data = fit.problem.data
@@ -99,7 +102,12 @@ class ScoreContext:
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
         moving &= np.array([n.partition("@")[0].rpartition(".")[0] not in without for n in names], dtype=bool)
-        free = np.concatenate([p.jacobian[:, moving] for p in fit.predictions])
+        jacobian = np.concatenate([p.jacobian for p in fit.predictions])
+        own = [i for i, n in enumerate(names) if n.partition("@")[0] == shared]
+        if own:
+            jacobian[:, own[0]] = jacobian[:, own].sum(axis=1)
+            moving[own[1:]] = False
+        free = jacobian[:, moving]
         nuisance = block_diagonal([d.nuisance for d in data])
         residual = np.concatenate([d.z - p.rows for d, p in zip(data, fit.predictions, strict=True)])
         residual = residual if torque_rows is None else residual + torque_rows

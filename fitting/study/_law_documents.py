@@ -84,12 +84,17 @@ class DependenceDocument(Document):
 
 
 class DifferenceBetweenRecordings(Document):
-    """A parameter shared by the recordings that differs between them; its value in each of them, by label."""
+    """A parameter shared by the recordings that differs between them; its value in each of them, by label.
+
+    `differences` are the values minus that of the first recording.
+    """
 
     parameter: str
     delta_bic: Number
     p_value: Number
     values: dict[str, EstimateDocument]
+    differences: dict[str, EstimateDocument]
+    indistinguishable_from: list[str]
 
 
 class LawsDocument(Document):

@@ -143,11 +143,19 @@ def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_v
     for label, true in (("a", twobody.PAPER["b1"]), ("b", 4e-6)):
         assert abs(found.estimates[label].value - true) < 4 * found.estimates[label].stderr
         assert found.estimates[label].stderr < 0.1 * true
+    # errors of the two values are correlated through the parameters that remain shared
+    difference = found.differences["b"]
+    assert abs(difference.value - (4e-6 - twobody.PAPER["b1"])) < 4 * difference.stderr
+    assert difference.stderr < np.hypot(*(e.stderr for e in found.estimates.values()))
     assert found.p_value < 1e-6
     assert found.delta_bic < -20
     document = laws_document(Laws(base, "parameter", "", (), None, (), "", 0, None, found), "f1")
     assert document["differs"]["parameter"] == found.name
     assert document["differs"]["values"]["b"]["value"] == found.estimates["b"].value
+    assert document["differs"]["differences"]["b"]["stderr"] == difference.stderr
+    # whatever law might imitate the difference is worse
+    search = _laws._Search(base, DEFAULT, WorkerPool(0), _laws._Steps(None))
+    assert not search.improves_on_difference(found, ())
 
 
 @pytest.mark.slow
