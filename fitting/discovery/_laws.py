@@ -65,6 +65,7 @@ from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
+from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit, fit_like
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
@@ -347,7 +348,7 @@ def laws(
     depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
     steps.done()
     if not found:
-        verdict, sentence = "none", "No law is significant: this search finds nothing beyond noise."
+        verdict, sentence = "none", _nothing_sentence(base.model, depends_on, criteria)
         if differs is not None:
             verdict, sentence = "parameter", _difference_sentence(differs)
         return Laws(base, verdict, sentence, (), None, depends_on, "", search.trials, diagnosis, differs)
@@ -957,6 +958,20 @@ def _difference_sentence(differs: DifferentParameter) -> str:
         f"({', '.join(values)}): with its own value in each recording the model "
         f"describes the data without another law; fit with `--per-case {differs.name}`."
     )
+
+
+def _nothing_sentence(model: Model, depends_on: Sequence[Dependence], criteria: Criteria) -> str:
+    """Return what a search without a law means; effects that were added before may imitate the law."""
+    if not depends_on or depends_on[0].p_value >= criteria.significance:
+        return "No law is significant: this search finds nothing beyond noise."
+    sentence = f"No law improves this fit, although its unmodelled torque depends on {depends_on[0].words}."
+    added = [e.name for e in model.effects if e.kind == "physical" and e.name not in GENERAL]
+    if added:
+        sentence += (
+            f" It contains {' and '.join(added)}, which may imitate the law: search again from the fit without "
+            "added effects (`--from f1`)."
+        )
+    return sentence
 
 
 def _sentence(found: Laws, criteria: Criteria) -> str:

@@ -59,6 +59,18 @@ def test_the_library_is_the_answer_only_without_an_equivalent_unknown_law(remain
     assert (library_answer(known) is candidate) is stops
 
 
+def test_a_search_without_a_law_says_whether_added_effects_may_hide_it():
+    depends = SimpleNamespace(p_value=1e-9, words="the speed of the casing (torque on the casing)")
+    plain, improved = Model.of(REDUCED), Model.of([*REDUCED, "casing.brake.eddy"])
+    said = _laws._nothing_sentence(improved, [depends], DEFAULT)
+    assert "depends on the speed of the casing" in said
+    assert "casing.brake.eddy" in said
+    assert "--from" in said
+    assert "--from" not in _laws._nothing_sentence(plain, [depends], DEFAULT)
+    depends.p_value = 0.5
+    assert "nothing beyond noise" in _laws._nothing_sentence(improved, [depends], DEFAULT)
+
+
 def predicting(*rows, bic=0.0):
     """Return the attributes of a fit that the grouping of laws uses: predicted rows, and one nuisance column."""
     nuisance = np.eye(4)[:, :1]
