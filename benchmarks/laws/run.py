@@ -127,16 +127,18 @@ def third(found: Fit, data: CaseData) -> float:
 
 
 def empty(seed: int, noise: float) -> dict[str, Any]:
-    """Search where nothing is hidden; the diagnosis, which could only stop the search, is left out."""
+    """Search where nothing is hidden, with the whole command: law, effect and different parameter are all false."""
     w = world(None, seed)
     data = [CaseData.of(make_record(**r)) for r in w.records(noise, seed, count=2)]
     base = fit(Model.of(REDUCED), data)
-    search = _Search(base, DEFAULT, WorkerPool(0), _Steps(None))
-    found = search.best_set()
+    found = laws(base)
+    claimed = [x.formula for x in found.laws[:3]]
+    if found.verdict != "none" and not claimed:
+        claimed = [found.differs.name if found.differs is not None else found.verdict]
     return {
-        "key": f"empty|{seed}|{noise:g}", "noise": noise, "claimed": [x.formula for x in found[:3]],
-        "p": found[0].p_value if found else None, "delta_bic": found[0].delta_bic if found else None,
-        "base": base.verdict,
+        "key": f"empty|{seed}|{noise:g}", "noise": noise, "claimed": claimed, "verdict": found.verdict,
+        "p": found.laws[0].p_value if found.laws else None,
+        "delta_bic": found.laws[0].delta_bic if found.laws else None, "base": base.verdict,
     }  # fmt: skip
 
 
