@@ -153,16 +153,17 @@ def test_pulses_missed_and_doubled(tmp_path):
 def test_pulses_until_rest_are_not_missed(tmp_path, seed):
     """The last interval of a body that comes to rest by dry friction may be twice the one before."""
     random = np.random.default_rng(seed)
-    rate, per_turn = random.uniform(0.2, 1.0), 4
-    whole = np.arange(int(30**2 / (2 * rate) * per_turn / (2 * math.pi)))
-    # angle = 30 t - rate t^2 / 2
-    times = (30 - np.sqrt(30**2 - 2 * rate * 2 * math.pi * whole / per_turn)) / rate
+    rate, per_turn, number = random.uniform(0.2, 1.0), 4, int(random.integers(300, 800))
+    pitch = 2 * math.pi / per_turn
+    # at rest a fraction of an interval after the last pulse; before it, angle = speed t - rate t^2 / 2
+    speed = math.sqrt(2 * rate * (number - 1 + random.uniform(0.01, 0.1)) * pitch)
+    times = (speed - np.sqrt(speed**2 - 2 * rate * pitch * np.arange(number))) / rate
     times += random.normal(0, 2e-5, len(times))
     lost = int(random.integers(20, len(times) - 20))
     path = tmp_path / "pulses.txt"
     np.savetxt(path, np.delete(times, lost), fmt="%.6f")
     read = read_motion(path, ReadOptions(pulses_per_turn=per_turn))
-    assert read.value[-1] - read.value[0] == pytest.approx(2 * math.pi * whole[-1] / per_turn, abs=0.1)
+    assert read.value[-1] - read.value[0] == pytest.approx((number - 1) * pitch, abs=0.1)
     assert "1 missed pulses" in " ".join(read.notes)
 
 
