@@ -266,8 +266,8 @@ def _ratios_at_end(step: Floats) -> Floats:
     """Return intervals over those that continue the speed of the previous ones; only the last `_END` are changed.
 
     At the end of a motion the later intervals are unknown: an interval of twice the length is a missed pulse, or a body
-    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of the
-    previous interval T0 and half of the next one: T (v - a (T0 + T) / 2) = 1.
+    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of T0
+    and half of the next interval T, T0 being the previous one: T (v - a (T0 + T) / 2) = 1.
     """
     regular, ratio = step.copy(), np.ones(len(step))
     for k in range(max(len(step) - _END, _LINE), len(step)):
