@@ -220,13 +220,19 @@ def from_events(
             f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed.",
             "Give a longer recording.",
         )
-    single = _not_double(time)
+    single = np.append(True, np.diff(time) > 0)
+    single[single] = _not_double(time[single])
     doubles = int((~single).sum())
     if doubles:
         notes.append(
             f"{raw.path.name}: {doubles} double pulses were excluded (first: line {line[~single][0]})"
         )
     time, line = time[single], line[single]
+    if len(time) < MIN_SAMPLES:
+        raise DatasetError(
+            f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed.",
+            "Check the column of the times.",
+        )
     count = _with_missed_pulses(raw, time, np.arange(len(time), dtype=float), line, notes)
     return from_counts(raw, time, count, line, per_turn, notes)
 
