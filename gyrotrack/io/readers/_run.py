@@ -293,10 +293,29 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
         return 0, False
     _, k, b, a, u = best
     if b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u:  # constant speed before
-        return min(k + 1, len(time) - 1), True
+        return _first_free(time, speed, k + 1, reach), True
     if speed[0] < 0.9 * top and last_high > 2:  # increasing speed before
-        return min(last_high + 1, len(time) - 1), True
+        return _first_free(time, speed, last_high + 1, reach), True
     return 0, False
+
+
+def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
+    """Return the first block from `begin` on that continues the parabola through the later ones up to `reach`.
+
+    A line before the changepoint describes a constant drive only: after a drive that varies, the last blocks before its
+    end may still agree better with the line of the free motion.
+    """
+    for first in range((begin + reach) // 2, begin - 1, -1):
+        x, y = time[first + 1 : reach + 1] - time[first], speed[first + 1 : reach + 1]
+        if len(x) < 6:
+            break
+        design = np.polynomial.polynomial.polyvander(x, 2)
+        coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
+        residual = y - design @ coefficients
+        variance = float(residual @ residual) / (len(x) - 3) * (1 + np.linalg.inv(design.T @ design)[0, 0])
+        if abs(speed[first] - coefficients[0]) > _SIGNIFICANT * np.sqrt(variance):
+            return first + 2  # the block after it may still contain the end of the drive
+    return min(begin + 1, len(time) - 1)
 
 
 def _slope(time: Floats, speed: Floats) -> tuple[float, float, float]:

@@ -94,7 +94,7 @@ def test_nine_in_ten_deviations_of_the_limit_are_detected():
 
     limit = form_test(drag(2e-6), DRAG, DEFAULT).limit
     random, hits = np.random.default_rng(1), 0
-    for seed in range(8):
+    for seed in range(6):
         h = random.standard_normal(4)
         h *= 2 * limit / math.sqrt(np.mean(h**2))
 
@@ -105,4 +105,4 @@ def test_nine_in_ten_deviations_of_the_limit_are_detected():
         film = twobody.film(twobody.simulate(hidden=twobody.Hidden(casing=law), seed=seed), seed)
         deviating = fit(Model.of(REDUCED).with_effect(DRAG), [CaseData.of(make_record(**film))])
         hits += smooth_test(deviating).p_value < DEFAULT.doubt_named
-    assert hits >= 5
+    assert hits >= 4

@@ -8,14 +8,13 @@ import pytest
 import twobody
 
 from fitting._criteria import Criteria
-from fitting._workers import WorkerPool
+from fitting.discovery import _verdict
 from fitting.discovery._inertia import (
     NAME,
     InertiaRival,
     inertia_within_uncertainty,
     with_free_inertia,
 )
-from fitting.discovery._select import rank, select
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
@@ -62,7 +61,7 @@ def test_a_casing_one_percent_too_light(u, verdict):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("factor", "u"), [(1.03, math.nan), (0.97, 0.02)])
-def test_a_wrong_inertia_is_reported_with_the_effect(factor, u):
+def test_a_wrong_inertia_is_reported_with_the_effect(factor, u, monkeypatch):
     """Quadratic drag and I_casing wrong by 3 %: the name stays, and the error is found with its uncertainty."""
     model = Model.of(REDUCED).with_effect(LIBRARY["casing.air.quadratic"])
     numbers = {
@@ -78,13 +77,19 @@ def test_a_wrong_inertia_is_reported_with_the_effect(factor, u):
     record = simulate(model, numbers, experiment, seed=8, inertia_rotor=6.2e-5, inertia_casing=2.4e-5)
     stated = factor * record.I_casing
     base = fit(Model.of(REDUCED), [replace(record, I_casing=stated, I_casing_u=u * stated)])
+    seen = []
+
+    def watched(*arguments):
+        seen.append((arguments[1], with_free_inertia(*arguments)))
+        return seen[-1][1]
+
+    monkeypatch.setattr(_verdict, "with_free_inertia", watched)
     found = diagnose(base)
+    ((selection, rival),) = seen
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.air.quadratic"
     if math.isnan(u):
         assert found.form != "exact"
-    selection = select(base, rank(base), (), Criteria(), WorkerPool(0))
-    rival = with_free_inertia(base, selection, (), Criteria())
     if NAME in selection.final.model.names:
         share = selection.final.estimates[f"{NAME}.eps"]
         assert "second effect setup.inertia" in found.sentence

@@ -88,4 +88,3 @@ def test_an_exponent_at_its_bound_is_reported():
     found = diagnose(fit(Model.of(REDUCED), [case(steep, 3, "case1")]))
     assert found.verdict != "adequate"
     assert "Active bound: bearing.power.g = 1.4" in found.sentence
-    assert "range" not in diagnose(fit(Model.of(REDUCED), [filmed(0)])).sentence

@@ -96,11 +96,3 @@ def test_false_alarm_probability_agrees_with_simulated_noise():
         beyond = np.sum([false_alarm_probability(chi2, band, span) < level for chi2 in largest])
         assert stats.binom.ppf(1e-4, len(largest), 0.4 * level) <= beyond
         assert beyond <= stats.binom.ppf(1 - 1e-4, len(largest), level)
-
-
-@pytest.mark.slow
-def test_periodogram_has_the_stated_false_alarm_rate():
-    p = np.array([periodogram_peak(found(twobody.Hidden(), seed)).p_value for seed in range(18)])
-    for level in (0.03, 0.1, 0.3):
-        assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
-    assert np.sum(p < 0.5) >= 2

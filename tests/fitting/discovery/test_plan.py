@@ -119,6 +119,7 @@ class TestLimits:
         assert drag().stderr == pytest.approx(stderr, rel=0.1)
         assert drag().unit == "N m s2"
 
+    @pytest.mark.slow
     def test_the_torque_is_the_rms_along_the_motion(self):
         path = base().predictions[0].path
         t = np.linspace(*base().problem.data[0].record.span, 3000)

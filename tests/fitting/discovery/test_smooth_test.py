@@ -8,7 +8,7 @@ import pytest
 import twobody
 from scipy import stats
 
-from fitting.discovery._lack_of_fit import smooth_test
+from fitting.discovery._lack_of_fit import periodogram_peak, smooth_test
 from fitting.discovery._select import rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
@@ -66,10 +66,12 @@ def test_a_dependence_on_speed_is_reported_without_a_library_law():
 
 
 @pytest.mark.slow
-def test_smooth_test_has_the_stated_false_alarm_rate():
-    """The tests are correlated: small p-values are accurate, large ones are upper bounds."""
-    p = np.array([smooth_test(found(seed, NOTHING)).p_value for seed in range(18)])
-    for level in (0.02, 0.1, 0.3):
-        assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
-    # and not never
-    assert np.sum(p < 0.5) >= 2
+def test_smooth_test_and_periodogram_have_the_stated_false_alarm_rates():
+    """The smooth tests are correlated: small p-values are accurate, large ones are upper bounds."""
+    fits = [found(seed, NOTHING) for seed in range(18)]
+    for test in (smooth_test, periodogram_peak):
+        p = np.array([test(f).p_value for f in fits])
+        for level in (0.02, 0.1, 0.3):
+            assert np.sum(p < level) <= stats.binom.ppf(0.999, len(p), level)
+        # and not never
+        assert np.sum(p < 0.5) >= 2

@@ -66,6 +66,7 @@ def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
 
+@pytest.mark.slow
 def test_noise_of_the_rotors_camera_is_found_in_its_windows():
     """Three windows of one camera: 2 mrad over 0.3 s, told within what 24 rows allow; white noise is told as white."""
     plain = case()

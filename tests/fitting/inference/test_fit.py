@@ -71,9 +71,9 @@ def test_fitted_paths_agree_with_the_true_motion():
         assert np.abs(found[:, body] - motion.at(times, body)[1]).max() < within
 
 
-# from three of them the way leads through casings that stop and turn back: seconds instead of tenths
+# from four of them the way leads through casings that stop and turn back: seconds instead of tenths
 @pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {7, 9, 11} else s for s in range(12)]
+    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {0, 7, 9, 11} else s for s in range(12)]
 )
 def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
     base = fitted(seed=1)
@@ -151,21 +151,21 @@ def test_the_same_data_give_the_same_fit():
         assert again.estimates[name].value == estimate.value
 
 
-SEEDS = 20
+SEEDS = 14
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ou", [0.0, 1e-7], ids=["calm", "random torque"])
 def test_uncertainties_have_the_stated_coverage(ou):
-    """Over 20 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
+    """Over 14 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
 
-    160 pulls, of which about 40 are independent: 95 +- 3.5 %. Their spread must be near 1.
+    112 pulls, of which about 28 are independent: 95 +- 4 %. Their spread must be near 1.
     """
     table = np.array([list(pulls(fitted(seed=100 + s, ou=ou), TRUTH).values()) for s in range(SEEDS)])
     coverage = np.mean(np.abs(table) < 1.96)
     assert 0.85 <= coverage <= 1.0
     assert 0.7 < np.sqrt(np.mean(table**2)) < 1.35
-    # a bias common to all recordings would show in the mean: standard deviation 1/sqrt(20) = 0.22
+    # a bias common to all recordings would show in the mean: standard deviation 1/sqrt(14) = 0.27
     assert np.abs(table.mean(axis=0)).max() < 0.9
     noises = [fitted(seed=100 + s, ou=ou).noise[0] for s in range(SEEDS)]
     if ou:

@@ -89,8 +89,8 @@ def test_outliers_cost_little():
 @pytest.mark.slow
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_uncertainties_are_valid_with_outliers(loss):
-    """5 recordings x 8 parameters, of which about two are independent: rms pull 1 +- 0.2."""
-    found = [robust_fit(Model.of(REDUCED), [make_record(**spoiled(70 + s))], loss) for s in range(5)]
+    """4 recordings x 8 parameters, of which about two are independent: rms pull 1 +- 0.25."""
+    found = [robust_fit(Model.of(REDUCED), [make_record(**spoiled(70 + s))], loss) for s in range(4)]
     table = np.array([list(pulls(f, TRUTH).values()) for f in found])
     assert 0.6 < np.sqrt(np.mean(table**2)) < 1.4
     assert np.mean(np.abs(table) < 1.96) > 0.85

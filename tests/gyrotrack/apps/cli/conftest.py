@@ -77,14 +77,13 @@ def case(simulated, tmp_path):
 
 @pytest.fixture(scope="session")
 def studied(simulated, made_once):
-    """The case `drag`, diagnosed (diagnosis.json) and fitted with the effect that was named: two steps, made once."""
+    """The case `drag`, fitted without and with the effect that it hides: two steps, made once."""
 
     def make(folder):
         path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
-        with contextlib.redirect_stdout(io.StringIO()) as out:
-            assert app.run(["diagnose", str(path), "--json"]) == 0
-        (folder / "diagnosis.json").write_text(out.getvalue(), encoding="utf-8")
-        assert app.run(["fit", str(path), "--from", "f1", "--add", "casing.air.quadratic", "-q"]) == 0
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert app.run(["fit", str(path), "-q"]) == 0
+            assert app.run(["fit", str(path), "--from", "f1", "--add", "casing.air.quadratic", "-q"]) == 0
 
     return made_once("studied", make)
 

@@ -103,6 +103,7 @@ def test_a_law_of_ones_own_finds_its_parameter(gyrotrack, study):
     assert ladder[-1]["rmse_casing"] == pytest.approx(ladder[1]["rmse_casing"], rel=1e-3)  # the library's law
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_needed_is_nearly_nothing(gyrotrack, study):
     said = gyrotrack("fit", study, "--add", "casing: -k*omega_c**3", "--json")
     assert said.code == 0

@@ -13,14 +13,12 @@ from fitting.effects._library import LIBRARY
 DRAG = 5e-10  # of the case `drag`
 
 
-@pytest.fixture
-def found(studied):
-    """The diagnosis of the case with a hidden drag."""
-    return json.loads((studied / "diagnosis.json").read_text(encoding="utf-8"))
-
-
 class TestDiagnose:
-    def test_a_hidden_effect_comes_first(self, found):
+    @pytest.mark.slow
+    def test_a_hidden_effect_comes_first_and_everything_has_its_keys(self, gyrotrack, case):
+        said = gyrotrack("diagnose", case("drag"), "--json")
+        assert said.code == 0
+        found = said.json
         assert {"fit_id", "verdict", "sentence", "failures", "candidates", "next_experiment"} <= set(found)
         assert found["fit_id"] == "f1"
         assert found["verdict"] == "missing_effect"
@@ -34,8 +32,6 @@ class TestDiagnose:
         assert first["indistinguishable_from"] == []
         strength = first["parameters"]["casing.air.quadratic.k"]
         assert abs(strength["value"] - DRAG) < 4 * strength["stderr"]
-
-    def test_every_candidate_and_failure_has_its_keys(self, found):
         assert len({c["effect"] for c in found["candidates"]}) == len(found["candidates"])
         for c in found["candidates"]:
             assert {

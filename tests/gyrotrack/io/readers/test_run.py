@@ -1,10 +1,13 @@
 """What belongs to a run: the start of an oscillation that a hand holds, pushes or releases."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gyrotrack.io.readers._import_case import import_body
-from gyrotrack.io.readers._run import Limits, start_of_oscillation
+from gyrotrack.io.readers._motion_table import MotionTable
+from gyrotrack.io.readers._run import Limits, run_of, start_of_oscillation
 
 
 def swing(t, period, decay):
@@ -48,3 +51,28 @@ def test_rest_alone_before_a_release_is_left_out():
     angle = np.where(t < 4, 0.0, np.exp(-0.02 * (t - 4)) * np.sin(2 * np.pi * (t - 4) / 1.2))
     first = t[start_of_oscillation(t, angle + np.random.default_rng(2).normal(0, 1e-3, len(t)))]
     assert 4.0 <= first < 6.5
+
+
+@pytest.mark.parametrize("quantity", ["omega", "angle"])
+@pytest.mark.parametrize(
+    "shape", [lambda u: 1.0, lambda u: np.pi / 2 * np.sin(np.pi * u)], ids=["ramp", "push"]
+)
+@pytest.mark.parametrize("seed", range(5))
+def test_no_part_of_a_drive_by_hand_is_left(quantity, shape, seed):
+    """A body at rest, driven to a speed in a few seconds, then slowed down by a law of the speed."""
+    random = np.random.default_rng(seed)
+    t = np.arange(0, random.uniform(30, 200), 0.02)
+    begin, lasting, top = random.uniform(0.2, 5), random.uniform(0.5, 6), 10 ** random.uniform(0.5, 1.8)
+    drag = random.uniform(0.1, 1, 3) * top / t[-1]
+    omega = np.zeros(len(t))
+    for i in range(1, len(t)):
+        u, v = (t[i] - begin) / lasting, omega[i - 1]
+        free = -(drag[0] + drag[1] * v / top + drag[2] * (v / top) ** 2)
+        rate = 0.0 if u < 0 else top / lasting * shape(u) if u < 1 else free
+        omega[i] = max(0.0, v + 0.02 * rate)
+    value = omega if quantity == "omega" else np.cumsum(omega) * 0.02
+    value = value + random.normal(0, 1e-3 * (top if quantity == "omega" else 1), len(t))
+    table = MotionTable(Path("wheel.csv"), "", quantity, t, value, None, np.arange(len(t)), ())
+    run, _ = run_of(table, value, Limits())
+    # the last 2 % of a push are less than 0.1 % of it
+    assert -0.02 * lasting < run.time[0] - (begin + lasting) < 0.05 * t[-1]
