@@ -406,7 +406,8 @@ def read_counter(
     if restarts > _MAX_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
         raise DatasetError(
             f"{raw.path}: the column {column + 1} is not a counter on the times of the column {time_column + 1}.",
-            "Check --column revolutions=N, and --column t=N.",
+            "For an encoder that restarts at each turn give its counts per turn, --pulses-per-turn N; else choose the "
+            "columns by --column revolutions=N and --column t=N.",
         )
     if len(at) < MIN_SAMPLES:
         raise DatasetError(
