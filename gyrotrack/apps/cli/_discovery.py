@@ -350,7 +350,8 @@ def _plan_table(found: Plan) -> str:
             lines += textwrap.wrap(", ".join(c), _WIDTH, initial_indent="  ", subsequent_indent="    ")
     if found.next_run is not None:
         lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
-        lines += textwrap.wrap(_limits_of_run(found.next_run.bounds), _WIDTH)
+        body = found.fit.problem.data[0].record.body
+        lines += textwrap.wrap(_limits_of_run(found.next_run.bounds, body), _WIDTH)
     return "\n".join(lines)
 
 
@@ -372,7 +373,7 @@ def _row(e: EffectLimits) -> str:
     return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
 
 
-def _limits_of_run(b: Bounds) -> str:
+def _limits_of_run(b: Bounds, body: str) -> str:
     """Return the limits of the next run as a sentence."""
     parts = []
     if b.omega_rotor[1] > 0:
@@ -380,10 +381,10 @@ def _limits_of_run(b: Bounds) -> str:
             f"rotor {b.omega_rotor[0]:.0f} to {b.omega_rotor[1]:.0f} rad/s"
             + (" in both senses of rotation" if b.reversible else "")
         )
-    parts.append(f"casing {b.omega_casing[0]:.0f} to {b.omega_casing[1]:.0f} rad/s")
+    parts.append(f"{body} {b.omega_casing[0]:.0f} to {b.omega_casing[1]:.0f} rad/s")
     parts.append(f"duration {b.duration[0]:.0f} to {b.duration[1]:.0f} s")
     if b.inertia_casing[1] > 1:
-        parts.append(f"inertia of the casing up to {b.inertia_casing[1]:g} times the present value")
+        parts.append(f"inertia of the {body} up to {b.inertia_casing[1]:g} times the present value")
     if b.touchpoint[0] != 1 or b.touchpoint[1] != 1:
         parts.append(
             f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present value"
