@@ -24,7 +24,7 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import percentage, probability, rounded, short, typeset, unit_text
+from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
@@ -547,4 +547,4 @@ def _with_both(e: Estimate, total: float) -> str:
     text = rounded(e.value, total, e.unit)
     if not total > (1 + _MOSTLY_STATISTICAL) * e.stderr:
         return text
-    return f"{text} (statistical part {short(e.stderr, 2)} {e.unit})"
+    return f"{text} (statistical part {plain(e.stderr)} {e.unit})"
