@@ -336,6 +336,8 @@ def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significa
     """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
+    if any(k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined):
+        return "unexplained"
     if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
     if significant or (size.explained is not None and size.explained < 1 - criteria.explained):
