@@ -192,13 +192,15 @@ def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
 def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
     """Not even if with a second one the residuals are consistent with noise, as for a drag with sqrt(omega_r)."""
     named, final = (
-        SimpleNamespace(model=SimpleNamespace(names=n))
+        SimpleNamespace(model=SimpleNamespace(names=n), undetermined=())
         for n in (
             ("bearing.linear", "rotor.air.linear"),
             ("bearing.linear", "rotor.air.linear", "setup.inertia"),
         )
     )
-    selection = SimpleNamespace(chosen=object(), named=named, final=final)
+    selection = SimpleNamespace(
+        chosen=SimpleNamespace(effect=LIBRARY["rotor.air.linear"]), named=named, final=final
+    )
     size = Grade(None, explained, Remainder(1e-8, 1 - explained, 1e-10, "second effect setup.inertia"))
     assert _verdict(selection, size, Criteria(), significant=False) == verdict
     assert _verdict(selection, size, Criteria(), significant=True) == "unexplained"
