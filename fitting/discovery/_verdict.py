@@ -24,7 +24,7 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import percentage, probability, rounded, short, typeset, unit_text
+from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
@@ -54,7 +54,8 @@ from fitting.discovery._residuals import (
 )
 from fitting.discovery._select import Candidate, Selection, Step, rank, select
 from fitting.effects._effect import Effect
-from fitting.inference._result import Fit
+from fitting.inference._budget import combined_uncertainties
+from fitting.inference._result import Estimate, Fit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -533,5 +534,19 @@ def _strength(c: Candidate) -> str:
     if c.effect.amplitude is None:
         return ""
     symbol = c.effect.amplitude.symbol
-    found = [e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{symbol}")]
-    return f", {symbol} = {', '.join(rounded(e.value, e.stderr, e.unit) for e in found)}" if found else ""
+    found = {k: e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{symbol}")}
+    total = combined_uncertainties(c.fit) if c.fit is not None and found else {}
+    stated = [_with_both(e, total.get(k, e.stderr)) for k, e in found.items()]
+    return f", {symbol} = {', '.join(stated)}" if stated else ""
+
+
+# relative difference above which the statistical part of an uncertainty is stated beside the whole
+_MOSTLY_STATISTICAL = 0.05
+
+
+def _with_both(e: Estimate, total: float) -> str:
+    """Return a value with its combined standard uncertainty, and the statistical part where that is smaller."""
+    text = rounded(e.value, total, e.unit)
+    if not total > (1 + _MOSTLY_STATISTICAL) * e.stderr:
+        return text
+    return f"{text} (statistical part {plain(e.stderr)} {e.unit})"

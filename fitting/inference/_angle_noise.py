@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
 from fitting.inference._compression import NOISE_ROWS, Compressed
-from fitting.inference._linear_algebra import block_diagonal
+from fitting.inference._linear_algebra import block_diagonal, cubic_spline
 from fitting.inference._process_noise import (
     CONSISTENT,
     StretchLikelihood,
@@ -302,12 +302,10 @@ def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
     The prior is uniform in the logarithms of time and level; the integral over the level is that of a normal
     distribution in its logarithm. Between the times of the grid gain and level are interpolated by cubic splines.
     """
-    from scipy.interpolate import CubicSpline
-
     x = np.log(kind.times)
     fine = np.linspace(x[0], x[-1], _FINER * (len(x) - 1) + 1)
-    gain = CubicSpline(x, [p.gain for p in kind.peaks])(fine)
-    level = CubicSpline(x, np.log([p.level for p in kind.peaks]))(fine)
+    gain = cubic_spline(x, np.array([p.gain for p in kind.peaks]), fine)
+    level = cubic_spline(x, np.log([p.level for p in kind.peaks]), fine)
     relative_u = np.interp(fine, x, [p.relative_u for p in kind.peaks])
     weights = np.exp(0.5 * (gain - gain.max())) * relative_u
     limited = np.minimum(relative_u, _LARGEST_RELATIVE_U)

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import NUISANCE
 from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
-from fitting.inference._case_model import Prediction
+from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._fit import fit as refit
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal
+from fitting.inference._noise import TorqueResponse
 from fitting.inference._problem import surely_at_bound
 from fitting.inference._result import Fit
 
@@ -123,6 +124,42 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL) -> dict[str, ParameterBud
         contributions.sort(key=lambda c: -c.u)
         found[name] = ParameterBudget(estimate.value, total, estimate.unit, tuple(contributions))
     return found
+
+
+def combined_uncertainties(fit: Fit) -> dict[str, float]:
+    """Return the combined standard uncertainty of every parameter, with the moments of inertia to first order.
+
+    That of `budget` without its refits, for the numbers of a sentence.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    """
+    linear = _Linearised(fit)
+    cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
+    variance = np.diag(fit.covariance).copy()
+    variance += (linear.sensitivity([_clock_rows(c.data, p) for c, p in cases]) * CRYSTAL) ** 2
+    for _, body, value, u in _inertias(fit):
+        rows = [_inertia_rows(c, p, fit.theta, body, value) for c, p in cases]
+        variance += (linear.sensitivity(rows) * u / value) ** 2
+    return dict(zip(fit.problem.layout.names, np.sqrt(variance).tolist(), strict=True))
+
+
+def _inertia_rows(case: CaseModel, prediction: Prediction, theta: Array, body: str, value: float) -> Array:
+    """Return the derivative of the rows of a case by the relative error of a moment of inertia of this value."""
+    rows = np.zeros(len(case.data.z))
+    if getattr(case.data.record, f"I_{body}") != value:
+        return rows
+    response = TorqueResponse(case.data, prediction.motion)
+    path, numbers = prediction.path, case.layout.numbers(theta, case.case)
+    y = Sampler(path.mesh, response.centres).value(path.y)
+    rates = case.dynamics.rates(response.centres, y, numbers)
+    # a larger moment of inertia acts as the torque -I d(omega)/dt eps
+    rotor = body == "rotor"
+    smooth = response.rotor if rotor else response.casing
+    rows[: len(smooth)] = smooth @ (-value * rates[:, 0 if rotor else 1])
+    return rows
 
 
 class _Linearised:

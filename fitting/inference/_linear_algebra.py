@@ -40,6 +40,34 @@ def piecewise_linear(values: Array, knots: Array) -> Array:
     return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
+def cubic_spline(x: Array, y: Array, at: Array) -> Array:
+    """Return the interpolating cubic spline with not-a-knot ends at other places (that of scipy is slow to import).
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (points,)
+        At least four points, in ascending order.
+    at : ndarray
+        Where it is evaluated.
+    """
+    h, n = np.diff(x), len(x)
+    slope = np.diff(y) / h
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    # for the second derivatives: a continuous slope at interior points, a continuous third derivative next to the ends
+    inner = np.arange(1, n - 1)
+    matrix[inner, inner - 1], matrix[inner, inner + 1] = h[:-1], h[1:]
+    matrix[inner, inner] = 2 * (h[:-1] + h[1:])
+    right[1:-1] = 6 * np.diff(slope)
+    matrix[0, :3] = h[1], -h[0] - h[1], h[0]
+    matrix[-1, -3:] = h[-1], -h[-1] - h[-2], h[-2]
+    second = np.linalg.solve(matrix, right)
+    k = np.clip(np.searchsorted(x, at) - 1, 0, n - 2)
+    d, e = at - x[k], x[k + 1] - at
+    cubic = (second[k + 1] * d**3 + second[k] * e**3) / (6 * h[k])
+    line = (y[k + 1] / h[k] - second[k + 1] * h[k] / 6) * d + (y[k] / h[k] - second[k] * h[k] / 6) * e
+    return np.asarray(cubic + line)
+
+
 def r_factor(columns: Array) -> Array:
     """Return a matrix with as many rows as columns and the same products of columns: R of the QR decomposition."""
     return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)

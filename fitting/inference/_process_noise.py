@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.inference._compression import Compressed
+from fitting.inference._linear_algebra import cubic_spline
 
 Array = NDArray[np.float64]
 
@@ -163,15 +164,13 @@ def _posterior(
     likelihood: StretchLikelihood, times: Array, resolution: float, typical: float
 ) -> tuple[Array, Array]:
     """Return levels [rad/s2] and their probabilities, (times, levels): equally spaced in both logarithms."""
-    from scipy.interpolate import CubicSpline
-
     levels, logs = [], []
     for time in times:
         coarse = likelihood.unit(time) * _LEVELS
         fine = np.geomspace(coarse[0], coarse[-1], _FINER * len(coarse))
-        spline = CubicSpline(np.log(coarse), likelihood(time, coarse))
         levels.append(fine)
-        logs.append(spline(np.log(fine)) + _log_prior(fine, time, resolution, typical))
+        likelihoods = cubic_spline(np.log(coarse), likelihood(time, coarse), np.log(fine))
+        logs.append(likelihoods + _log_prior(fine, time, resolution, typical))
     density = np.array(logs)
     density = np.exp(density - density.max())
     return np.array(levels), density / density.sum()

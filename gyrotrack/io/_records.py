@@ -201,6 +201,41 @@ def windows_of(series: Series) -> Integers:
     return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
 
 
+# relative difference of two speeds below which they are equal
+_EQUAL_SPEEDS = 0.003
+
+
+def speed_warnings(casing: Series, rotor: Series, remedy: str) -> list[str]:
+    """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
+
+    Friction between them can neither accelerate the casing beyond the rotor nor, but at the end of a run, make both
+    turn together: the bodies may be exchanged, or one of them was measured twice.
+
+    Parameters
+    ----------
+    casing, rotor : Series
+        Both on one clock.
+    remedy : str
+        What to do if so.
+    """
+    windows, speeds = windows_of(rotor), []
+    for k in np.unique(windows):
+        t = rotor.time[windows == k][[0, -1]]
+        turned = np.ptp(rotor.angle[windows == k][[0, -1]]), np.ptp(np.interp(t, casing.time, casing.angle))
+        speeds.append(np.array(turned) / max(np.ptp(t), 1e-9))
+    if not speeds:
+        return []
+    first = f"{speeds[0][1]:.1f} and {speeds[0][0]:.1f} rad/s in the first window"
+    ratio = np.array([of_rotor / max(of_casing, 1e-9) for of_rotor, of_casing in speeds])
+    if np.all(np.abs(ratio - 1) < _EQUAL_SPEEDS):
+        return [
+            f"casing and rotor have the same motion ({first}): one body may have been measured twice; {remedy}"
+        ]
+    if np.all(ratio < 1):
+        return [f"the casing is faster than the rotor ({first}): they may be exchanged; {remedy}"]
+    return []
+
+
 @dataclass(frozen=True)
 class Placement:
     """The clock of a clip relative to that of the case: t_case = clock_offset + clock_rate * t_clip.

@@ -17,7 +17,15 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
-from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, Series
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    Floats,
+    Placement,
+    Recording,
+    Series,
+    speed_warnings,
+)
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
@@ -293,17 +301,25 @@ def synchronise(
     matches = match_clips(curves[0], curves[1:], names[1:], cameras, progress)
     order = sorted(range(len(rotors)), key=lambda k: matches[k].start.offset)
     ids = {k: f"rotor_{window}" for window, k in enumerate(order)}
+    of_casing, of_rotor = (
+        _series([casing.bodies["casing"]]),
+        _windows([_on_clock(rotor_tracks[k], matches[k]) for k in order]),
+    )
+    remedy = (
+        "name the bodies in a profile (`gyrotrack profile VIDEO -o P.toml`) and repeat "
+        "`gyrotrack extract VIDEO --profile P.toml`"
+    )
     still = Placement("casing", 0.0, 0.0, 1.0, 0.0, 0.0, ambiguous=False, method="the reference clock")
     case = Case(
         I_rotor=I_rotor,
         I_casing=I_casing,
         label=label,
         surface=surface,
-        casing=_series([casing.bodies["casing"]]),
-        rotor=_windows([_on_clock(rotor_tracks[k], matches[k]) for k in order]),
+        casing=of_casing,
+        rotor=of_rotor,
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
-        warnings=tuple(_warnings(matches, rotor_tracks, order)),
+        warnings=(*_warnings(matches, rotor_tracks, order), *speed_warnings(of_casing, of_rotor, remedy)),
         extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))

@@ -13,7 +13,7 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
-from gyrotrack.io._records import Case, Floats, Series, windows_of
+from gyrotrack.io._records import Case, Floats, Series, speed_warnings, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, scatter
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
@@ -220,13 +220,17 @@ def import_case(
     windows = sorted((piece for pieces in rotor for piece in pieces), key=lambda piece: piece.time[0])
     notes += _window_warnings(body, windows)
     sense, warnings = _sense(body, windows)
+    of_casing, of_rotor = series_of(body, sense), series_of(windows, sense)
+    warnings += speed_warnings(
+        of_casing, of_rotor, "exchange the files of `gyrotrack import --casing FILE --rotor FILE`"
+    )
     return Case(
         I_rotor=I_rotor,
         I_casing=I_casing,
         label=label,
         surface=surface,
-        casing=replace(series_of(body, sense), window=None, sigma_source=_sigma_source(tables[:1])),
-        rotor=replace(series_of(windows, sense), sigma_source=_sigma_source(tables[1:])),
+        casing=replace(of_casing, window=None, sigma_source=_sigma_source(tables[:1])),
+        rotor=replace(of_rotor, sigma_source=_sigma_source(tables[1:])),
         quantity=quantity,
         warnings=tuple(notes + warnings),
         extra=_origins(tables, [*body, *windows], sense),

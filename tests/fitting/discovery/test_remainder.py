@@ -11,13 +11,14 @@ import twobody
 from fitting._criteria import Criteria
 from fitting.discovery._remainder import Grade, Remainder, nuisance_parameters, smooth_law
 from fitting.discovery._select import improve
-from fitting.discovery._verdict import _verdict, diagnose
+from fitting.discovery._verdict import _verdict, _with_both, diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
+from fitting.inference._result import Estimate
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6
@@ -191,13 +192,22 @@ def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
 def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
     """Not even if with a second one the residuals are consistent with noise, as for a drag with sqrt(omega_r)."""
     named, final = (
-        SimpleNamespace(model=SimpleNamespace(names=n))
+        SimpleNamespace(model=SimpleNamespace(names=n), undetermined=())
         for n in (
             ("bearing.linear", "rotor.air.linear"),
             ("bearing.linear", "rotor.air.linear", "setup.inertia"),
         )
     )
-    selection = SimpleNamespace(chosen=object(), named=named, final=final)
+    selection = SimpleNamespace(
+        chosen=SimpleNamespace(effect=LIBRARY["rotor.air.linear"]), named=named, final=final
+    )
     size = Grade(None, explained, Remainder(1e-8, 1 - explained, 1e-10, "second effect setup.inertia"))
     assert _verdict(selection, size, Criteria(), significant=False) == verdict
     assert _verdict(selection, size, Criteria(), significant=True) == "unexplained"
+
+
+def test_the_statistical_part_of_an_uncertainty_is_stated_where_it_is_smaller():
+    e = Estimate(3.5995e-10, 9.1e-14, "N m s2", at_bound=False)
+    assert _with_both(e, 9.2e-14) == "(3.5995 +- 0.0009) x 10^-10 N m s2"
+    expected = "(3.60 +- 0.07) x 10^-10 N m s2 (statistical part 9.1 x 10^-14 N m s2)"
+    assert _with_both(e, 7e-12) == expected

@@ -8,7 +8,7 @@ import oscillators
 import pytest
 
 from fitting.dynamics._model import Model
-from fitting.inference._budget import budget, propagated
+from fitting.inference._budget import budget, combined_uncertainties, propagated
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._noise import variance_factor
@@ -85,6 +85,16 @@ def test_torques_are_in_proportion_to_both_inertias_together(found):
         rotor, casing = (part(budgets[name], f"inertia.{b}").sensitivity for b in ("rotor", "casing"))
         value = result.estimates[name].value
         assert rotor * I_ROTOR + casing * I_CASING == pytest.approx(value, rel=0.02)
+
+
+def test_the_uncertainties_of_a_sentence_are_those_of_the_budget(found):
+    """There the moments of inertia are propagated by refits, here by the derivatives of the motion."""
+    result, _ = found
+    budgets = budget(result)
+    total = combined_uncertainties(result)
+    for name in NUMBERS:
+        assert total[name] == pytest.approx(budgets[name].u, rel=0.02)
+    assert total["casing.air.linear.b2"] > 1.3 * result.estimates["casing.air.linear.b2"].stderr
 
 
 def test_unknown_inputs_do_not_contribute():

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import fitted
+from scipy.interpolate import CubicSpline
 
 from fitting.dynamics._model import Model
 from fitting.dynamics._sensitivities import LinearMotion
 from fitting.effects._library import LINEAR, REDUCED
 from fitting.inference._fit import fit
+from fitting.inference._linear_algebra import cubic_spline
 from fitting.inference._noise import (
     WHITE,
     TorqueNoise,
@@ -239,3 +241,12 @@ def test_noise_alone_hardly_increases_the_variance_and_a_gross_misfit_by_all_of_
     assert 1 <= np.mean([variance_factor(x, 250) for x in chi2]) < 1.02
     assert variance_factor(250 * 1e4, 250) == pytest.approx(1e4)
     assert variance_factor(20.0, 3000) == variance_factor(0.0, 0) == 1.0
+
+
+@pytest.mark.parametrize("points", [4, 7, 121])
+def test_the_cubic_spline_is_that_of_scipy(points):
+    random = np.random.default_rng(points)
+    x, y = np.sort(random.uniform(-3, 9, points)), random.standard_normal(points)
+    at = np.linspace(x[0], x[-1], 301)
+    expected = CubicSpline(x, y)(at)
+    assert cubic_spline(x, y, at) == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())

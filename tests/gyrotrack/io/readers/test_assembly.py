@@ -123,6 +123,25 @@ def test_opposite_senses_are_told_not_mended(tmp_path, tables):
     assert any("opposite senses of rotation" in warning for warning in case.warnings)
 
 
+def test_exchanged_bodies_and_one_body_measured_twice_are_told(tmp_path, tables):
+    times = [np.arange(0, 20, 1 / 260), np.arange(8.0, 9.5, 1e-3)]
+    as_casing, twice = (
+        write(tmp_path / f"{k}.csv", body, t)
+        for k, (body, t) in enumerate(zip(("rotor", "casing"), times, strict=True))
+    )
+    casing, rotors = tables()
+    for files, words in (
+        ((casing, rotors), ""),
+        ((as_casing, [twice]), "the casing is faster than the rotor"),
+        ((casing, [twice]), "casing and rotor have the same motion"),
+        # one window in which both turn together is the end of a run
+        ((casing, [twice, *rotors]), ""),
+    ):
+        told = [w for w in import_case(*files, I_rotor=5.54e-5, I_casing=2.06e-5).warnings if "rad/s" in w]
+        assert len(told) == bool(words)
+        assert all(w.startswith(words) and "gyrotrack import --casing" in w for w in told)
+
+
 def test_windows_outside_and_overlapping_are_told(tmp_path, tables):
     casing, rotors = tables()
     late = write(tmp_path / "late.csv", "rotor", np.arange(19.5, 20.5, 1e-3))
