@@ -13,7 +13,7 @@ from gyrotrack._smoothing import TimeBase, jitter_is_real
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
-from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join
+from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join, variance_left
 from gyrotrack.tracking._hub import (
     LEAST_SIGMA,
     CentrePath,
@@ -449,11 +449,13 @@ def _followed(
             ),
             usual_error_by_place(views[name]),
         )
+        coarse = seen.bodies[name].coarse
+        left = variance_left(coarse, range(1, 2), max(centre.reach, 1))
         off_axis = np.hypot(
-            np.nan_to_num(centre.sigma), offset_uncertainty(candidates[name], flattening[name])
+            np.nan_to_num(centre.sigma) * np.sqrt(left),
+            offset_uncertainty(candidates[name], flattening[name]),
         )
         floor, axis = by_place / radius, off_axis / radius
-        coarse = seen.bodies[name].coarse
         return join(coarse, candidates[name], fps, other, floor, axis, above=above, time_base=time_base)
 
     warnings: list[str] = []

@@ -86,19 +86,22 @@ class Residuals:
         self.mounts = {name: c.mount for name, c in candidates.items()}
         self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
         self.axis_off: dict[str, complex] = {}
+        self.place_size: dict[str, float] = {}
+        self.common_kept = True
         nothing = np.zeros(len(path))
         own = {
             name: in_file({
                 "weak": c.weak,
                 "place": nothing,
                 "neighbour": nothing,
+                "absorbed": nothing,
                 "use": c.good & np.isfinite(path) & np.isfinite(c.angle),
             })
             for name, c in candidates.items()
         }  # fmt: skip
-        self.weak, self.by_place, self.by_neighbour, self.use = (
+        self.weak, self.by_place, self.by_neighbour, self.absorbed, self.use = (
             {name: columns[what] for name, columns in own.items()}
-            for what in ("weak", "place", "neighbour", "use")
+            for what in ("weak", "place", "neighbour", "absorbed", "use")
         )
 
     def speed(self, path: Floats) -> Floats:
@@ -218,7 +221,8 @@ class Residuals:
     def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
         off = np.empty(len(self.path))
         for part in row_blocks(len(off)):
-            share = np.clip(1.0 - leverage[part] / max(len(self.candidates), 1), 0.1, 1.0)
+            absorbed = leverage[part] / max(len(self.candidates), 1) + self.absorbed[name][part]
+            share = np.clip(1.0 - absorbed, 0.1, 1.0)
             off[part] = self.residual(name, part) - smooth[part]
             off[part] /= self.weak[name][part]
             off[part] /= np.sqrt(share)
@@ -252,8 +256,26 @@ KNOTS = 72
 _BEND, _SIZE = 4e-3, 3e-2
 
 
-def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Fit a smooth closed curve to residuals over an angle; return its values at the knots, (KNOTS,).
+@dataclass(frozen=True)
+class ClosedCurve:
+    """A fitted closed curve: values at the knots (KNOTS,) [rad], their covariance, its `size` as observed [rad]."""
+
+    values: Floats
+    covariance: Floats
+    size: float
+
+    def leverage(self, angle: Floats, weight: Floats) -> Floats:
+        """Return the weight of each fitted residual in the curve at its own angle, (n,)."""
+        low, high, part = _between_knots(angle)
+        c = self.covariance
+        variance = (
+            (1 - part) ** 2 * c[low, low] + part**2 * c[high, high] + 2 * part * (1 - part) * c[low, high]
+        )
+        return np.asarray(weight * variance)
+
+
+def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> ClosedCurve:
+    """Fit a smooth closed curve to residuals over an angle (see the module docstring).
 
     Parameters
     ----------
@@ -266,10 +288,7 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
     right = np.zeros(KNOTS)
     for some in row_blocks(len(angle)):
         use = (weight[some] > 0) & np.isfinite(residual[some])
-        place = np.mod(angle[some][use], 2.0 * np.pi) * KNOTS / (2.0 * np.pi)
-        low = np.floor(place).astype(np.int64) % KNOTS
-        part = place - np.floor(place)
-        high = (low + 1) % KNOTS
+        low, high, part = _between_knots(angle[some][use])
         w, r = weight[some][use], residual[some][use]
         low_low += np.bincount(low, w * (1 - part) ** 2, KNOTS)
         high_high += np.bincount(high, w * part**2, KNOTS)
@@ -277,10 +296,26 @@ def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> Floats:
         right += np.bincount(low, w * (1 - part) * r, KNOTS) + np.bincount(high, w * part * r, KNOTS)
     adjacent = np.roll(np.diag(both), 1, axis=1)
     normal = np.diag(low_low + high_high) + adjacent + adjacent.T
+    covariance = np.asarray(np.linalg.inv(normal + _precision(_SIZE)), dtype=np.float64)
+    values = covariance @ right
+    waves = np.arange(KNOTS) * TURN / KNOTS
+    low = np.array([f(k * waves) for k in range(1, 5) for f in (np.cos, np.sin)]) * np.sqrt(2.0 / KNOTS)
+    power = (low @ values) ** 2 + np.einsum("ki,ij,kj->k", low, covariance, low)
+    return ClosedCurve(values, covariance, min(float(np.sqrt(power.mean())), _SIZE))
+
+
+def _precision(size: float) -> Floats:
+    """Return the inverse of the covariance of a closed curve (see the module docstring), (KNOTS, KNOTS)."""
     eye = np.eye(KNOTS)
     second = np.roll(eye, 1, axis=1) + np.roll(eye, -1, axis=1) - 2.0 * eye
-    normal += second.T @ second / _BEND**2 + eye / _SIZE**2
-    return np.asarray(np.linalg.solve(normal, right))
+    return np.asarray(second.T @ second / _BEND**2 + eye / size**2)
+
+
+def _between_knots(angle: Floats) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Floats]:
+    """Return the knots to both sides of angles, and the weight of the second one."""
+    place = np.mod(angle, TURN) * KNOTS / TURN
+    low = np.floor(place)
+    return low.astype(np.int64) % KNOTS, (low.astype(np.int64) + 1) % KNOTS, place - low
 
 
 def curve_at(curve: Floats, angle: Floats) -> Floats:
@@ -323,7 +358,12 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
     curves = {}
     for name, c in state.candidates.items():
         fit = state.use[name] & c.open & when
-        curves[name] = _curve(state, name, c.angle, state.by_neighbour[name], smooth, fit)
+        found = _curve(state, name, c.angle, state.by_neighbour[name], smooth, fit)
+        curves[name], state.place_size[name] = found.values, found.size
+        for part in row_blocks(len(state.path)):
+            weight = np.where(fit[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
+            state.absorbed[name][part] = found.leverage(np.nan_to_num(c.angle[part]), weight)
+    state.common_kept = not geometry_only
     if geometry_only:
         state.axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
     else:
@@ -352,8 +392,13 @@ def learn_neighbours(
         difference = np.nan_to_num(c.angle - other)
         near = state.use[name] & np.isfinite(other)
         when = near & (passing if above else state.turning)
-        curve = _curve(state, name, difference, state.by_place[name], smooth, when)
+        found = _curve(state, name, difference, state.by_place[name], smooth, when)
+        curve = found.values
         for part in row_blocks(len(near)):
+            weight = np.where(when[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
+            if not above:
+                weight[state.candidates[name].open[part]] = 0.0
+            state.absorbed[name][part] += found.leverage(difference[part], weight)
             shown = near[part] & (above | ~c.open[part])
             state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
         if above:
@@ -367,12 +412,36 @@ def places_passed(state: Residuals) -> float:
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
 
+PLACE_ORDERS = range(1, 7)
+"""Orders of the harmonics of errors by place, of about equal size (see `CELL`)."""
+
+
+def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
+    """Return the share of the variance of an error by angle that is left without its mean over the film.
+
+    The zero of an angle is arbitrary: an error that hardly changes along a short arc does not count.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Path of the body [rad], NaN where it is unknown.
+    orders : range
+        Orders of the harmonics of the error, with random phases.
+    frames : int, optional
+        Frames over which these phases are constant; by default all.
+    """
+    pieces = np.array_split(angle, max(round(len(angle) / (frames or len(angle))), 1))
+    known = max(int(np.isfinite(angle).sum()), 1)
+    mean = [abs(np.nansum(np.exp(1j * k * piece))) ** 2 for k in orders for piece in pieces]
+    return 1.0 - float(np.sum(mean)) / known**2 / len(orders)
+
+
 def place_error(state: Residuals) -> float:
     """Return the rms of the learnt errors by place of the marker for which it is smallest [rad].
 
     Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
-    errors at some places only; therefore a robust standard deviation is used if it is smaller. NaN if no error could be
-    learnt, or if the markers are seen at a few angles only.
+    errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise in the learnt
+    errors is subtracted. NaN if no error could be learnt, or if the markers are seen at a few angles only.
     """
     if state.turning.mean() < LEAST_TURNING:
         return float("nan")
@@ -381,13 +450,14 @@ def place_error(state: Residuals) -> float:
         seen = state.use[name] & c.open & state.turning
         if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
             error = state.by_place[name][seen]
-            learnt.append(min(float(np.sqrt(np.mean(error**2))), spread(error)))
+            noise = float(np.mean(state.absorbed[name][seen] * state.sigma(name)[seen] ** 2))
+            learnt.append(float(np.sqrt(max(min(float(np.mean(error**2)), spread(error) ** 2) - noise, 0.0))))
     return min(learnt, default=float("nan"))
 
 
 def _curve(
     state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
-) -> Floats:
+) -> ClosedCurve:
     """Fit a closed curve over an angle to the residuals of a marker about the smooth motion."""
     off, weight = np.empty((2, len(over)))
     for part in row_blocks(len(over)):
@@ -395,6 +465,73 @@ def _curve(
         off[part] = wrapped(ahead) - smooth[part]
         weight[part] = np.where(use[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
     return closed_curve(over, off, weight)
+
+
+MOST_TURNS = 30.0
+"""Turns from which the uncertainty of the curves is neglected: it decreases with the number of turns."""
+
+
+def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
+    """Return the variances of the angle of the body and of its residual, relative to that of the noise, (n,).
+
+    Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
+    film. Motion (cubic B-splines) and curves are one linear model r = a x + e with the covariance C of x, given that
+    the curves have the size that is observed. The angle, less the curves b x, has the error e - b dx, and a residual
+    from the motion is e - a dx; cov(e, dx) = C a var(e).
+
+    Parameters
+    ----------
+    state : Residuals
+        With learnt curves.
+    motion : int
+        Number of parameters of the smooth motion, at least 4.
+    """
+    names, n = list(state.candidates), len(state.path)
+    if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
+        return np.ones(n), np.ones(n)
+    size = motion + KNOTS * len(names)
+    normal, rows, total = np.zeros((size, size)), np.zeros((n, size)), np.zeros(n)
+    spline = _cubic_splines(n, motion)
+    for k, name in enumerate(names):
+        weight = np.where(state.use[name], 1.0 / state.sigma(name) ** 2, 0.0)
+        low, high, part = _between_knots(np.nan_to_num(state.candidates[name].angle))
+        row, own = np.zeros((n, size)), motion + k * KNOTS
+        row[:, :motion] = spline
+        row[np.arange(n), own + low], row[np.arange(n), own + high] = 1.0 - part, part
+        weighted = weight[:, None] * row
+        normal += row.T @ weighted
+        normal[own : own + KNOTS, own : own + KNOTS] += _precision(state.place_size[name])
+        rows, total = rows + weighted, total + weight
+    seen = total > 0
+    rows, noise = rows[seen] / total[seen, None], 1.0 / total[seen]
+    covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) / size * np.eye(size))
+    both = rows @ covariance
+    curves = rows.copy()
+    curves[:, :motion] = 0.0
+    if state.common_kept:
+        curves[:, motion:] = curves[:, motion:] @ _without_common(state.mounts)
+    for _ in range(2):  # the zero of the angle is arbitrary; frames that are known well determine it
+        variance = noise + np.einsum("ni,ni->n", curves @ covariance - 2.0 * both, curves)
+        curves -= np.average(curves, axis=0, weights=1.0 / np.maximum(variance, 0.1 * noise))
+    variance = noise + np.einsum("ni,ni->n", curves @ covariance - 2.0 * both, curves)
+    error, left = np.ones((2, n))
+    error[seen] = np.maximum(variance / noise, 0.1)
+    left[seen] = np.clip(1.0 - np.einsum("ni,ni->n", both, rows) / noise, 0.1, 1.0)
+    return error, left
+
+
+def _cubic_splines(n: int, count: int) -> Floats:
+    """Return `count` uniform cubic B-splines over n frames, (n, count)."""
+    place = np.linspace(0.0, count - 3.0, n)
+    u = np.abs(place[:, None] - (np.arange(count) - 1.0))
+    return np.asarray(np.where(u < 1, (4 - 6 * u**2 + 3 * u**3) / 6, np.clip(2 - u, 0, None) ** 3 / 6))
+
+
+def _without_common(mounts: dict[str, float]) -> Floats:
+    """Return the matrix of `without_common_motion` for the curves of all markers."""
+    units = np.eye(KNOTS * len(mounts)).reshape(-1, len(mounts), KNOTS)
+    kept = [without_common_motion(dict(zip(mounts, unit, strict=True)), mounts) for unit in units]
+    return np.stack([np.concatenate(list(curves.values())) for curves in kept], axis=1)
 
 
 ROUNDS = 5
@@ -520,23 +657,29 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
         state.subtract_time_scatter(from_time)
     residual, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, residual - smooth)
-    floor *= share_of_floor(off, sigma, floor, places_passed(state) - float(np.nansum(leverage)))
+    absorbed = float(np.nansum(np.where(count > 0, np.minimum(leverage, 1.0), 0.0)))
+    floor *= share_of_floor(off, sigma, floor, places_passed(state) - absorbed)
+    # encoders keep a marker that hardly moves fixed in the picture: it errs as if it moved from one place to the next
+    least = variance_left(np.linspace(0.0, CELL, KNOTS), PLACE_ORDERS)
+    floor *= float(np.sqrt(max(variance_left(state.path, PLACE_ORDERS), least)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
+    of_error, of_residual = _variance_shares(state, max(4, round(absorbed)))
 
-    def calibrated(residual: Floats, sigma: Floats, share: float) -> Floats:
+    def calibrated(residual: Floats, sigma: Floats, markers: int) -> Floats:
         """Scale uncertainties to the residuals about the smooth motion.
 
         The smooth motion absorbs a part of correlated errors: its leverage times their correlation factor.
         """
-        whole = np.hypot(np.hypot(sigma, unlearnt), from_time)
-        off = np.where(state.turning, (residual - smooth) / whole, np.nan)
+        beside = np.hypot(unlearnt, from_time)
+        off = np.where(state.turning, (residual - smooth) / np.hypot(sigma, beside), np.nan)
         alike = correlation_factor(np.nan_to_num(off))
-        off = off / np.sqrt(np.clip(1.0 - share * alike * leverage, 0.5, 1.0))
+        share = of_residual - (alike - 1.0) * leverage / markers
+        off = off / np.sqrt(np.clip(share, 0.3, 1.0))
         scale = excess(off)
-        return np.asarray(whole * scale * tail_factor(off / scale))
+        return np.asarray(np.hypot(sigma * np.sqrt(of_error), beside) * scale * tail_factor(off / scale))
 
-    angle, sigma = state.path + residual, calibrated(residual, sigma, 1.0)
     hidden = _mostly_hidden(sigma)
+    angle, sigma = state.path + residual, calibrated(residual, sigma, 1)
     angle[hidden], sigma[hidden], count[hidden] = np.nan, np.nan, 0
     own = {"angle": angle, "sigma": sigma, "count": count}
     del residual, angle, sigma, count
@@ -548,7 +691,7 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
         own["sigma"] = calibrated(
             np.where(use, state.residual(name), np.nan),
             np.where(use, state.sigma(name), np.nan),
-            1.0 / len(state.candidates),
+            len(state.candidates),
         )
         markers[name] = MarkerAngles(mount=state.mounts[name], **in_file(own))
     return BodyAngles(markers=markers, place_error=place_error(state), axis_off=state.axis_off, **body)
