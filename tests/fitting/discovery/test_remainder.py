@@ -201,3 +201,17 @@ def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
     size = Grade(None, explained, Remainder(1e-8, 1 - explained, 1e-10, "second effect setup.inertia"))
     assert _verdict(selection, size, Criteria(), significant=False) == verdict
     assert _verdict(selection, size, Criteria(), significant=True) == "unexplained"
+
+
+def test_an_effect_that_is_dropped_after_it_was_named_has_no_freed_shape():
+    from types import SimpleNamespace
+
+    from fitting.discovery._remainder import _is_freed
+
+    def model_of(*names):
+        return SimpleNamespace(model=Model.of(names))
+
+    selection = SimpleNamespace(
+        named=model_of("casing.spring.linear", "casing.unbalance"), final=model_of("casing.spring.linear")
+    )
+    assert not _is_freed("casing.unbalance", selection)
