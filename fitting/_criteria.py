@@ -89,14 +89,24 @@ class Criteria:
     equation_error: float = _criterion(
         3.0, "error of the equations, over the least, up to which a spring is fitted"
     )
-    many_reversals: int = _criterion(200, "reversals of an oscillation above which one candidate is refitted")
+    refit_reversals: int = _criterion(
+        500, "reversals that all refits of a step integrate", "15 s of one core"
+    )
     refit_oscillation_p: float = _criterion(
         0.1, "family-wise p-value above which candidates of an oscillation are not refitted"
     )
     gross_misfit: float = _criterion(
-        100.0, "chi2 per row of an oscillation above which a model fails grossly", "10 sigma"
+        0.7,
+        "rms phase drift by a torque like the residuals, of a gross misfit [rad]",
     )
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
+
+    def refits_through(self, reversals: int) -> int:
+        """Return the number of candidates that are refitted at any score for an oscillation of so many reversals.
+
+        A search through one reversal takes some 0.03 s of a core.
+        """
+        return min(self.refit_least, max(1, self.refit_reversals // max(reversals, 1)))
 
     def __post_init__(self) -> None:
         for f in fields(self):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
 import numpy as np
@@ -23,6 +23,7 @@ from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged
 from fitting.inference._case_data import CaseData
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 Names = tuple[str, ...]
@@ -55,7 +56,7 @@ class OscillatorLaws:
     restoring_classes, damping_classes : tuple of tuple of str
         All sets of restoring torques, and of damping torques, that the data do not separate, by BIC.
     parameters : dict of str to Strength
-        Strengths of the best set.
+        Strengths of the chosen set.
     phase_error, amplitude_error : float
         Rms residuals [rad].
     """
@@ -67,6 +68,36 @@ class OscillatorLaws:
     parameters: dict[str, Strength]
     phase_error: float
     amplitude_error: float
+
+    def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
+        """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
+
+        Parameters
+        ----------
+        fit : Fit
+            The fit of the same recording to which a search led.
+
+        Returns
+        -------
+        OscillatorLaws, str
+            And a sentence if the restoring torques of the fit are none of these sets, else "".
+        """
+        names = {e.name for e in fit.model.effects}
+        exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]
+        if exact[0] not in self.restoring_classes:
+            return self, (
+                f"The fitted model restores by {' + '.join(exact[0]) or 'no law of the list'}, but amplitude and phase "
+                f"alone are described by {' + '.join(self.restoring)}: the data separate these laws, and neither "
+                "describes everything."
+            )
+        values = {k: Strength(e.value, e.stderr, e.unit) for k, e in fit.estimates.items()}
+        damping = exact[1] if exact[1] in self.damping_classes else self.damping
+        chosen = {
+            k: v
+            for k, v in (self.parameters | values).items()
+            if k.rpartition(".")[0] in (*exact[0], *damping)
+        }
+        return replace(self, restoring=exact[0], damping=damping, parameters=chosen), ""
 
 
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:

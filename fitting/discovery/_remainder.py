@@ -449,7 +449,7 @@ def _named(selection: Selection, name: str) -> Effect:
 def _is_freed(name: str, selection: Selection) -> bool:
     before = {e.name: e for e in selection.named.model.effects}
     now = {e.name: e for e in selection.final.model.effects}
-    return name in before and with_shape_parameter(before[name]) == now[name]
+    return name in before.keys() & now.keys() and with_shape_parameter(before[name]) == now[name]
 
 
 def _shape(fit: Fit, name: str, symbol: str) -> str:

@@ -156,8 +156,7 @@ def rank(
             for w, c in zip(chosen, found, strict=True)
         ]
         oscillation = data[0].oscillation
-        long = oscillation is not None and len(oscillation.reversals) > criteria.many_reversals
-        allowed = 1 if long else criteria.refit_least
+        allowed = criteria.refits_through(0 if oscillation is None else len(oscillation.reversals))
         chosen = [w and sum(chosen[:i]) < allowed for i, w in enumerate(chosen)]
     if restoring_only:
         possible = possible_restoring(base.model, effects, data, criteria)

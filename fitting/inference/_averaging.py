@@ -29,6 +29,7 @@ Parts = Sequence[tuple[NDArray[np.intp], Array, Array]]
 
 _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
 _STEPS = 3
+_DEGREE = 5
 # share of the harmonics of a torque below which its averages vanish
 _NEGLIGIBLE = 1e-6
 LARGEST_PHASE_ERROR = 0.7
@@ -137,7 +138,8 @@ def _equations(
     t, amplitude = motion.time, motion.amplitude
     rate = np.gradient(motion.phase, t)
     state = np.zeros((len(t), len(_ANGLES), len(dynamics.states)))
-    state[..., 1] = -(amplitude * rate)[:, None] * np.sin(_ANGLES)
+    shrinkage, curvature = (_slope(t, amplitude, n) for n in (1, 2))
+    state[..., 1] = shrinkage[:, None] * np.cos(_ANGLES) - (amplitude * rate)[:, None] * np.sin(_ANGLES)
     state[..., 2] = amplitude[:, None] * np.cos(_ANGLES)
     times = np.broadcast_to(t[:, None], state.shape[:-1])
     with np.errstate(all="ignore"):
@@ -151,7 +153,9 @@ def _equations(
     law = np.concatenate([b[:, :, 1, columns], constant[:, :, 1, None]], axis=2)
     shrinking = -np.tensordot(law, np.sin(_ANGLES), axes=(1, 0)) / len(_ANGLES) / rate[:, None]
     turning = -np.tensordot(law, np.cos(_ANGLES), axes=(1, 0)) / len(_ANGLES) / (rate * amplitude)[:, None]
-    turning[:, -1] += rate / 2
+    # x = a cos(phase): a'' - a phase'^2 and -2 a' phase' - a phase'' are the components of the torque along cos and sin
+    turning[:, -1] += rate / 2 + curvature / (2 * rate * amplitude)
+    shrinking[:, -1] -= amplitude * _slope(t, motion.phase, 2) / (2 * rate)
     rates = np.nan_to_num(np.stack([shrinking, turning]))
     step = np.diff(t)[:, None]
     sums = np.concatenate(
@@ -160,6 +164,13 @@ def _equations(
     )
     target = np.stack([amplitude, motion.phase]) - sums[..., -1]
     return keys, sums[..., :-1].reshape(2 * len(t), -1), target.ravel()
+
+
+def _slope(t: Array, values: Array, order: int) -> Array:
+    """Return a derivative of slowly varying values, from a polynomial in time."""
+    degree = min(_DEGREE, len(t) - 2)
+    smooth = np.polynomial.Chebyshev.fit(t, values, degree)
+    return np.asarray(smooth.deriv(order)(t))
 
 
 def _without_level(rows: Array, ones: Array) -> Array:

@@ -28,8 +28,9 @@ _PROGRESS = 0.6
 _PHASE_DEGREE = 5
 # harmonics of an oscillation, and highest power of time of the amplitude of each
 _HARMONICS, _MODULATION = 3, 3
-# largest number of windows of a slow motion, smallest number of samples in one
-_MOST_WINDOWS, _FEWEST_SAMPLES = 300, 10
+# largest number of windows of a slow motion, number below which they are shorter than three periods, smallest number of
+# samples in one
+_MOST_WINDOWS, _WINDOWS, _FEWEST_SAMPLES = 300, 20, 10
 
 
 class SlowMotion(NamedTuple):
@@ -66,25 +67,18 @@ class Oscillation:
 
     def phase(self, times: Array) -> Array:
         """Return the phase of the oscillation at some times [rad], a polynomial in time through the reversals."""
-        count = len(self.reversals)
-        middle, half = 0.5 * (self.reversals[0] + self.reversals[-1]), 0.5 * float(np.ptp(self.reversals))
-        degree = min(_PHASE_DEGREE, max(1, count - 2))
-        phase = np.polynomial.chebyshev.chebfit(
-            (self.reversals - middle) / half, np.pi * np.arange(count), degree
-        )
-        x = (times - middle) / half
-        inside = np.clip(x, -1.0, 1.0)
-        slope = np.polynomial.chebyshev.chebval(inside, np.polynomial.chebyshev.chebder(phase))
-        return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + slope * (x - inside))
+        return _smooth_phase(self.reversals, np.pi * np.arange(len(self.reversals), dtype=np.float64), times)
 
     @cached_property
     def slow_motion(self) -> SlowMotion | None:
         """Amplitude and phase in windows of a period or more; None for a few periods, or few samples in each.
 
         In each window the first and the third harmonic, the first with linearly varying amplitude and phase, a
-        constant and a drift are fitted by least squares.
+        constant and a drift are fitted by least squares. The phase by the reversals, whose times are known to a sample,
+        is corrected by that of the windows, and the fit is repeated.
         """
-        count = min(_MOST_WINDOWS, int(self.periods))
+        # within one period a drift and a change of the phase are hardly distinguishable
+        count = min(_MOST_WINDOWS, int(max(self.periods / 3, min(self.periods, _WINDOWS))))
         edges = np.linspace(self.time[0], self.time[-1], count + 1)
         first = np.searchsorted(self.time, edges[:-1])
         if count < _FEWEST or np.diff([*first, len(self.time)]).min() < _FEWEST_SAMPLES:
@@ -92,16 +86,21 @@ class Oscillation:
         middle, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
         window = np.minimum(((self.time - edges[0]) / width).astype(int), count - 1)
         first = np.searchsorted(window, np.arange(count))
-        phase, x = self.phase(self.time), (self.time - middle[window]) / width
-        cos, sin = np.cos(phase), np.sin(phase)
-        columns = np.stack(
-            [cos, sin, x * cos, x * sin, np.cos(3 * phase), np.sin(3 * phase), np.ones_like(x), x], axis=1
-        )
-        normal = np.add.reduceat(columns[:, :, None] * columns[:, None], first)
-        right = np.add.reduceat(columns * self.deflection[:, None], first)
-        found = np.linalg.solve(normal + 1e-9 * np.eye(len(normal[0])) * normal[:, :1, :1], right[..., None])
-        a, b = found[:, 0, 0], found[:, 1, 0]
-        return SlowMotion(middle, np.hypot(a, b), np.unwrap(np.arctan2(-b, a)) + self.phase(middle))
+        x = (self.time - middle[window]) / width
+        phase, at_middle = self.phase(self.time), self.phase(middle)
+        for repeated in (False, True):
+            cos, sin = np.cos(phase), np.sin(phase)
+            columns = np.stack(
+                [cos, sin, x * cos, x * sin, np.cos(3 * phase), np.sin(3 * phase), np.ones_like(x), x], axis=1
+            )
+            normal = np.add.reduceat(columns[:, :, None] * columns[:, None], first)
+            right = np.add.reduceat(columns * self.deflection[:, None], first)
+            weak = 1e-9 * np.eye(len(normal[0])) * normal[:, :1, :1]
+            a, b = np.linalg.solve(normal + weak, right[..., None])[:, :2, 0].T
+            found = np.unwrap(np.arctan2(-b, a)) + at_middle
+            if not repeated:
+                phase, at_middle = (_smooth_phase(middle, found, t) for t in (self.time, middle))
+        return SlowMotion(middle, np.hypot(a, b), found)
 
     def harmonics(self) -> Array:
         """Return harmonics of the oscillation with slowly varying amplitude and phase: products with powers of time.
@@ -115,6 +114,17 @@ class Oscillation:
         slow = np.polynomial.legendre.legvander(x, _MODULATION)
         columns = [f(m * phase)[:, None] * slow for m in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
         return np.concatenate(columns, axis=1)
+
+
+def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
+    """Return a phase at other times, from a polynomial in time, continued linearly."""
+    middle, half = 0.5 * (at[0] + at[-1]), 0.5 * float(np.ptp(at))
+    degree = min(_PHASE_DEGREE, max(1, len(at) - 2))
+    c = np.polynomial.chebyshev.chebfit((at - middle) / half, phase, degree)
+    x = (times - middle) / half
+    inside = np.clip(x, -1.0, 1.0)
+    slope = np.polynomial.chebyshev.chebval(inside, np.polynomial.chebyshev.chebder(c))
+    return np.asarray(np.polynomial.chebyshev.chebval(inside, c) + slope * (x - inside))
 
 
 def find_oscillation(record: Record) -> Oscillation | None:

@@ -291,14 +291,23 @@ def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
 
 
 def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
-    """Return whether the residuals of a model of an oscillation are far too large for a random torque."""
-    if data.oscillation is None or data.oscillation.slow_motion is None:
+    """Return whether a random torque as large as the residuals would make the phase of an oscillation random.
+
+    A random acceleration of the spectral density S changes the phase of an oscillation of amplitude a and frequency w
+    at random, by an rms of sqrt(S t / 2) / (a w) after the time t (white noise on a tuned circuit; S = 2 s^2 tau /
+    (1 + w^2 tau^2) for an rms of s and a correlation time tau).
+    """
+    oscillation = data.oscillation
+    slow = None if oscillation is None else oscillation.slow_motion
+    if oscillation is None or slow is None:
         return False
-    whitener = noise.at(noise.pure).whitener
-    columns = whitener(np.concatenate([prediction.columns, data.nuisance], axis=1))
-    residual = whitener(data.z - prediction.rows)
-    residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
-    return float(residual @ residual) > DEFAULT.gross_misfit * len(residual)
+    columns = np.concatenate([prediction.columns, data.nuisance], axis=1)
+    level, _ = remaining_level(noise.whitener, data.z - prediction.rows, columns)
+    w = 2 * np.pi / oscillation.period
+    density = 2 * (level / data.record.I_casing) ** 2 * noise.time / (1 + (w * noise.time) ** 2)
+    duration = oscillation.periods * oscillation.period
+    phase = np.sqrt(density * duration / 2 / np.mean(slow.amplitude**2)) / w
+    return bool(phase > DEFAULT.gross_misfit)
 
 
 def refine_level(

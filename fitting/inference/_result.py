@@ -336,6 +336,8 @@ class Fit(FitSummary):
     @cached_property
     def verdict(self) -> str:
         """One of "adequate", "misfit", "not determined" and "not converged"."""
+        if self.lacks_restoring_torque:
+            return "misfit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not converged"
         if self.fails():

@@ -459,7 +459,7 @@ def _analysed(
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
             oscillation = base.problem.data[0].oscillation
-            long = oscillation is not None and len(oscillation.reversals) > DEFAULT.many_reversals
+            long = oscillation is not None and DEFAULT.refits_through(len(oscillation.reversals)) == 1
             # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
             history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
             if long and oscillation is not None:
@@ -470,6 +470,9 @@ def _analysed(
             if history.stopped:
                 warnings.append(f"The search stopped at a failed fit, {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
+            if laws is not None:
+                laws, disagreement = laws.with_fit(history[-1].fit)
+                warnings += [disagreement] if disagreement else []
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
@@ -487,6 +490,11 @@ def _analysed(
                     force=force,
                 )
                 written = report
+    except KeyboardInterrupt:  # nothing is left, so that the command can be repeated as it is
+        for path in (target, picture):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        raise
     except FittingError as error:
         missing = "diagnosis" if recorder is not None and len(recorder.entries) > 1 else "torque law"
         warnings.append(f"No {missing}: {error.message.rstrip('.')}.")

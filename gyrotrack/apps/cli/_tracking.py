@@ -593,6 +593,11 @@ def spindown_command(
         document = spindown(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )
+    if document["case"] is None and (output is not None or report is not None):
+        raise UsageError(
+            f"{source}: light gates show period and decay of a pendulum, but no angle to write.",
+            "Repeat the command without -o and --report.",
+        )
     for warning in document["warnings"]:
         out.warn(warning)
     out.result(document)
@@ -615,6 +620,9 @@ def _position(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
+_MOST_ALTERNATIVES = 3
+
+
 def _oscillator_lines(laws: Any) -> list[str]:
     """Return the restoring torque and the damping of an oscillator, with the sets of laws that are not separated."""
     from fitting._numbers import rounded
@@ -626,6 +634,8 @@ def _oscillator_lines(laws: Any) -> list[str]:
             if key.rpartition(".")[0] in chosen
         ]
         others = [" + ".join(names) or "none" for names in classes if names != chosen]
+        if len(others) > _MOST_ALTERNATIVES:
+            others = [*others[:_MOST_ALTERNATIVES], f"{len(others) - _MOST_ALTERNATIVES} more"]
         return ", ".join(values or ["none"]) + (f" (or {' or '.join(others)})" if others else "")
 
     return [

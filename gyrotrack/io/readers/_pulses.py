@@ -76,11 +76,7 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
             notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
         time = time * scale + options.start
     line = raw.line
-    if passages_of(raw, options) is not None:
-        raise UsageError(
-            f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
-            "Run `gyrotrack spindown` without --pulses-per-turn: it measures period and decay.",
-        )
+    refuse_passages(raw, options)
     gate = _gate(raw, place, options)
     state = raw.numbers(gate, raw.names[gate]) if gate is not None else np.ones(len(time))
     known = np.isfinite(time) & np.isfinite(state)
@@ -174,6 +170,21 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
         return None
     begin, end = (both[first, k] + both[first + 1, k] for k in (0, 1))
     return Passages(raw.path, 0.25 * (begin + end), end - begin, (*raw.notes, *notes))
+
+
+def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
+    """Raise an error for a table of a pendulum that passes light gates.
+
+    Raises
+    ------
+    UsageError
+        The table contains passages, which have no angles.
+    """
+    if passages_of(raw, options) is not None:
+        raise UsageError(
+            f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
+            "Run `gyrotrack spindown` without --pulses-per-turn: it measures period and decay.",
+        )
 
 
 def _slows_down(blocked: Floats) -> bool:

@@ -33,6 +33,7 @@ from gyrotrack.io.readers._pulses import (
     passages_of,
     read_counter,
     read_pulses,
+    refuse_passages,
     sampled_counts,
 )
 from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
@@ -153,6 +154,7 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
             return _from_points(points, options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
             return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
+        refuse_passages(raw, options)
     elif not options.pulses_per_turn:
         counters = counters_of(raw)
         if len(counters) > 1:

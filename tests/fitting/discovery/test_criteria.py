@@ -86,3 +86,8 @@ def test_excess_noise_compares_the_fit_with_the_recording():
     assert not found.has_excess_noise(Criteria(excess_noise=1e9))
     raised = tuple(replace(n, level=n.pure + 5 * n.pure_u) for n in found.noise)
     assert replace(found, noise=raised).has_excess_noise()
+
+
+def test_the_number_of_refits_falls_with_the_reversals_of_an_oscillation():
+    criteria = Criteria()
+    assert [criteria.refits_through(n) for n in (0, 20, 125, 180, 251, 10_000)] == [4, 4, 4, 2, 1, 1]

@@ -211,3 +211,17 @@ def test_the_statistical_part_of_an_uncertainty_is_stated_where_it_is_smaller():
     assert _with_both(e, 9.2e-14) == "(3.5995 +- 0.0009) x 10^-10 N m s2"
     expected = "(3.60 +- 0.07) x 10^-10 N m s2 (statistical part 9.1 x 10^-14 N m s2)"
     assert _with_both(e, 7e-12) == expected
+
+
+def test_an_effect_that_is_dropped_after_it_was_named_has_no_freed_shape():
+    from types import SimpleNamespace
+
+    from fitting.discovery._remainder import _is_freed
+
+    def model_of(*names):
+        return SimpleNamespace(model=Model.of(names))
+
+    selection = SimpleNamespace(
+        named=model_of("casing.spring.linear", "casing.unbalance"), final=model_of("casing.spring.linear")
+    )
+    assert not _is_freed("casing.unbalance", selection)

@@ -48,3 +48,13 @@ def test_gravity_and_spring_differ_by_the_phase():
     )
     assert gravity < 0.02
     assert spring > 10 * gravity
+
+
+def test_the_slow_motion_of_a_damped_oscillator_is_exact():
+    """Without noise the errors are those of the method: reversals are known to a sample only, 0.03 of a period."""
+    t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.1, 0.0), 40.0, 40.0)
+    slow = CaseData.of(oscillators.record(t, angle, 1e-6, 0)).oscillation.slow_motion
+    decay, rate = 0.015, np.sqrt(12 - 0.015**2)
+    off = slow.phase - rate * slow.time
+    assert np.abs(off - np.median(off)).max() < 2e-4
+    np.testing.assert_allclose(slow.amplitude, 1.1 * np.exp(-decay * slow.time), rtol=3e-4)

@@ -10,10 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
+from fitting.discovery import _oscillator
 from gyrotrack.apps import _spindown
 from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps._spindown import _with_view_errors
 from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli import _tracking
 from gyrotrack.io.readers._import_case import import_body
 from gyrotrack.tracking._any_body import Film, SeveralBodiesError
 
@@ -373,3 +375,75 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
     monkeypatch.setattr(_spindown, "extract", never)
     with pytest.raises(SeveralBodiesError):
         _spindown._film(Path("two.mp4"), _spindown.SpindownOptions(), None)
+
+
+def coast_down(path):
+    t = np.arange(400) / 100
+    angle, _ = noisy(t, 30 * t - 0.5 * 2.0 * t**2, 2e-3, 1)
+    path.write_text("t,angle\n" + "".join(f"{a:.4f},{b:.6f}\n" for a, b in zip(t, angle, strict=True)))
+
+
+def test_an_interrupted_command_can_be_repeated_as_it_is(tmp_path, monkeypatch, capsys):
+    from fitting.discovery import _select
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    coast_down(tmp_path / "wheel.csv")
+    monkeypatch.setattr(_select, "improve", interrupted)
+    assert app.run(["spindown", "wheel.csv"]) == 130
+    assert "Interrupted" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.h5"))
+
+
+def test_at_most_three_alternative_sets_of_laws_are_listed():
+    def lines(count):
+        classes = tuple((f"casing.{k}",) for k in range(count))
+        laws = SimpleNamespace(
+            restoring=classes[0],
+            restoring_classes=classes[:1],
+            damping=classes[0],
+            damping_classes=classes,
+            parameters={},
+        )
+        return _tracking._oscillator_lines(laws)[1]
+
+    assert lines(4).endswith("(or casing.1 or casing.2 or casing.3)")
+    assert lines(8).endswith("(or casing.1 or casing.2 or casing.3 or 4 more)")
+
+
+def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
+    from fitting.dynamics._model import Model
+
+    spring, cubic = ("casing.spring.linear",), ("casing.spring.linear", "casing.spring.cubic")
+    strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
+    laws = _oscillator.OscillatorLaws(
+        spring, (), (spring, cubic), ((),), {"casing.spring.linear.k": strength}, 0.0, 0.0
+    )
+    exact = SimpleNamespace(value=12.01, stderr=0.002, unit="rad/s2")
+    same, nothing = laws.with_fit(
+        SimpleNamespace(model=Model.of(spring), estimates={"casing.spring.linear.k": exact})
+    )
+    assert nothing == ""
+    assert same.parameters == {"casing.spring.linear.k": _oscillator.Strength(12.01, 0.002, "rad/s2")}
+    kept, sentence = laws.with_fit(SimpleNamespace(model=Model.of(["casing.gravity"]), estimates={}))
+    assert kept == laws
+    assert "restores by casing.gravity" in sentence
+
+
+@pytest.mark.slow
+def test_the_uncertainty_of_a_period_is_true_where_the_damping_is_not_that_of_the_model():
+    """Friction of the square of the speed changes the amplitude unlike any exponential; noise alone is 1 mrad."""
+    pulls = []
+    for seed in range(6):
+        t = np.arange(0, 40, 0.02)
+        run = solve_ivp(
+            lambda t, y: [y[1], -12 * y[0] - 0.05 * abs(y[1]) * y[1]],
+            (0, 40), [1.0 + 0.05 * seed, 0.0], t_eval=t, rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        found = motion_of(t, *noisy(t, run.y[0], 2e-3, seed))
+        # averaged over a period, damping changes the period in second order only
+        pulls.append((found.period.value - 2 * np.pi / np.sqrt(12)) / found.period.stderr)
+        assert found.period.stderr < 3e-4
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.6

@@ -272,3 +272,18 @@ def test_a_circle_seen_obliquely_is_one(tmp_path):
     path = write(tmp_path / "a.csv", "t,x,y\n" + rows(TIME, *xy.T))
     turned = np.unwrap(read_motion(path, ReadOptions()).value)
     assert abs(turned[-1] - turned[0]) == pytest.approx(ANGLE[-1] - ANGLE[0], abs=0.3)
+
+
+@pytest.mark.parametrize(("head", "factor"), [("t (ms)", 1e3), ("t", 1.0)])
+def test_the_unit_of_the_time_of_tracked_points(tmp_path, places, head, factor):
+    path = write(tmp_path / "a.txt", f"{head},x,y\n" + rows(factor * TIME, *places["tape"].T))
+    np.testing.assert_allclose(read_motion(path).time, TIME, atol=1e-9)
+
+
+def test_an_outlier_among_points_moves_no_centre(tmp_path, places):
+    tape = places["tape"].copy()
+    tape[100] = 1e9
+    path = write(tmp_path / "a.txt", "t,x,y\n" + rows(TIME, *tape.T))
+    made = read_motion(path)
+    assert len(made.time) == N - 1
+    assert any("far from both neighbours" in note for note in made.notes)

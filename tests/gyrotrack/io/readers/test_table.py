@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._motion_table import without_spikes
 from gyrotrack.io.readers._registry import read_motion
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
@@ -122,3 +123,40 @@ def test_missing_file_and_folder(tmp_path):
         read_motion(tmp_path / "no.csv")
     with pytest.raises(DatasetError, match="is a folder"):
         read_motion(tmp_path)
+
+
+def excluded(value):
+    notes = []
+    cleared = without_spikes(np.asarray(value, dtype=float), "angle", notes)
+    return np.flatnonzero(np.isnan(cleared)).tolist(), notes
+
+
+def test_single_samples_far_from_both_neighbours_are_excluded():
+    smooth = np.linspace(0, 300, 400) + np.random.default_rng(0).normal(0, 1e-2, 400)
+    wrapped = np.mod(smooth, 2 * np.pi)
+    for value in (smooth, wrapped, smooth[:30], np.round(smooth)):
+        assert excluded(value) == ([], [])
+        spoiled = value.copy()
+        spoiled[17] = 1e9
+        rows, (note,) = excluded(spoiled)
+        assert rows == [17]
+        assert "1 values of 'angle' far from both neighbours" in note
+
+
+def test_motion_after_rest_and_rare_steps_of_the_resolution_are_no_outliers():
+    rest_then_run = np.concatenate([np.zeros(900), 5.0 * np.arange(100)])
+    toggles = np.zeros(2000)
+    toggles[[100, 700, 701, 1500]] = 0.088
+    assert excluded(rest_then_run) == ([], [])
+    assert excluded(toggles) == ([], [])
+
+
+def test_contradicting_units_constant_angles_and_two_angles_are_refused(tmp_path):
+    rows = "".join(f"{0.1 * k:.1f},{k}\n" for k in range(12))
+    for content, match in (
+        ("t [ms],angle\ns,rad\n" + rows, "the unit of 't \\[ms\\]' is 's' in the next line"),
+        ("t,angle\n" + "".join(f"{k},2\n" for k in range(12)), "all 12 angles are 2 rad"),
+        ("t,angle1,angle2\n" + "".join(f"{k},{k},{k}\n" for k in range(12)), "2 columns for 'angle'"),
+    ):
+        with pytest.raises(DatasetError, match=match):
+            read_motion(table(tmp_path, content))
