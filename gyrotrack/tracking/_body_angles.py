@@ -432,8 +432,8 @@ def _followed(
 ) -> tuple[dict[str, BodyAngles], list[str]]:
     """Join the markers of each body; the casing twice, since the markers of the rotor pass beneath its own.
 
-    A body that turns too little for its errors by place to be measured gets those of the other body, in px:
-    illumination and encoder are the same.
+    A body that turns too little for its errors by place to be measured gets typical ones and those of the other body,
+    in px: illumination and encoder are the same, but not the surroundings of the markers.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -441,14 +441,14 @@ def _followed(
 
     def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
         radius = views[name].radius
-        by_place = next(
-            (
-                error_by_place(views[n], flattening[n], b)
-                for n, b in bodies.items()
-                if n != name and b.place_error > 0.0
-            ),
-            usual_error_by_place(views[name]),
-        )
+        usual = usual_error_by_place(views[name])
+        learnt = [
+            error_by_place(views[n], flattening[n], b)
+            for n, b in bodies.items()
+            if n != name and b.place_error > 0.0
+        ]
+        # two estimates of one variance with about equally many degrees of freedom
+        by_place = float(np.sqrt(np.mean(np.square([usual, *learnt]))))
         coarse = seen.bodies[name].coarse
         left = variance_left(coarse, range(1, 2), max(centre.reach, 1))
         off_axis = np.hypot(
