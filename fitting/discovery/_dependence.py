@@ -18,8 +18,8 @@ with the Matern covariance of order 3/2,
 at the centres x_i of the splines; s and l are the most likely ones (C. Rasmussen, C. Williams, Gaussian Processes for
 Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak a
 small one. The base contains some functions itself (a linear drag for example), and the data hardly determine others:
-the curve is the part of the torque that the data determine better than the prior does, and its band is the posterior
-standard deviation of that part. A law is comparable with the curve after the same projection.
+the curve is the least-squares estimate of the part of the torque that the data determine better than the prior does,
+and its band is the standard uncertainty of that estimate. A law is comparable with the curve after the same projection.
 """
 
 from __future__ import annotations
@@ -115,16 +115,9 @@ class Dependence:
         return np.asarray(self.identified @ torque)
 
 
-def context_without(
-    about: Fit,
-    effects: Sequence[Effect],
-    cases: Sequence[CaseColumns],
-    *,
-    draws: int = 1,
-    release: bool = False,
-) -> ScoreContext:
-    """Return the data linearised about a fit, with some effects removed from its model."""
-    rows = [np.zeros(len(d.z)) for d in about.problem.data]
+def torque_rows(effects: Sequence[Effect], cases: Sequence[CaseColumns]) -> Array:
+    """Return the response of the rows of all cases to the torque of some effects of the fit."""
+    rows = [np.zeros(len(c.case.data.z)) for c in cases]
     for e in effects:
         for i, case in enumerate(cases):
             numbers = case.numbers
@@ -134,11 +127,23 @@ def context_without(
             phase = values.get("phase", 0.0)
             quadratures = np.array([np.cos(phase), np.sin(phase)])[: columns.shape[1]]
             rows[i] = rows[i] + columns @ (values["amplitude"] * quadratures)
+    return np.concatenate(rows)
+
+
+def context_without(
+    about: Fit,
+    effects: Sequence[Effect],
+    cases: Sequence[CaseColumns],
+    *,
+    draws: int = 1,
+    release: bool = False,
+) -> ScoreContext:
+    """Return the data linearised about a fit, with some effects removed from its model."""
     return ScoreContext(
         about,
         draws,
         without=[e.name for e in effects],
-        torque_rows=np.concatenate(rows),
+        torque_rows=torque_rows(effects, cases),
         release=release,
     )
 
@@ -367,8 +372,7 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
     known = variance * s**2 > 1
     shown = test.basis @ vectors[:, known]
     s, data, u = s[known], data[known], u[:, known]
-    share = variance * s**2 / (1 + variance * s**2)
-    sigma = np.sqrt(shown**2 @ (share / s**2))
+    sigma = np.sqrt(shown**2 @ (1 / s**2))
     # the rows along the determined directions of a torque with the coefficients B^+ torque
     rows = (u.T @ response) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
-    return shown @ (share * data / s), sigma, (shown / s) @ rows
+    return shown @ (data / s), sigma, (shown / s) @ rows

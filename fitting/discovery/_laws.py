@@ -41,7 +41,7 @@ from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError
 from fitting._numbers import rounded
 from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._dependence import Dependence, context_without, dependence
+from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
 from fitting.discovery._grammar import LawForm, description_length, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
@@ -313,16 +313,16 @@ def laws(
     if diagnosis is not None:
         candidates = diagnosis.candidates
     steps.next()
+    search = _Search(base, criteria, workers, steps)
     named = None if beyond_library or diagnosis is None else library_answer(diagnosis, criteria)
-    if named is not None:
+    if named is not None and not search.improves_on(named):
         depends_on = tuple(dependence(base))
         steps.done()
         sentence = (
             f"{' or '.join((named.effect.name, *named.indistinguishable_from))} of the library explains the "
             "unmodelled torque, and nothing significant remains: no other law is needed."
         )
-        return Laws(base, "library", sentence, (), named, depends_on, "", 0, diagnosis)
-    search = _Search(base, criteria, workers, steps)
+        return Laws(base, "library", sentence, (), named, depends_on, "", search.trials, diagnosis)
     found = search.best_set()
     terms = [e.name for e in found[0].effects] if found else []
     depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
@@ -510,9 +510,10 @@ class _Search:
         best = min(refits, key=lambda r: r.penalised)
         for _ in range(_SEARCHES - 1):
             best = best._replace(fit=refined(best.fit, self.criteria))
-            chosen = self._promising(self._scored(best.fit, best.terms), _LATER, about=best)
+            terms = [t.effect for t in best.terms]
+            chosen = self._promising(self._scored(best.fit, terms), _LATER, about=best)
             if _at_bound(best.fit):
-                released = self._scored(best.fit, best.terms, release=True)
+                released = self._scored(best.fit, terms, release=True)
                 chosen = _without_repetition(chosen, self._promising(released, _FIRST, about=best))
             refits = self._refits(chosen, best.fit, best.fit.noise, best.terms)
             self.steps.next()
@@ -541,7 +542,22 @@ class _Search:
         null = self._nulls[s.effect.name]
         return self._family(null(s.score), null.weights)
 
-    def _scored(self, about: Fit, removed: Sequence[LawForm], *, release: bool = False) -> _Scored:
+    def improves_on(self, known: Candidate) -> bool:
+        """Return whether some law describes the data clearly better than an effect, to first order about its fit."""
+        if known.fit is None or not known.physical:
+            return False
+        scored = self._scored(known.fit, [known.effect])
+        own = score_of_columns(scored.context, torque_rows([known.effect], scored.cases)[:, None])
+        own -= (len(known.fit.theta) - len(self.base.theta)) * float(np.log(self.base.n_eff))
+        best = max(map(self._worth, self.forms, scored.scores), default=-np.inf)
+        return best > own + self.criteria.equivalence_width
+
+    def _worth(self, law: LawForm, s: Score) -> float:
+        """Return the score minus the penalty of the law's constants and length."""
+        constants = s.columns + len(s.shape[0])
+        return s.score - constants * float(np.log(self.base.n_eff)) - law.description_length
+
+    def _scored(self, about: Fit, removed: Sequence[Effect], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit with some of its effects removed.
 
         With the right law a friction at its bound may become positive, or may remain there. Scores with `release` find
@@ -554,7 +570,7 @@ class _Search:
             scores = score(about, effects, cases, self.criteria, context=context)
             self.trials = max(self.trials, sum(s.trials for s in scores))
             return _Scored(scores, context, cases)
-        context = context_without(about, [t.effect for t in removed], cases, release=release)
+        context = context_without(about, removed, cases, release=release)
         scores = score(about, effects, cases, self.criteria, context=context)
         return _Scored([_refined_shapes(context, s, cases) for s in scores], context, cases)
 
@@ -562,20 +578,14 @@ class _Search:
         self, scored: _Scored, most: int, *, about: _Refitted | None = None, stateless: bool = False
     ) -> list[_Chosen]:
         """Return the laws to refit: those of largest score minus the penalty of their constants and length."""
-        n_eff = self.base.n_eff
         known = set() if about is None else {t.effect.name for t in about.terms}
-
-        def worth(c: _Chosen) -> float:
-            constants = c.score.columns + len(c.score.shape[0])
-            return c.score.score - constants * float(np.log(n_eff)) - c.law.description_length
-
         found = [
             _Chosen(law, s, scored)
             for law, s in zip(self.forms, scored.scores, strict=True)
             if not s.absorbed and s.score > 0 and law.effect.name not in known
             if law.effect.state is None or not stateless
         ]
-        return sorted(found, key=worth, reverse=True)[:most]
+        return sorted(found, key=lambda c: self._worth(c.law, c.score), reverse=True)[:most]
 
     def _refits(
         self,

@@ -279,7 +279,7 @@ def diagnose(
         # an effect that does not explain the sinusoid is no part of the answer
         peak = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
-    verdict = _verdict(selection, size, significant=misfit or doubt is not None)
+    verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
     complete = verdict == "missing_effect" and size.remainder is None
     within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
     if within_uncertainty:
@@ -331,15 +331,19 @@ def diagnose(
     )
 
 
-def _verdict(selection: Selection, size: Grade, *, significant: bool) -> str:
+def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significant: bool) -> str:
     """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
+    if any(k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined):
+        return "unexplained"
     if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
+    if significant or (size.explained is not None and size.explained < 1 - criteria.explained):
+        return "unexplained"
     # a second effect of the library completes the answer; a law with another shape is not in the library
     completed = set(selection.final.model.names) > set(selection.named.model.names)
-    return "missing_effect" if completed and not significant else "unexplained"
+    return "missing_effect" if completed else "unexplained"
 
 
 def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:

@@ -391,6 +391,9 @@ def _check_keys(where: str, keys: Any) -> None:
     ):
         if not isinstance(keys.get(key, kind()), kind):
             raise EffectError(f"{where}: {key} must be {word}")
+    if "unit" in keys:
+        # rad/s2 is rad s-2
+        keys["unit"] = re.sub(r"\s*/\s*([A-Za-z]+)(\d*)", lambda m: f" {m[1]}-{m[2] or 1}", keys["unit"])
     try:
         parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
     except ExpressionError as fault:

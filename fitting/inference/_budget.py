@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 CRYSTAL = 50e-6 / math.sqrt(3)
 """Relative standard uncertainty of a camera's clock: crystals are specified to 50 ppm (rectangular distribution)."""
 
-# Gauss-Hermite rule of three nodes for a normal distribution
+# Gauss-Hermite rule of three nodes for a normal distribution, in standard uncertainties
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 _RANK, _ROUNDING = 1e-7, 1e-12
@@ -137,8 +137,6 @@ class _Linearised:
         _, j = self.problem.residuals(fit.predictions)
         layout = fit.problem.layout
         self.free = ~surely_at_bound(layout, layout.at_bound(fit.theta), r, j)
-        moving = int((~layout.at_bound(fit.theta)).sum())
-        self.inflation = max(1.0, fit.chi2 / max(1, fit.rows - moving))
         self.covariance = covariance_of(j, self.free)
 
     def _projected(self, nuisances: int) -> tuple[Array, list[Array]]:
@@ -178,7 +176,7 @@ class _Linearised:
             after = np.diag(self._projected(k)[0])
             variances[name] = after - before
             before = after
-        variances["lack of fit"] = (self.inflation - 1) * before
+        variances["lack of fit"] = (self.fit.variance_factor - 1) * before
         return variances
 
     def sensitivity(self, columns: Sequence[Array]) -> Array:
@@ -219,20 +217,34 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
                 for (_, body, value, u), k in zip(group, place, strict=True)
             }
             theta[place] = _refitted(fit, moved)
-        weights = np.array(_WEIGHTS)
-        mean, square = theta, theta**2
-        for _ in group:
-            mean, square = (np.tensordot(weights, x, axes=(0, 0)) for x in (mean, square))
-        joint = np.maximum(square - mean**2, 0.0)
-        for axis, (source, _, _, u) in enumerate(group):
-            alone = np.moveaxis(theta, axis, 0)
-            for _ in range(len(group) - 1):
-                alone = np.tensordot(weights, alone, axes=(0, 1))
-            variance = weights @ (alone - weights @ alone) ** 2
-            found[source] = np.sqrt(variance), (alone[2] - alone[0]) / ((_NODES[2] - _NODES[0]) * u)
-            joint = joint - variance
-        if len(group) > 1:
-            found[" x ".join(source for source, *_ in group)] = np.sqrt(np.maximum(joint, 0.0)), None
+        found |= propagated(theta, [(source, u) for source, _, _, u in group])
+    return found
+
+
+def propagated(values: Array, inputs: Sequence[tuple[str, float]]) -> dict[str, tuple[Array, Array | None]]:
+    """Return the standard uncertainty by each input, its mean slope, and the uncertainty by their interaction.
+
+    Parameters
+    ----------
+    values : ndarray, shape (3, ..., results)
+        Results at the nodes of the Gauss-Hermite rule; one axis per input.
+    inputs : sequence of (str, float)
+        Name and standard uncertainty of each.
+    """
+    weights, found = np.array(_WEIGHTS), {}
+    mean, square = values, values**2
+    for _ in inputs:
+        mean, square = (np.tensordot(weights, x, axes=(0, 0)) for x in (mean, square))
+    joint = np.maximum(square - mean**2, 0.0)
+    for axis, (source, u) in enumerate(inputs):
+        alone = np.moveaxis(values, axis, 0)
+        for _ in range(len(inputs) - 1):
+            alone = np.tensordot(weights, alone, axes=(0, 1))
+        variance = weights @ (alone - weights @ alone) ** 2
+        found[source] = np.sqrt(variance), (alone[2] - alone[0]) / ((_NODES[2] - _NODES[0]) * u)
+        joint = joint - variance
+    if len(inputs) > 1:
+        found[" x ".join(source for source, _ in inputs)] = np.sqrt(np.maximum(joint, 0.0)), None
     return found
 
 

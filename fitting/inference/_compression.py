@@ -251,7 +251,12 @@ def _block(
     extra = min(skipped + noise_rows, max(0, len(t) - k - HARMONICS - 6))
     skipped = min(skipped, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
-    periodic = independent_harmonics(y, powers[:, :k]) if harmonics else np.zeros((len(t), 0))
+    periodic = np.zeros((len(t), 0))
+    if harmonics:
+        # of the smoothed angle: the noise of the measured one would be correlated with the harmonics, and where these
+        # are nearly polynomials it would enter the rows that measure the noise
+        smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
+        periodic = independent_harmonics(smooth @ (smooth.T @ (y / sigma)) * sigma, powers[:, :k])
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
     design = np.concatenate([powers[:, :k], periodic[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)

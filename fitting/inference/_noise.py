@@ -186,6 +186,31 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
     return np.concatenate(scales), weights / weights.sum()
 
 
+def variance_factor(chi2: float, dof: int) -> float:
+    """Return the expected factor by which the variance of residuals exceeds that of the noise.
+
+    The noise alone (factor 1) and a lack of fit, with an inverse factor that is uniform between 0 and 1, have equal
+    prior probabilities. A chi-square that is consistent with the noise hardly changes the standard errors; the factor
+    of a significant one approaches chi2/dof, that of R. T. Birge, Phys. Rev. 40, 207 (1932).
+
+    Parameters
+    ----------
+    chi2 : float
+        Sum of squares of whitened residuals.
+    dof : int
+        Its degrees of freedom.
+    """
+    from scipy.special import gammainc, gammaln
+
+    half, a = 0.5 * chi2, 0.5 * dof
+    mass = float(gammainc(a + 1, half)) if dof > 0 else 0.0
+    if mass == 0:
+        return 1.0
+    log_odds = gammaln(a + 1) + np.log(mass) - (a + 1) * np.log(half) + half
+    probability = 1 / (1 + np.exp(-log_odds))
+    return float(1 + probability * (half / a * gammainc(a, half) / mass - 1))
+
+
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 _ROUNDING = 1e-20
 # ratio to the lowest level that the recording allows from which on a level counts as raised

@@ -74,8 +74,8 @@ class Oscillation:
         )
         x = (times - middle) / half
         inside = np.clip(x, -1.0, 1.0)
-        steady = 2 * np.pi / self.period * half * (x - inside)
-        return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + steady)
+        slope = np.polynomial.chebyshev.chebval(inside, np.polynomial.chebyshev.chebder(phase))
+        return np.asarray(np.polynomial.chebyshev.chebval(inside, phase) + slope * (x - inside))
 
     @cached_property
     def slow_motion(self) -> SlowMotion | None:

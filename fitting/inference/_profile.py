@@ -74,7 +74,7 @@ class _Fitted(Protocol):
     @property
     def chi2(self) -> float: ...
     @property
-    def rows(self) -> int: ...
+    def variance_factor(self) -> float: ...
 
 
 def profile(fit: _Fitted, name: str, level: float = LEVEL) -> Interval:
@@ -142,7 +142,7 @@ class _Held:
         self._active: ActiveBounds | None = None
         self._best, self._theta = fit.chi2, fit.theta
         self._value = float(fit.theta[self._place])
-        self._scale = max(1.0, fit.chi2 / max(1, fit.rows - len(fit.theta)))
+        self._scale = fit.variance_factor
         error = math.sqrt(max(float(fit.covariance[self._place, self._place]), 0.0))
         usable = math.isfinite(error) and error > 0
         self._step = target * error if usable else 0.05 * max(abs(self._value), 1e-12)

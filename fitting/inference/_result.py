@@ -43,7 +43,7 @@ from fitting.inference._metrics import (
     lack_of_fit,
     smoothing_noise,
 )
-from fitting.inference._noise import Noise, unresolved_level
+from fitting.inference._noise import Noise, unresolved_level, variance_factor
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
@@ -595,6 +595,12 @@ class Fit(FitSummary):
         return energy_balance(self.problem.cases[i], self.theta, self.predictions[i].path)
 
     @property
+    def variance_factor(self) -> float:
+        """Factor by which a lack of fit increases the variances of all parameters."""
+        free = ~self.problem.layout.at_bound(self.theta)
+        return variance_factor(self.chi2, self.rows - int(free.sum()))
+
+    @property
     def torque_noise(self) -> float:
         """Process noise of this model: rms torque [N m]."""
         return max(n.level for n in self.noise)
@@ -613,9 +619,8 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     if any(n.unresolved > n.level for n in noise):
         j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
     covariance = covariance_of(j, determined)
-    free = int((~at_bound).sum())
     # with a significant lack of fit, the noise alone understates the uncertainty
-    covariance *= max(1.0, chi2 / max(1, rows - free))
+    covariance *= variance_factor(chi2, rows - int((~at_bound).sum()))
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
     return Fit(
         model=layout.model,

@@ -30,6 +30,8 @@ _PASSAGE_ORDER = 4
 """Highest degree of the polynomials for times and durations of passages through a light gate."""
 _END = 0.05
 """Share of a record from which the angular velocity at its ends is determined."""
+_MIN_WINDOWS, _MAX_WINDOWS = 12, 100
+"""Numbers of windows of whole periods for the demodulation of residuals."""
 _FIRST_PERIODS = 1.5
 """Half length of the first window [periods]."""
 _MAX_LOG_AMPLITUDE = 50.0
@@ -278,6 +280,57 @@ class _Wave:
         ]
         return np.stack([*first, *later], axis=1)
 
+    def errors(
+        self, c: Floats, t: Floats, rest: Floats, sigma: Floats
+    ) -> tuple[float, tuple[float, float, float]]:
+        """Return the Bayesian information criterion, and the uncertainties of frequency, decay rate and amplitude.
+
+        What the model does not describe changes slowly in amplitude and in phase. The residuals are demodulated: in
+        windows of whole periods their components in phase with the oscillation and in quadrature, which determine the
+        amplitude and the phase separately, each with its own correlated noise. In fewer than `_MIN_WINDOWS` periods
+        the correlated noise is that of a harmonic of the phase with a slowly varying amplitude.
+        """
+        jacobian, one = self.jacobian(c, t), np.eye(self.size)
+        size = max(float(np.hypot(c[2], c[3])), 1e-300)
+        along, across = (c[2] * one[2] + c[3] * one[3]) / size, (c[3] * one[2] - c[2] * one[3]) / size
+        _, cos, sin = self._parts(c, t)
+        in_phase, quadrature = ((a * cos + b * sin) / size for a, b in ((c[2], c[3]), (-c[3], c[2])))
+        phase = np.unwrap(np.arctan2(quadrature, in_phase))
+        count = min(int(abs(phase[-1] - phase[0]) / TURN), _MAX_WINDOWS)
+        free = np.full(self.size, np.inf)
+        if count < _MIN_WINDOWS:
+            models = [list(range(self.size))]
+            (fit,) = correlated_least_squares(t, jacobian, rest, sigma, models, free, phase)
+            return fit.criterion, (fit.of(one[0])[1], fit.of(one[1])[1], fit.of(along)[1])
+        edges = (phase[-1] - phase[0]) * np.arange(count) / count
+        first = np.unique(np.searchsorted(np.maximum.accumulate(phase - phase[0]), edges))
+        split, criterion, found = 5 + self.phase, 0.0, []
+        of_amplitude = np.stack([along, one[1], *one[split:]])
+        of_phase = np.stack([across, one[0], *one[6:split]])
+        for wave, parameters in ((in_phase, of_amplitude), (quadrature, of_phase)):
+            weight = wave / sigma**2
+            total = np.add.reduceat(weight * wave, first)
+            columns = np.add.reduceat(weight[:, None] * (jacobian @ parameters.T), first, axis=0)
+            when, y = (np.add.reduceat(weight * v, first) / total for v in (wave * t, rest))
+            (fit,) = correlated_least_squares(
+                when,
+                columns / total[:, None],
+                y,
+                1 / np.sqrt(total),
+                [list(range(len(parameters)))],
+                free[: len(parameters)],
+            )
+            criterion += fit.criterion
+            found.append(fit)
+        of_size, of_angle = found
+        unit = np.eye(max(len(of_amplitude), len(of_phase)))
+        errors = (
+            of_angle.of(unit[1, : len(of_phase)])[1],
+            of_size.of(unit[1, : len(of_amplitude)])[1],
+            of_size.of(unit[0, : len(of_amplitude)])[1],
+        )
+        return criterion, errors
+
     def extended(self, c: Floats, other: _Wave) -> Floats:
         """Convert the parameters of another model of this class; additional ones are zero."""
         split = 5 + other.phase
@@ -323,17 +376,12 @@ def _oscillation(
     best = None
     for wave, c in trials:
         rest = angle - wave(c, t)
-        free = np.full(wave.size, np.inf)
-        (fit,) = correlated_least_squares(t, wave.jacobian(c, t), rest, sigma, [list(range(wave.size))], free)
-        if best is None or fit.criterion < best[0]:
-            best = fit.criterion, wave, c, rest, fit
+        criterion, errors = wave.errors(c, t, rest, sigma)
+        if best is None or criterion < best[0]:
+            best = criterion, wave, c, rest, errors
     assert best is not None  # noqa: S101 - there is at least one trial
-    _, wave, c, rest, fit = best
-    c = c + fit.value
-    size = float(np.hypot(c[2], c[3]))
-    one = np.eye(wave.size)
-    frequency_error, decay = fit.of(one[0])[1], Value(float(c[1]), fit.of(one[1])[1])
-    amplitude = Value(size, fit.of((c[2] * one[2] + c[3] * one[3]) / max(size, 1e-300))[1])
+    _, wave, c, rest, (frequency_error, decay_error, amplitude_error) = best
+    decay, amplitude = Value(float(c[1]), decay_error), Value(float(np.hypot(c[2], c[3])), amplitude_error)
     short = 1e-4 / float(c[0])
     first, last = ((wave(c, e + short) - wave(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
     ends = {"first": float(first), "last": float(last)}

@@ -60,6 +60,9 @@ _NAMES = {
     "psi_c": "ψ casing",
     "psi_r": "ψ rotor",
 }
+_ON = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}
+# share from which on the number stands in its bar [%]
+_WIDE = 60
 
 
 def write_laws_picture(found: Laws, path: Path, *, force: bool = False) -> None:
@@ -112,8 +115,7 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
             )  # fmt: skip
     ax.axhline(0.0, color="#444444", linewidth=0.7)
     ax.set_xlabel(_AXES[d.variable])
-    where = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}[d.body]
-    ax.set_ylabel(f"torque {where} [{prefix}{unit_text(found.fit.torque_unit)}]")
+    ax.set_ylabel(f"torque {_ON[d.body]} [{prefix}{unit_text(found.fit.torque_unit)}]")
     ax.set_xlim(float(d.value[0]), float(d.value[-1]))
     legend(ax, ncols=2)
 
@@ -140,17 +142,18 @@ def _law_curve(law: Law, d: Dependence) -> Any:
 
 def _draw_shares(ax: Axes, found: Laws) -> None:
     shown = found.depends_on[:_MAX_ROWS]
-    labels = [" × ".join(_NAMES[v] for v in d.variable.split("*")) + f", {d.body}" for d in shown]
+    labels = [f"{' × '.join(_NAMES[v] for v in d.variable.split('*'))}, {_ON[d.body]}" for d in shown]
     colours = [SKY if d.p_value < 0.05 else PALE for d in shown]
     ax.barh(np.arange(len(shown)), [100 * d.explained for d in shown], color=colours, height=0.66)
     for i, d in enumerate(shown):
         text = f"{100 * d.explained:.1f} %" + ("" if d.p_value < 0.05 else f", p = {d.p_value:.2g}")
+        inside = 100 * d.explained > _WIDE
         ax.annotate(
-            text, (100 * d.explained, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9
-        )
+            text, (100 * d.explained, i), xytext=(-4 if inside else 4, 0), textcoords="offset points",
+            ha="right" if inside else "left", va="center", fontsize=9,
+        )  # fmt: skip
     ax.set_yticks(range(len(shown)), labels, fontsize=9)
-    ax.set_xlim(0, 135)
-    ax.set_xticks([0, 25, 50, 75, 100])
+    ax.set_xlim(0, 100)
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")
     ax.tick_params(axis="y", length=0)

@@ -141,8 +141,11 @@ def _laws_table(found: Laws, fit_id: str) -> str:
     letters = {x.formula: chr(ord("a") + i % 26) for i, group in enumerate(torques) for x in group}
     unit, body = found.fit.torque_unit, found.fit.problem.data[0].record.body
     if found.laws:
-        lines += ["", f"laws that the data cannot distinguish ({found.trials} candidates tried);"]
-        lines.append("laws with the same letter give the same torque along the recorded motion")
+        lines += [
+            "",
+            f"laws ({found.trials} candidates tried); the data cannot distinguish those with a letter,",
+        ]
+        lines.append("and those with the same letter give the same torque along the recorded motion")
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
         for number, x in enumerate(found.laws[:_SHOWN], 1):
             lines += _law(number, x, found.laws[0], letters.get(x.formula, " "))
@@ -153,8 +156,8 @@ def _laws_table(found: Laws, fit_id: str) -> str:
         for d in (d for d in best.differences if d.formula in firsts):
             lines.append(f"  {d.formula}")
             lines.append(
-                f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.0f} s to {d.t_stop:.0f} s, {body} "
-                f"{d.omega_c[0]:.0f} to {d.omega_c[1]:.0f} rad/s"
+                f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.3g} s to {d.t_stop:.3g} s, {body} "
+                f"{d.omega_c[0]:.3g} to {d.omega_c[1]:.3g} rad/s"
             )
     if found.next_experiment:
         lines += ["", *textwrap.wrap(f"next experiment: {found.next_experiment}", 79)]

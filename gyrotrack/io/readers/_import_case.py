@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,12 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
         lost = sum(cut.stop - cut.start for cut in short)
         notes.append(f"{table.path.name}: {lost} isolated samples between gaps were excluded")
         cuts = [cut for cut in cuts if cut not in short]
+    if len(cuts) > 1:
+        gaps = [table.time[b.start] - table.time[a.stop - 1] for a, b in pairwise(cuts)]
+        notes.append(
+            f"{table.path.name}: {len(gaps)} gaps; the longest, {max(gaps):.3g} s, is after "
+            f"{table.time[cuts[int(np.argmax(gaps))].stop - 1]:.6g} s"
+        )
     sigma = table.sigma
     if sigma is None:
         sigma = np.full(len(value), np.nan)

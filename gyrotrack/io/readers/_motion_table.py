@@ -26,6 +26,10 @@ _ORDER = 3
 _NEIGHBOURS = 41
 _FLOOR = 1e-6
 _MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
+_SPIKE = 20.0
+"""Smallest change to and from an erroneous sample [largest usual change between neighbours]."""
+_RARE = (0.01, 4.0)
+"""Share, and number, of the changes between neighbours that are not usual; the greater applies."""
 _TICKS = 2**32
 """Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
 
@@ -161,7 +165,13 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     units: dict[int, str] = {}
     for index, name in enumerate(raw.names):
         base, unit = header_of(name)
-        units[index] = clean(raw.units[index] or unit)
+        below = clean(raw.units[index])
+        if below and unit and clean(unit).casefold() != below.casefold():
+            raise DatasetError(
+                f"{raw.path}, line {raw.header_line}: the unit of '{name}' is '{below}' in the next line.",
+                "Correct one of them.",
+            )
+        units[index] = below or clean(unit)
         role = role_of(base) if name and not options.names else None
         if options.names:
             for text in (name.casefold(), base.casefold(), str(index + 1)):
@@ -226,9 +236,9 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
     ]
     stems = {_stem_without_axis(raw.names[i]) for i in axes}
-    values = [raw.numeric(i) for i in axes]
-    if axes and len(stems) == 1 and all(v is not None for v in values):
-        return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values if v is not None]))]
+    if axes and len(stems) == 1:
+        values = [without_spikes(raw.numbers(i), "", []) for i in axes]
+        return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values]))]
     raise DatasetError(
         f"{raw.path}, line {raw.header_line}: {len(places)} columns for '{role}': "
         f"{', '.join(map(repr, names))[:120]}.",
@@ -344,8 +354,8 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         raise DatasetError(
             f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.", EXPECTED
         )
-    value = raw.numbers(columns[quantity], quantity)
     notes = list(raw.notes)
+    value = without_spikes(raw.numbers(columns[quantity], quantity), quantity, notes, raw.line)
     unit = units[quantity]
     if quantity == "angle" and not unit and _wraps_at_360(value):
         unit = "deg"
@@ -368,7 +378,13 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         and quantity == "omega"
         and all(p is not None for p in parts)
     ):
-        value, direction = _along_rotation(np.stack([p for p in parts if p is not None], axis=1))
+        others = [[] if i == columns[quantity] else notes for i in axes]
+        cleared = [
+            without_spikes(p, raw.names[i], o)
+            for p, i, o in zip(parts, axes, others, strict=True)
+            if p is not None
+        ]
+        value, direction = _along_rotation(np.stack(cleared, axis=1))
         text = ", ".join(f"{c:.3f}" for c in direction)
         unused = [name for name in unused if name not in {raw.names[i] for i in axes}]
         notes.append(
@@ -379,6 +395,31 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
+
+
+def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | None = None) -> Floats:
+    """Return values in which single samples far from both neighbours are NaN; they are added to `notes`.
+
+    A transmission error or a lost point changes one sample: the changes to it and from it have opposite signs and
+    exceed the usual changes of the record by far. Motion and rest, steps of the resolution and wrapped angles do not.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    if len(known) < MIN_SAMPLES:
+        return value
+    step = np.diff(value[known])
+    rare = min(max(_RARE[0], _RARE[1] / len(step)), 0.5)
+    usual = float(np.quantile(np.abs(step), 1 - rare))
+    if not usual:
+        low, high = np.quantile(value[known], [rare, 1 - rare])
+        usual = resolution(value[(value >= low) & (value <= high)]) or float(high - low)
+    before, after = step[:-1], step[1:]
+    off = (before * after < 0) & (np.minimum(np.abs(before), np.abs(after)) > _SPIKE * usual)
+    rows = known[1:-1][off]
+    if not len(rows) or not usual:
+        return value
+    where = "" if line is None else f" (first: line {line[rows[0]]})"
+    notes.append(f"{len(rows)} values of '{name}' far from both neighbours were excluded{where}")
+    return np.where(np.isin(np.arange(len(value)), rows), np.nan, value)
 
 
 def _wraps_at_360(value: Floats) -> bool:
@@ -437,11 +478,16 @@ def checked(
         _raise_if(raw, valid & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
     lost = int((~valid & ~absent).sum())
     if lost:
-        notes.append(f"{name}: {lost} rows without a value were excluded")
+        first = line[~valid & ~absent][0]
+        notes.append(f"{name}: {lost} rows without a value were excluded (first: line {first})")
     if valid.sum() < fewest:
         raise DatasetError(
             f"{raw.path} has {valid.sum()} samples with a value; at least {fewest} are needed.",
             "Give a longer recording.",
+        )
+    if quantity == "angle" and np.ptp(value[valid]) == 0:
+        raise DatasetError(
+            f"{raw.path}: all {valid.sum()} angles are {value[valid][0]:g} rad.", "Check the column."
         )
     made = MotionTable(
         raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
@@ -516,14 +562,15 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
                 f"{path.name}: the {which} restarts at line {line[back[0] + 1]}; times were continued"
             )
             return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
-    lengths = np.diff([0, *(back + 1), len(time)])
-    several = len(back) <= 5 and lengths.min() >= MIN_SAMPLES and (-step[back] > 20 * usual).all()
+    far = back[-step[back] > 20 * usual]
+    lengths = np.diff([0, *(far + 1), len(time)])
+    several = 0 < len(far) <= 5 and lengths.min() >= MIN_SAMPLES
     # every restart begins at the first time of the file again
-    from_first = np.abs(time[back + 1] - time[0]) < 5 * usual
-    if several or (from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
+    from_first = np.abs(time[far + 1] - time[0]) < 5 * usual
+    if several or (len(far) and from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
         raise DatasetError(
-            f"{path}: times are not strictly increasing (line {line[back[0] + 1]}): the clock restarts.",
-            f"Split the file at this line: it contains {len(back) + 1} recordings.",
+            f"{path}: times are not strictly increasing (line {line[far[0] + 1]}): the clock restarts.",
+            f"Split the file at this line: it contains {len(far) + 1} recordings.",
         )
     return time
 

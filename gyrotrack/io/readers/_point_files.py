@@ -384,6 +384,9 @@ def _world_position(root: ET.Element, frame: int, place: tuple[float, float], me
     turned = math.radians(_value(item, "angle", 0.0))
     dx = place[0] - _value(item, "xorigin", 0.0)
     dy = -(place[1] - _value(item, "yorigin", 0.0))
-    x = (dx * math.cos(turned) + dy * math.sin(turned)) / _value(item, "xscale", 1.0)
-    y = (-dx * math.sin(turned) + dy * math.cos(turned)) / _value(item, "yscale", 1.0)
+    scales = [_value(item, axis, 1.0) for axis in ("xscale", "yscale")]
+    if not all(scales):
+        raise ValueError("the scale is zero")
+    x = (dx * math.cos(turned) + dy * math.sin(turned)) / scales[0]
+    y = (-dx * math.sin(turned) + dy * math.cos(turned)) / scales[1]
     return np.array([x, y]) * metres

@@ -36,6 +36,8 @@ class Points:
         Whether y points downwards, as in images.
     counted : bool
         Whether `time` contains frame numbers.
+    notes : tuple of str
+        Repairs made while reading.
     """
 
     path: Path
@@ -45,6 +47,7 @@ class Points:
     likelihood: Mapping[str, Floats]
     y_down: bool
     counted: bool
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,23 +76,34 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     named_centre = _centre_name(points, options)
     name = _marker_name(points, options, named_centre)
     place = np.where(_is_likely(points, name, options), points.places[name].T, np.nan).T
+    _require_samples(points, name, place)
     centre, where = _centre(points, options, named_centre, place)
     arm = place - centre
-    valid = np.isfinite(arm).all(axis=1)
-    if valid.sum() < MIN_SAMPLES:
-        raise DatasetError(
-            f"{points.path}: '{name[:40]}' is tracked in {valid.sum()} frames; at least {MIN_SAMPLES} are needed.",
-            "Check the name of the point and --likelihood.",
-        )
+    _require_samples(points, name, arm)
     length = np.hypot(*arm.T)
     if np.nanmin(length) < 0.2 * np.nanmedian(length):
         raise DatasetError(
             f"{points.path}: '{name[:40]}' is too close to {where} in some frames, where its angle is undefined.",
             "Give the centre with --centre, as a point or as coordinates: --centre 320,240.",
         )
+    for axis, values in zip("xy", place.T, strict=True):
+        if np.nanmin(values) == np.nanmax(values):
+            raise DatasetError(
+                f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames.",
+                "Check the columns.",
+            )
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     notes = (f"{points.path.name}: angle of '{name}' about {where}",)
     return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)
+
+
+def _require_samples(points: Points, name: str, place: Floats) -> None:
+    count = int(np.isfinite(place).all(axis=1).sum())
+    if count < MIN_SAMPLES:
+        raise DatasetError(
+            f"{points.path}: '{name[:40]}' is tracked in {count} frames; at least {MIN_SAMPLES} are needed.",
+            "Check the name of the point and --likelihood.",
+        )
 
 
 def _centre_name(points: Points, options: ReadOptions) -> str | None:

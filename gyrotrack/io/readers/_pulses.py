@@ -32,6 +32,10 @@ from gyrotrack.io.readers._motion_table import (
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _MAX_MISSED = 20
+_END = 3
+"""Number of intervals at each end that have too few neighbours on one side."""
+_LINE = 4
+"""Number of intervals whose speed is continued to the ends."""
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
 _ALTERNATING = 0.9
@@ -216,13 +220,19 @@ def from_events(
             f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed.",
             "Give a longer recording.",
         )
-    single = _not_double(time)
+    single = np.append(True, np.diff(time) > 0)
+    single[single] = _not_double(time[single])
     doubles = int((~single).sum())
     if doubles:
         notes.append(
             f"{raw.path.name}: {doubles} double pulses were excluded (first: line {line[~single][0]})"
         )
     time, line = time[single], line[single]
+    if len(time) < MIN_SAMPLES:
+        raise DatasetError(
+            f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed.",
+            "Check the column of the times.",
+        )
     count = _with_missed_pulses(raw, time, np.arange(len(time), dtype=float), line, notes)
     return from_counts(raw, time, count, line, per_turn, notes)
 
@@ -233,6 +243,8 @@ def _with_missed_pulses(
     """Add missed pulses to counts, where an interval is a multiple of the neighbouring ones."""
     step = np.diff(time) / np.diff(count)
     ratio = step / _typical_interval(step)
+    ratio[-_END:] = _ratios_at_end(step)[-_END:]
+    ratio[:_END] = _ratios_at_end(step[::-1])[::-1][:_END]
     whole = np.round(ratio)
     missed = (whole >= 2) & (whole <= _MAX_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
     if not missed.any():
@@ -254,6 +266,28 @@ def _typical_interval(step: Floats) -> Floats:
     padded = np.concatenate([np.full(3, logs[min(2, width - 1)]), logs, np.full(3, logs[max(width - 3, 0)])])
     sides = [np.median([padded[i : i + width] for i in range(first, first + 3)], axis=0) for first in (0, 4)]
     return np.asarray(np.exp(np.mean(sides, axis=0)))
+
+
+def _ratios_at_end(step: Floats) -> Floats:
+    """Return intervals over those that continue the speed of the previous ones; only the last `_END` are changed.
+
+    At the end of a motion the later intervals are unknown: an interval of twice the length is a missed pulse, or a body
+    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of T0
+    and half of the next interval T, T0 being the previous one: T (v - a (T0 + T) / 2) = 1.
+    """
+    regular, ratio = step.copy(), np.ones(len(step))
+    for k in range(max(len(step) - _END, _LINE), len(step)):
+        before = regular[k - _LINE : k]
+        middle = np.cumsum(before) - before / 2
+        rate, speed = np.polyfit(middle - middle[-1], 1 / before, 1)
+        b = speed + rate * before[-1] / 2
+        discriminant = b * b + 2 * rate
+        if b <= 0 or discriminant <= 0:
+            break  # it comes to rest within the interval
+        expected = 2 / (b + np.sqrt(discriminant))
+        ratio[k] = step[k] / expected
+        regular[k] = step[k] / max(np.round(ratio[k]), 1.0)
+    return ratio
 
 
 def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -372,7 +406,8 @@ def read_counter(
     if restarts > _MAX_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
         raise DatasetError(
             f"{raw.path}: the column {column + 1} is not a counter on the times of the column {time_column + 1}.",
-            "Check --column revolutions=N, and --column t=N.",
+            "For an encoder that restarts at each turn give its counts per turn, --pulses-per-turn N; else choose the "
+            "columns by --column revolutions=N and --column t=N.",
         )
     if len(at) < MIN_SAMPLES:
         raise DatasetError(

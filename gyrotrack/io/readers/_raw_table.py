@@ -83,7 +83,7 @@ class RawTable:
         made = np.empty(len(column))
         for row, cell in enumerate(column):
             value = number_of(cell, decimal_comma=self.decimal_comma, times=times)
-            if value is None or math.isinf(value):
+            if value is None:
                 raise DatasetError(
                     f"{self.path}, line {self.line[row]}: '{cell[:30]}' in the column "
                     f"'{name or self.names[index] or index + 1}' is not a number.",
@@ -101,7 +101,7 @@ class RawTable:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell, NaN if it is empty, None if it is not a number.
+    """Return the number in a cell, NaN if it is empty or infinite, None if it is not a number.
 
     With `times`, clock times such as ``12:03:04.5`` and ISO 8601 are converted to seconds.
     """
@@ -109,7 +109,8 @@ def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) ->
     if text.casefold() in _MISSING:
         return math.nan
     if is_number(text):
-        return float(text)
+        value = float(text)
+        return value if math.isfinite(value) else math.nan  # loggers write inf after a division by zero
     if times and ":" in text:
         try:
             return datetime.fromisoformat(text).timestamp()
@@ -150,8 +151,10 @@ def read_bytes(path: Path) -> bytes:
         ) from error
 
 
-def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
-    """Return the lines that are neither blank nor comments, with their numbers.
+def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
+    """Return the lines that are neither blank nor comments, with their numbers, and notes on excluded lines.
+
+    A header that is repeated, and text without numbers below the samples, are excluded.
 
     Raises
     ------
@@ -173,11 +176,27 @@ def content_lines(path: Path, content: bytes) -> list[tuple[int, str]]:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")
-    return [
+    lines = [
         (number, _COMMENT.sub("", line))
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip(' \t,;"') and not line.lstrip().startswith("#")
     ]
+    notes = []
+    first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
+    heads = {line for _, line in lines[:first]}
+    again = {number for number, line in lines[first:] if line in heads}
+    if again:
+        notes.append(f"{path.name}: the header is repeated in line {min(again)}; the line was excluded")
+        lines = [pair for pair in lines if pair[0] not in again]
+    last = next((i for i in range(len(lines), first, -1) if _holds_samples(lines[i - 1][1])), len(lines))
+    if last < len(lines) <= last + _MOST_SETTINGS:
+        notes.append(f"{path.name}: the text from line {lines[last][0]} on was excluded")
+        lines = lines[:last]
+    return lines, tuple(notes)
+
+
+def _holds_samples(line: str) -> bool:
+    return _is_data(split(line, delimiter_of(line)), comma=True)
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
@@ -197,7 +216,7 @@ def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
 
 
-def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
+def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
     """Return the table in the lines of a text file.
 
     Raises
@@ -242,13 +261,12 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         rows = [list(cells) for cells in zip(*rows, strict=False)]
         usual = len(rows[0])
         lines, first = [(lines[first][0], "")] * len(rows), 0
-    if delimiter is None and len(names) != usual:
+    if first and delimiter is None and len(names) != usual:
         names = _names_between_blanks(lines[first - 1][1], usual) or names
     width = len(names) or usual
-    rows, kept, notes = _checked_rows(
+    rows, kept, repairs = _checked_rows(
         path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
     )
-    notes = [*preamble, *notes]
     return RawTable(
         path,
         sha256,
@@ -258,7 +276,7 @@ def read_text(path: Path, sha256: str, lines: Lines) -> RawTable:
         kept,
         header_line,
         comma,
-        tuple(notes),
+        (*notes, *preamble, *repairs),
     )
 
 
@@ -429,6 +447,7 @@ def role_of(name: str) -> str | None:
     ):
         return "sigma"
     words = [w for w in re.split(r"[\s_.\-:#]+", text) if w]
+    words = [re.sub(r"(?<=[^\W\d]{3})\d+$", "", w) for w in words]  # angle1, angle2
     whole = "".join(words)
     for role, known in _HEADER_WORDS.items():
         if whole in known:

@@ -22,6 +22,7 @@ from gyrotrack.io.readers._motion_table import (
     in_order,
     interpret,
     times_of,
+    without_spikes,
 )
 from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
 from gyrotrack.io.readers._points import Points, angle_of
@@ -57,11 +58,11 @@ class Format:
 
 
 def _text(path: Path, sha256: str, content: bytes, options: ReadOptions) -> Content:
-    lines = content_lines(path, content)
+    lines, notes = content_lines(path, content)
     if not lines:
         raise DatasetError(f"{path} is empty.", EXPECTED)
     points = read_point_table(path, sha256, lines) if not options.names else None
-    return points if points is not None else read_text(path, sha256, lines)
+    return read_text(path, sha256, lines, notes) if points is None else replace(points, notes=notes)
 
 
 def _is_project(content: bytes) -> bool:
@@ -140,7 +141,14 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
             place = np.stack([raw.numbers(columns[axis], axis) for axis in COORDINATES], axis=1)
             time = times_of(raw, columns, units, replace(options, start=0.0))
             points = Points(
-                raw.path, raw.sha256, time, {raw.path.stem: place}, {}, y_down=False, counted=False
+                raw.path,
+                raw.sha256,
+                time,
+                {raw.path.stem: place},
+                {},
+                y_down=False,
+                counted=False,
+                notes=raw.notes,
             )
             return _from_points(points, options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
@@ -180,10 +188,14 @@ def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
 
 
 def _from_points(points: Points, options: ReadOptions) -> MotionTable:
-    found = angle_of(points, options)
+    notes = [*points.notes]
+    places = {
+        n: np.stack([without_spikes(v, n, notes) for v in p.T], axis=1) for n, p in points.places.items()
+    }
+    found = angle_of(replace(points, places=places), options)
     valid = np.isfinite(found.angle) & np.isfinite(found.time)
     lost = int((~valid).sum())
-    notes = [*found.notes]
+    notes += found.notes
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
     rows = np.flatnonzero(valid)

@@ -70,12 +70,16 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
             f"{path}, line {lines[above][0]}: there is no column for the time.",
             "Export t together with x and y.",
         )
+    unit = header_of(names[time[0]])[1] if roles[time[0]] == "t" else ""
+    if (scale := factor("t", unit) if unit else 1.0) is None:
+        raise DatasetError(f"{path}, line {lines[above][0]}: unknown unit '{unit[:30]}' of the time.")
     columns = _tracks(split(head, delimiter), titles, path)
     table = _numbers(
         path, lines[above + 1 :], delimiter, len(names), sorted({time[0], *sum(columns.values(), ())})
     )
     places = {name: np.stack([table[x], table[y]], axis=1) for name, (x, y) in columns.items()}
-    return Points(path, sha256, table[time[0]], places, {}, y_down=False, counted=roles[time[0]] == "frame")
+    counted = roles[time[0]] == "frame"
+    return Points(path, sha256, scale * table[time[0]], places, {}, y_down=False, counted=counted)
 
 
 def _axis(name: str) -> tuple[str, str]:
@@ -236,7 +240,7 @@ def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
                     f"{path} contains {len(tables)} tables of text{': ' + ', '.join(tables)[:100] if tables else ''}.",
                     "Unpack it and give one of them.",
                 )
-            return read_text(path, sha256, content_lines(path, archive.read(tables[0])))
+            return read_text(path, sha256, *content_lines(path, archive.read(tables[0])))
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
         raise DatasetError(
             f"{path} is a damaged archive: {error}.", "Download or export it again."

@@ -11,13 +11,14 @@ from cases import case, fitted
 
 from fitting._criteria import DEFAULT
 from fitting._errors import EffectError
+from fitting._workers import WorkerPool
 from fitting.discovery import _dependence, _laws
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting.effects._library import REDUCED, find
 from fitting.effects._user import read_effects, resolve
 from fitting.inference._fit import fit
 from fitting.inference._noise import WHITE
@@ -113,6 +114,18 @@ def test_a_saturating_drag_is_found_with_its_parameters():
     assert 0.5 * K < best.torque_rms_Nm < K * math.tanh(speed.max() / W)
     assert best.p_value < 1e-6
     assert best.fit.verdict == "adequate"
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_library_is_the_answer_only_if_no_law_is_clearly_better():
+    """A law improves on a wrong effect, and none improves on the right one."""
+    base, found = saturating()
+    search = _laws._Search(base, DEFAULT, WorkerPool(0), _laws._Steps(None))
+    right, wrong = found.laws[0].effects[0], find("casing.air.quadratic")
+    for effect, improves in ((right, False), (wrong, True)):
+        refit = fit(base.model.with_effect(effect), base.problem.data, noise=found.laws[0].fit.noise)
+        known = SimpleNamespace(effect=effect, fit=refit, physical=True)
+        assert search.improves_on(known) is improves
 
 
 @pytest.mark.slow

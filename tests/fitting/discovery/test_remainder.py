@@ -2,14 +2,16 @@
 
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import twobody
 
-from fitting.discovery._remainder import nuisance_parameters, smooth_law
+from fitting._criteria import Criteria
+from fitting.discovery._remainder import Grade, Remainder, nuisance_parameters, smooth_law
 from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
+from fitting.discovery._verdict import _verdict, diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape
 from fitting.effects._library import LIBRARY, REDUCED
@@ -181,3 +183,21 @@ def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
         assert "a smooth law of omega_c explains more" in found.sentence
     else:
         assert found.candidates[0].effect.name == "casing.brake.eddy"
+
+
+@pytest.mark.parametrize(
+    ("explained", "verdict"), [(0.0, "unexplained"), (0.04, "unexplained"), (0.3, "missing_effect")]
+)
+def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
+    """Not even if with a second one the residuals are consistent with noise, as for a drag with sqrt(omega_r)."""
+    named, final = (
+        SimpleNamespace(model=SimpleNamespace(names=n))
+        for n in (
+            ("bearing.linear", "rotor.air.linear"),
+            ("bearing.linear", "rotor.air.linear", "setup.inertia"),
+        )
+    )
+    selection = SimpleNamespace(chosen=object(), named=named, final=final)
+    size = Grade(None, explained, Remainder(1e-8, 1 - explained, 1e-10, "second effect setup.inertia"))
+    assert _verdict(selection, size, Criteria(), significant=False) == verdict
+    assert _verdict(selection, size, Criteria(), significant=True) == "unexplained"

@@ -122,7 +122,7 @@ law = "-k*exp(-abs(omega_c)/w)*sign(omega_c)"
 [effect.parameters.k]
 unit = "N m"
 [effect.parameters.w]
-unit = "s-1"
+unit = "rad/s"
 start = 5
 
 [[effect]]
@@ -146,7 +146,7 @@ def test_a_file_of_effects(tmp_path):
     assert (k.role, k.lower, k.meaning) == ("amplitude", 0.0, "strength")
     assert (p.role, p.lower, p.upper, p.start, p.grid) == ("shape", 1.0, 2.0, 1.5, (1.2, 1.5, 1.8))
     assert parse_unit(k.unit, {"p": 1.5}) == pytest.approx(parse_unit("N m s1.5"))
-    assert parts(rub) == {"k": ("amplitude", "N m"), "w": ("shape", "s-1")}
+    assert parts(rub) == {"k": ("amplitude", "N m"), "w": ("shape", "rad s-1")}
     assert rub.parameters[1].start == 5.0
     assert parts(swap)["b"][0] == "amplitude"
     assert parts(swap)["a"][0] == "shape"

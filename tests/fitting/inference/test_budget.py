@@ -8,8 +8,10 @@ import oscillators
 import pytest
 
 from fitting.dynamics._model import Model
-from fitting.inference._budget import budget
+from fitting.inference._budget import budget, propagated
 from fitting.inference._fit import fit
+from fitting.inference._linear_algebra import covariance_of
+from fitting.inference._noise import variance_factor
 from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import budget_document
 
@@ -110,6 +112,48 @@ def test_an_oscillation_measured_by_an_encoder_has_no_camera_contribution():
     for name, b in budget(result, clock_rate_u=0.0).items():
         assert {c.source for c in b.contributions} <= {"angle noise", "process noise", "lack of fit"}
         assert b.u == pytest.approx(result.estimates[name].stderr, rel=1e-9)
+
+
+NODES = np.sqrt(3) * np.array([-1.0, 0.0, 1.0])
+
+
+def test_propagation_agrees_with_example_h1_of_the_gum():
+    """End gauge, l = l_s + d - l_s (delta_alpha theta + alpha_s delta_theta): H.1.3 and, of second order, H.1.7."""
+    length = 50.000623e6  # nm
+    difference = {"expansion": (0.0, 0.58e-6), "temperature": (-0.1, 0.41)}
+    standard = {"expansion": (11.5e-6, 1.2e-6), "temperature": (0.0, 0.029)}
+    found = []
+    for inputs in (difference, standard):
+        (x, u), (y, v) = inputs.values()
+        values = -length * np.multiply.outer(x + u * NODES, y + v * NODES)[..., None]
+        parts = propagated(values, [(k, w) for k, (_, w) in inputs.items()])
+        found.append([float(part[0]) for part, _ in parts.values()])
+    (of_expansion, of_temperature, both), (of_standard, of_bath, second) = found
+    assert [of_expansion, of_bath] == pytest.approx([2.9, 16.6], abs=0.1)
+    assert [both, second] == pytest.approx([11.7, 1.7], abs=0.2)
+    assert max(of_temperature, of_standard) < 1e-6
+    first_order = math.hypot(25, 9.7, of_expansion, of_bath)
+    assert first_order == pytest.approx(32, abs=0.5)
+    assert math.hypot(first_order, both, second) == pytest.approx(34, abs=0.5)
+
+
+def test_a_straight_line_agrees_with_example_h3_of_the_gum():
+    """Calibration of a thermometer: the scatter about the line is the noise, which was not known before."""
+    t = np.array(
+        [21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511]
+    )  # deg C
+    b = -1e-3 * np.array([171, 169, 166, 159, 164, 165, 156, 157, 159, 161, 160])
+    assumed = 1e-5
+    design = np.stack([np.ones(11), t - 20], axis=1)
+    y = np.linalg.lstsq(design, b, rcond=None)[0]
+    chi2 = float(np.sum((b - design @ y) ** 2)) / assumed**2
+    covariance = covariance_of(design / assumed, np.ones(2, dtype=bool)) * variance_factor(chi2, 9)
+    assert y == pytest.approx([-0.1712, 0.00218], abs=5e-5)
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.0029, 0.00067], abs=5e-5)
+    assert covariance[0, 1] / np.sqrt(np.prod(np.diag(covariance))) == pytest.approx(-0.930, abs=5e-4)
+    at_30 = np.array([1.0, 10.0])
+    assert at_30 @ y == pytest.approx(-0.1494, abs=5e-5)
+    assert math.sqrt(at_30 @ covariance @ at_30) == pytest.approx(0.0041, abs=5e-5)
 
 
 @pytest.mark.slow

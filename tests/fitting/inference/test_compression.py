@@ -175,3 +175,15 @@ def test_short_runs_are_compressed_too(motion, n):
     compressed = compress(samples, degree=CASING_DEGREE, harmonics=True)
     assert np.isfinite(compressed.z).all()
     assert 0.4 < compressed.scale < 2.2
+
+
+def test_harmonics_that_are_nearly_polynomials_do_not_bias_the_noise():
+    """A turn less 0.2 rad from frame to frame: the harmonics in the frames are those of a slow motion."""
+    t = np.arange(600) / 30
+    angle = (2 * np.pi * 30 - 7.0) * t
+    variances = []
+    for seed in range(60):
+        noise = 3e-3 * np.random.default_rng(seed).standard_normal(len(t))
+        samples = Samples(t, angle + noise, np.full(len(t), 3e-3))
+        variances.append(compress(samples, degree=CASING_DEGREE, harmonics=True).scale ** 2)
+    assert np.mean(variances) == pytest.approx(1.0, abs=3 * np.std(variances) / np.sqrt(60))

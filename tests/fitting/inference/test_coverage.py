@@ -95,7 +95,7 @@ def test_intervals_have_the_stated_coverage():
     for key, z in seen.items():
         inside = int(np.sum(np.abs(z) < 1.96))
         assert inside >= binom.ppf(5e-4, len(z), 0.95), key
-        assert 0.55 < np.std(z) < 1.25, key
+        assert 0.55 < np.std(z) < 1.35, key  # of 36: +- 0.12
         assert abs(np.mean(z)) < 4 / np.sqrt(len(z)), key
     assert np.mean(np.abs(np.concatenate(list(seen.values()))) < 1.96) > 0.92
 

@@ -17,6 +17,7 @@ from fitting.inference._noise import (
     Whitener,
     remaining_level,
     unresolved_level,
+    variance_factor,
 )
 
 TIME = 1.0
@@ -217,3 +218,24 @@ def test_the_unresolved_level_is_a_posterior_mean():
     # far below what would be expected without any data: they exclude most levels where there is no torque
     assert np.sqrt(square[true == 0].mean()) < 0.6 * expected / np.sqrt(2)
     assert error < 0.1 * expected**2
+
+
+@pytest.mark.parametrize("dof", [5, 40, 400])
+def test_the_variance_factor_is_a_posterior_mean(dof):
+    """Factors drawn from the prior, chi-square from each: on average the estimate is the truth (total expectation)."""
+    random = np.random.default_rng(dof)
+    draws = 40_000
+    true = np.where(random.random(draws) < 0.5, 1.0, 1 / random.uniform(0.0, 1.0, draws))
+    chi2 = true * random.chisquare(dof, draws)
+    for low, high in ((0.8, 1.0), (1.0, 1.3), (1.3, 2.0), (2.0, 5.0)):
+        near = (chi2 > low * dof) & (chi2 < high * dof)
+        found = np.array([variance_factor(x, dof) for x in chi2[near]])
+        error = np.std(true[near]) / np.sqrt(near.sum())
+        assert found.mean() == pytest.approx(true[near].mean(), abs=4 * error)
+
+
+def test_noise_alone_hardly_increases_the_variance_and_a_gross_misfit_by_all_of_it():
+    chi2 = np.random.default_rng(1).chisquare(250, 2000)
+    assert 1 <= np.mean([variance_factor(x, 250) for x in chi2]) < 1.02
+    assert variance_factor(250 * 1e4, 250) == pytest.approx(1e4)
+    assert variance_factor(20.0, 3000) == variance_factor(0.0, 0) == 1.0

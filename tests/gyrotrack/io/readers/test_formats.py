@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import zipfile
 
 import h5py
@@ -146,6 +147,24 @@ def test_pulses_missed_and_doubled(tmp_path):
     assert "3 missed pulses" in " ".join(read.notes)
     np.testing.assert_allclose(read.value, np.delete(angle, [40, 41, 120]))
     assert np.diff(times).max() > 6 * np.diff(times).min()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_pulses_until_rest_are_not_missed(tmp_path, seed):
+    """The last interval of a body that comes to rest by dry friction may be twice the one before."""
+    random = np.random.default_rng(seed)
+    rate, per_turn, number = random.uniform(0.2, 1.0), 4, int(random.integers(300, 800))
+    pitch = 2 * math.pi / per_turn
+    # at rest a fraction of an interval after the last pulse; before it, angle = speed t - rate t^2 / 2
+    speed = math.sqrt(2 * rate * (number - 1 + random.uniform(0.01, 0.1)) * pitch)
+    times = (speed - np.sqrt(speed**2 - 2 * rate * pitch * np.arange(number))) / rate
+    times += random.normal(0, 2e-5, len(times))
+    lost = int(random.integers(20, len(times) - 20))
+    path = tmp_path / "pulses.txt"
+    np.savetxt(path, np.delete(times, lost), fmt="%.6f")
+    read = read_motion(path, ReadOptions(pulses_per_turn=per_turn))
+    assert read.value[-1] - read.value[0] == pytest.approx((number - 1) * pitch, abs=0.1)
+    assert "1 missed pulses" in " ".join(read.notes)
 
 
 @pytest.mark.parametrize("per_turn", [1, 8])

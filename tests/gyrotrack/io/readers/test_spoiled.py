@@ -41,18 +41,24 @@ def coasting(kind):
 def test_spoiled_copies(tmp_path, spoil, kind):
     text, options = coasting(kind)
     (tmp_path / "whole.csv").write_text(text)
+    whole = spoil.read(tmp_path / "whole.csv", options)
     found = {
-        how: spoil.judge(tmp_path / "whole.csv", change(text, random.Random(seed)), options, tmp_path)  # noqa: S311
+        how: spoil.judge(whole, change(text, random.Random(seed)), options, tmp_path / "copy")  # noqa: S311
         for seed, (how, change) in enumerate(spoil.SPOILERS.items())
     }
-    assert len(found) == 20
+    assert len(found) == 40
     outcomes = {how: outcome for how, (outcome, _) in found.items()}
     if kind == "counter":  # coarse times: only that nothing ends in a fault
         assert "fault" not in outcomes.values(), found
         return
     assert set(outcomes.values()) == {"mended", "refused"}, found
     refused = {how for how, outcome in outcomes.items() if outcome == "refused"}
-    assert {"a word in a cell", "infinite", "two recordings in one"} <= refused
+    assert {
+        "a word in a cell",
+        "two recordings in one",
+        "constant last column",
+        "clock set to zero twice",
+    } <= refused
     assert not refused & {
         "UTF-16",
         "shuffled rows",
@@ -60,4 +66,10 @@ def test_spoiled_copies(tmp_path, spoil, kind):
         "NaN",
         "decimal comma, semicolons",
         "lost rows",
+        "infinite",
+        "an outlier of 1e9",
+        "a header in the middle",
+        "two headers",
+        "words at the end",
+        "times in ms",
     }
