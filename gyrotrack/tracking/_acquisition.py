@@ -490,9 +490,9 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     Raises
     ------
     TrackingError
-        If no marker of the profile can be found.
+        If no marker of the profile can be found, or if those of two bodies are.
     """
-    orbit = _find_orbit(samples, profile)
+    orbit = _find_orbit(samples, profile, where)
     circle = chroma_direction(profile.circle_colour, profile.circle_hue)
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
     if disc is None and orbit is None:
@@ -516,7 +516,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of)
 
 
-def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
+def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
     points: list[tuple[float, float]] = []
@@ -534,7 +534,28 @@ def _find_orbit(samples: Samples, profile: Profile) -> Orbit | None:
         return orbits_about(place, label_of, profile.hub)
     orbit = common_centre(place, label_of)
     enough = LEAST_AGREEMENT * max(len(points), chroma.shape[1])
-    return orbit if orbit is not None and orbit.inliers > enough else None
+    if orbit is None or orbit.inliers <= enough:
+        return None
+    _refuse_second_body(orbit, place, label_of, chroma.shape[1], where)
+    return orbit
+
+
+def _refuse_second_body(
+    orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
+) -> None:
+    """Raise a TrackingError if blobs turn about another centre, too, outside the orbits that were found."""
+    outer = max(orbit.radii.values())
+    beyond = np.hypot(*(place - orbit.centre).T) > 1.1 * outer
+    other = common_centre(place[beyond], label[beyond])
+    if other is None or other.inliers <= 0.5 * count or other.spread < LEAST_COVERED:
+        return
+    if np.hypot(*np.subtract(other.centre, orbit.centre)) > outer + 0.5 * max(other.radii.values()):
+        (x, y), (u, v) = sorted((orbit.centre, other.centre))
+        raise TrackingError(
+            f"Two bodies with markers of these colours turn in {where}: one about ({x:.0f}, {y:.0f}) px, one about "
+            f"({u:.0f}, {v:.0f}) px.",
+            "Give the centre of the body to track in the profile (hub).",
+        )
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:

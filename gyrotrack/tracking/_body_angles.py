@@ -432,8 +432,8 @@ def _followed(
 ) -> tuple[dict[str, BodyAngles], list[str]]:
     """Join the markers of each body; the casing twice, since the markers of the rotor pass beneath its own.
 
-    A body that turns too little for its errors by place to be measured gets those of the other body, in px:
-    illumination and encoder are the same.
+    A body that turns too little for its errors by place to be measured gets typical ones and those of the other body,
+    in px: illumination and encoder are the same, but not the surroundings of the markers.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -441,14 +441,14 @@ def _followed(
 
     def joined(name: str, other: Floats | None, *, above: bool = False) -> BodyAngles:
         radius = views[name].radius
-        by_place = next(
-            (
-                error_by_place(views[n], flattening[n], b)
-                for n, b in bodies.items()
-                if n != name and b.place_error > 0.0
-            ),
-            usual_error_by_place(views[name]),
-        )
+        usual = usual_error_by_place(views[name])
+        learnt = [
+            error_by_place(views[n], flattening[n], b)
+            for n, b in bodies.items()
+            if n != name and b.place_error > 0.0
+        ]
+        # two estimates of one variance with about equally many degrees of freedom
+        by_place = float(np.sqrt(np.mean(np.square([usual, *learnt]))))
         coarse = seen.bodies[name].coarse
         left = variance_left(coarse, range(1, 2), max(centre.reach, 1))
         off_axis = np.hypot(
@@ -461,7 +461,12 @@ def _followed(
     warnings: list[str] = []
     for name in views:
         found = joined(name, bodies["casing"].angle if "casing" in bodies else None)
-        if _credible(found):
+        if name == "rotor" and "casing" in bodies and _at_rest(found, bodies["casing"]):
+            warnings.append(
+                "The markers of the rotor do not move while the casing turns: they are part of the background, and "
+                "the rotor is omitted."
+            )
+        elif _credible(found):
             bodies[name] = found
         else:
             warnings.append(f"The markers of the {name} cannot be tracked; it is omitted.")
@@ -501,6 +506,17 @@ def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
     shift = float(np.angle(np.sum(turn)))
     markers = {name: MarkerAngles(m.angle, m.sigma, m.mount + shift) for name, m in body.markers.items()}
     return replace(body, angle=body.angle - shift, markers=markers)
+
+
+_REST, _TURNS = 0.05, 1.0
+"""Ranges of the angle [rad] up to which a body is at rest, and from which the other one turns."""
+
+
+def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
+    """Tell whether a body is at rest while the other one turns."""
+    return bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS) and bool(
+        np.nanmax(body.angle, initial=-np.inf) - np.nanmin(body.angle, initial=np.inf) < _REST
+    )
 
 
 def _credible(body: BodyAngles) -> bool:

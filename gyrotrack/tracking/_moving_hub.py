@@ -77,8 +77,8 @@ def track_by_features(
     """Track a body without an axle, such as a suspended table, by its features; None for any other film.
 
     This is for a hub that moves by about a pixel or more and a range of angles below 2 rad. A body on an axle is
-    tracked by registration, which uses the whole picture, and so is one that moves more than it turns, such as the ball
-    of a pendulum.
+    tracked by registration, which uses the whole picture, and so is one that moves more than it turns, or whose hub
+    is outside the picture, such as the ball of a pendulum.
     """
     wanted = set(usable.tolist())
     found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
@@ -92,6 +92,9 @@ def track_by_features(
     path = turn * start + moved
     hub = complex(np.mean(path))
     if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
+        return None
+    height, width = motion.moving.shape
+    if not (0.0 <= hub.real < width and 0.0 <= hub.imag < height):
         return None
     ring = ring_for((hub.real, hub.imag), motion, _COARSE)
     if ring is None or np.abs(path - hub).std() > theta.std() * ring.outer:

@@ -405,9 +405,10 @@ def learn(
     counted = np.ones(len(polars)) if counted is None else counted
     usable = allowed.astype(np.float32)
     fixed = np.zeros(usable.shape, dtype=np.float32)
-    body = fixed
+    body = fixed.copy()
     if separate:
-        fixed = np.asarray(np.average(polars, axis=0, weights=counted), dtype=np.float32)
+        for polar, count in zip(polars, counted, strict=True):  # one by one, to limit memory
+            fixed += np.float32(count / counted.sum()) * polar
         fixed -= fixed.mean(axis=1, keepdims=True)
     for _ in range(rounds if separate else 1):
         total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)

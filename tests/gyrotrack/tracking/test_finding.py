@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -220,3 +221,39 @@ def test_wrong_words_are_one_sentence(casing_clip, tmp_path, capsys, monkeypatch
 def test_a_measured_hue_survives_in_a_profile():
     marker = {"name": "a", "colour": "green", "body": "rotor", "hue": 210.5}
     assert parse({"marker": [marker]}, "p").marker[0].hue == 210.5
+
+
+def discs(path, bodies, frames=60):
+    """Draw grey discs with a red dot, (x, y, radius, rad per frame) each, before a coloured wall."""
+    rng = np.random.default_rng(0)
+    wall = np.clip(cv2.GaussianBlur(rng.normal(0, 1, (180, 320, 3)), (0, 0), 4) * 120 + 130, 0, 255)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.options = 320, 180, "yuv420p", {"crf": "20"}
+        for k in range(frames):
+            picture = wall.copy()
+            for x, y, radius, step in bodies:
+                dot = round(x + 0.65 * radius * np.cos(step * k)), round(y - 0.65 * radius * np.sin(step * k))
+                cv2.circle(picture, (x, y), radius, (200, 200, 200), -1, cv2.LINE_AA)
+                cv2.circle(picture, dot, 9, (30, 30, 160), -1, cv2.LINE_AA)
+            noisy = np.clip(picture + rng.normal(0, 2.5, picture.shape), 0, 255).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(noisy, format="bgr24")))
+        container.mux(stream.encode())
+    return path
+
+
+def test_two_bodies_of_one_colour_are_refused_in_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    discs(tmp_path / "two.mp4", [(80, 90, 50, 0.2), (235, 90, 50, -0.31)])
+    assert run(["extract", "two.mp4", "--capture-fps", "260", "--workers", "1"]) == 1
+    said = capsys.readouterr().err
+    assert "Two bodies" in said
+    assert "Traceback" not in said
+    assert [p.name for p in tmp_path.iterdir()] == ["two.mp4"]
+
+
+def test_a_wall_of_the_colours_of_the_rotor_is_no_rotor(tmp_path):
+    recording = extract(discs(tmp_path / "one.mp4", [(160, 90, 70, 0.2)]), capture_fps=260)
+    assert list(recording.bodies) == ["casing"]
+    assert np.ptp(recording.bodies["casing"].angle) == pytest.approx(0.2 * 59, abs=0.05)
+    assert any("background" in warning for warning in recording.warnings)
