@@ -51,8 +51,11 @@ def laws_command(
         ),
     ] = None,
     law: Annotated[
-        int, typer.Option("--law", metavar="N", min=1, help="Number in the table of the law for --save-law.")
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--law", metavar="N", min=1, help="Number in the table of the law for --save-law; 1 if not given."
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", metavar="FILE", help="Draw the result: .png, .svg or .pdf."),
@@ -81,6 +84,8 @@ def laws_command(
         _check_picture(picture, (".png", ".svg", ".pdf"), force=force)
     if save_law is not None:
         check_name(*save_law)
+    elif law is not None:
+        raise UsageError("--law chooses the law that --save-law saves.", "Add --save-law NAME FILE.")
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("searching for laws") as progress:
         progress(0, None)
@@ -104,7 +109,7 @@ def laws_command(
         out.show(f"written: {picture}")
     if save_law is None:
         return DONE
-    name, path = save_law
+    (name, path), law = save_law, law or 1
     if law > len(found.laws):
         many = f"there are {len(found.laws)} laws" if found.laws else "no law was found"
         out.warn(f"Law number {law} was not saved: {many}.")

@@ -14,6 +14,12 @@ def test_a_picture_needs_a_known_suffix(gyrotrack, simulated):
     assert ".png" in said.error["hint"]
 
 
+def test_a_number_of_a_law_without_a_file_is_refused(gyrotrack, simulated):
+    said = gyrotrack("laws", simulated / "plain.h5", "--law", "2", "--json")
+    assert said.code == 2
+    assert "--save-law" in said.error["message"]
+
+
 @pytest.mark.parametrize("name", ["casing.windage", "9lives"])
 def test_a_law_needs_a_name_of_its_own(gyrotrack, simulated, tmp_path, name):
     file = tmp_path / "lab.toml"
