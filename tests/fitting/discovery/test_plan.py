@@ -127,6 +127,7 @@ class TestLimits:
         assert drag().torque == pytest.approx(np.sqrt(np.mean(omega_c**4)), rel=0.01)
         assert drag().detection_torque == pytest.approx(drag().detection_limit * drag().torque)
 
+    @pytest.mark.slow
     def test_the_detection_limit_has_90_percent_power_and_the_false_alarm_rate_is_the_significance(self):
         power = search().power(DRAG, 0, np.array([0.0, drag().detection_limit]))
         assert power[1] == pytest.approx(0.9, abs=0.03)

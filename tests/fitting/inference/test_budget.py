@@ -87,6 +87,7 @@ def test_torques_are_in_proportion_to_both_inertias_together(found):
         assert rotor * I_ROTOR + casing * I_CASING == pytest.approx(value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_uncertainties_of_a_sentence_are_those_of_the_budget(found):
     """There the moments of inertia are propagated by refits, here by the derivatives of the motion."""
     result, _ = found

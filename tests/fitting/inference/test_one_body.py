@@ -84,10 +84,10 @@ def test_a_recording_of_one_turn_is_fitted():
 @pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["omega", "angle"])
 def test_uncertainties_agree_with_the_scatter_of_many_wheels(quantity):
-    fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 124)]
+    fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 116)]
     pulls = [pull(f, "casing.air.linear.b2", LINEAR) for f in fits]
-    # the rms of 24 unit normals has a spread of 0.14
-    assert 0.55 < np.sqrt(np.mean(np.square(pulls))) < 1.45
+    # the rms of 16 unit normals has a spread of 0.18
+    assert 0.46 < np.sqrt(np.mean(np.square(pulls))) < 1.54
 
 
 @pytest.mark.slow

@@ -194,16 +194,16 @@ def test_killed_at_any_moment_the_file_is_sound_or_absent(tmp_path):
     once = _time_of_one_write(
         script, path
     )  # a busy machine writes slowly: kill through two writes, whatever they take
-    for k in range(40):
+    for k in range(20):
         path.unlink(missing_ok=True)
         with subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE) as process:
             process.stdout.readline()
-            time.sleep(2 * once * k / 40)
+            time.sleep(2 * once * k / 20)
             process.send_signal(signal.SIGKILL)
         if path.exists():
             read_recording(path)
             sound += 1
-    assert sound > 5
+    assert sound > 2
 
 
 def _time_of_one_write(script, path):

@@ -80,10 +80,11 @@ def test_the_papers_gyroscope_is_found_and_tracked_as_well(rotor_clip):
             "blue",
             marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             {"table": "white", "glint": 0.9, "gradient": 0.35, "flicker": 0.08, "white": (245, 245, 240)},
             {"red": "casing", "blue": "rotor", "green": "rotor", "white": "rotor"},
             "red",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             {"table": "dark", "disc": None},

@@ -211,7 +211,7 @@ def long_film(draw, tmp_path):
     return lambda rounds: repeated(film, tmp_path / f"{rounds}.mp4", rounds)
 
 
-_KILLS = 7
+_KILLS = 4
 
 
 @pytest.mark.slow
