@@ -249,7 +249,8 @@ def _interval(f: Failure, *, named: bool) -> str:
     size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}{unit_text(f.unit)}"
     of = f" of {f.label}" if named else ""
     first, last = f.times
-    return f"{size} on the {f.called}{of}, {first} s to {last} s (≤ {f.size_sigma:.0f} σ)"
+    largest = f"(≤ {f.size_sigma:.0f} σ)".replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{size} on the {f.called}{of}, {first} s to {last} s {largest}"
 
 
 def _failures(view: StudyView) -> list[str]:
