@@ -48,7 +48,9 @@ def test_the_package_needs_neither_films_nor_terminals():
 def test_importing_the_package_imports_nothing_slow():
     """A notebook waits for NumPy at most, and for that only when something is taken from the package."""
     # what is there already may measure the coverage of the tests
-    foreign = "{m.partition('.')[0] for m in sys.modules if m[0] != '_'} - set(sys.stdlib_module_names) - before"
+    foreign = (
+        "{m.partition('.')[0] for m in sys.modules if m[0] != '_'} - set(sys.stdlib_module_names) - before"
+    )
     done = python(
         "import sys\nbefore = {m.partition('.')[0] for m in sys.modules}\n"
         f"import fitting\nassert {foreign} == {{'fitting'}}, {foreign}\n"
