@@ -24,18 +24,10 @@ SMALLEST, LARGEST = 1e-12, 1e5
 
 @dataclass(frozen=True)
 class Inertia:
-    """A moment of inertia.
+    """A moment of inertia."""
 
-    Attributes
-    ----------
-    value : float
-        In kg m2.
-    u : float
-        Standard uncertainty [kg m2]; NaN if it is not given.
-    """
-
-    value: float
-    u: float = math.nan
+    value: float  # in kg m2
+    u: float = math.nan  # standard uncertainty [kg m2]; NaN if it is not given
 
     @classmethod
     def of(cls, text: str | float | Inertia, body: str = "body") -> Inertia:

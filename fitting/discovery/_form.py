@@ -61,28 +61,15 @@ _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "fact
 
 @dataclass(frozen=True)
 class FormTest:
-    """Information of the data on the form of a law.
+    """Information of the data on the form of a law."""
 
-    Attributes
-    ----------
-    limit : float
-        Rms deviation of the law that is detected with 90 % probability, as a share of its rms torque; infinite if the
-        base absorbs every deviation.
-    variable : str
-        The variable of the deviation: "t", "omega_r", "omega_c" or "delta".
-    bounds : tuple of str
-        Parameters at a bound.
-    bounds_p : float
-        P-value of their values beyond the bounds.
-    any_in_time : bool
-        Any torque that changes slowly in time describes the data as well.
-    """
-
+    # rms deviation of the law that is detected with 90 % probability, as a share of its rms torque; infinite if the
+    # base absorbs every deviation
     limit: float
-    variable: str
-    bounds: tuple[str, ...]
-    bounds_p: float
-    any_in_time: bool
+    variable: str  # the variable of the deviation: "t", "omega_r", "omega_c" or "delta"
+    bounds: tuple[str, ...]  # parameters at a bound
+    bounds_p: float  # p-value of their values beyond the bounds
+    any_in_time: bool  # any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
         """Return whether a remainder above that of an exact law would be detected, and no active bound matters."""

@@ -61,24 +61,12 @@ _MOST_FREQUENCIES = 800
 
 @dataclass(frozen=True)
 class LawForm:
-    """One law of the grammar.
+    """One law of the grammar."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The law with its parameters, units, bounds and trial values.
-    form : str
-        Its form in a word: "power", "saturation", ...
-    variables : tuple of str
-        The variables on which it depends.
-    symbols : int
-        Length of the formula: variables, functions and operators.
-    """
-
-    effect: Effect
-    form: str
-    variables: tuple[str, ...]
-    symbols: int
+    effect: Effect  # the law with its parameters, units, bounds and trial values
+    form: str  # its form in a word: "power", "saturation", ...
+    variables: tuple[str, ...]  # the variables on which it depends
+    symbols: int  # length of the formula: variables, functions and operators
 
     @property
     def description_length(self) -> float:

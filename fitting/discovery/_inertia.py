@@ -40,27 +40,13 @@ def relative_uncertainty(found: Fit) -> float:
 
 @dataclass(frozen=True)
 class InertiaRival:
-    """An effect that describes the data as well or better with the ratio of the moments of inertia free.
+    """An effect that describes the data as well or better with the ratio of the moments of inertia free."""
 
-    Attributes
-    ----------
-    share : Estimate
-        Relative error of I_casing/I_rotor.
-    stated : float
-        Its relative standard uncertainty; 0 if none is stated.
-    effect : str
-        The effect.
-    fit : Fit
-        The fit with effect and free ratio.
-    better : bool
-        Whether it describes the data better than the selected effect, and not only as well.
-    """
-
-    share: Estimate
-    stated: float
-    effect: str
-    fit: Fit
-    better: bool
+    share: Estimate  # relative error of I_casing/I_rotor
+    stated: float  # its relative standard uncertainty; 0 if none is stated
+    effect: str  # the effect
+    fit: Fit  # the fit with effect and free ratio
+    better: bool  # whether it describes the data better than the selected effect, and not only as well
 
     def is_allowed(self, criteria: Criteria) -> bool:
         """Return whether the stated uncertainty allows the error."""

@@ -54,31 +54,16 @@ _RANK, _TINY = 1e-7, 1e-12
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is planned.
+    """A run that is planned."""
 
-    Attributes
-    ----------
-    omega_rotor, omega_casing : float
-        Initial angular rates [rad/s].
-    duration : float
-        Length of the casing's recording [s].
-    windows : tuple of float
-        Start of each rotor window [s].
-    window_length : float
-        Length of each window [s].
-    ring : float
-        Moment of inertia of the casing over the present one.
-    surface : float
-        Friction at the touch point over the present one.
-    """
-
+    # initial angular rates [rad/s]
     omega_rotor: float
     omega_casing: float
-    duration: float
-    windows: tuple[float, ...]
-    window_length: float
-    ring: float = 1.0
-    surface: float = 1.0
+    duration: float  # length of the casing's recording [s]
+    windows: tuple[float, ...]  # start of each rotor window [s]
+    window_length: float  # length of each window [s]
+    ring: float = 1.0  # moment of inertia of the casing over the present one
+    surface: float = 1.0  # friction at the touch point over the present one
 
 
 class Information:
@@ -254,24 +239,12 @@ _ABSORBED = 1e-12
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation: candidate effects with their shape constants and strengths.
+    """An explanation: candidate effects with their shape constants and strengths."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The effects.
-    columns : tuple of int
-        Their places among the columns of `Information`.
-    strengths : ndarray
-        Strength of each column.
-    weight : float
-        Its posterior probability among the rivals.
-    """
-
-    names: tuple[str, ...]
-    columns: tuple[int, ...]
-    strengths: Array
-    weight: float = 1.0
+    names: tuple[str, ...]  # the effects
+    columns: tuple[int, ...]  # their places among the columns of `Information`
+    strengths: Array  # strength of each column
+    weight: float = 1.0  # its posterior probability among the rivals
 
 
 MOST_RIVALS = 6

@@ -188,33 +188,15 @@ _NEAR_RESONANCE = 0.01
 
 @dataclass(frozen=True)
 class PeriodogramPeak:
-    """The highest peak of the periodogram of the residual torque on one body.
+    """The highest peak of the periodogram of the residual torque on one body."""
 
-    Attributes
-    ----------
-    rate : float
-        Its frequency, 2 pi over the period [rad/s].
-    torque : float
-        Its amplitude [N m].
-    angle : float
-        Amplitude of the body's angle, k / (I w^2) [rad].
-    label : str
-        The case.
-    body : str
-        "casing", or "body" where only one was recorded.
-    p_value : float
-        Probability that noise has as high a peak (an upper bound).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
-
-    rate: float
-    torque: float
-    angle: float
-    label: str
-    body: str
-    p_value: float
-    unit: str = TORQUE
+    rate: float  # its frequency, 2 pi over the period [rad/s]
+    torque: float  # its amplitude [N m]
+    angle: float  # amplitude of the body's angle, k / (I w^2) [rad]
+    label: str  # the case
+    body: str  # "casing", or "body" where only one was recorded
+    p_value: float  # probability that noise has as high a peak (an upper bound)
+    unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
 
     @property
     def words(self) -> str:
@@ -335,24 +317,12 @@ _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 @dataclass(frozen=True)
 class HarmonicTest:
-    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly.
+    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly."""
 
-    Attributes
-    ----------
-    order : int
-        Periods per turn.
-    torque : float
-        Its amplitude in the case where it is largest [N m].
-    p_value : float
-        Probability that noise has as clear a harmonic (Bonferroni bound over the orders).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
-
-    order: int
-    torque: float
-    p_value: float
-    unit: str = TORQUE
+    order: int  # periods per turn
+    torque: float  # its amplitude in the case where it is largest [N m]
+    p_value: float  # probability that noise has as clear a harmonic (Bonferroni bound over the orders)
+    unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
 
     @property
     def words(self) -> str:

@@ -47,25 +47,16 @@ class Strength:
 
 @dataclass(frozen=True)
 class OscillatorLaws:
-    """The laws of an oscillator.
+    """The laws of an oscillator."""
 
-    Attributes
-    ----------
-    restoring, damping : tuple of str
-        Names of the effects of the smallest set that the data do not separate from that of the lowest BIC.
-    restoring_classes, damping_classes : tuple of tuple of str
-        All sets of restoring torques, and of damping torques, that the data do not separate, by BIC.
-    parameters : dict of str to Strength
-        Strengths of the chosen set.
-    phase_error, amplitude_error : float
-        Rms residuals [rad].
-    """
-
+    # names of the effects of the smallest set that the data do not separate from that of the lowest BIC
     restoring: Names
     damping: Names
+    # all sets of restoring torques, and of damping torques, that the data do not separate, by BIC
     restoring_classes: tuple[Names, ...]
     damping_classes: tuple[Names, ...]
-    parameters: dict[str, Strength]
+    parameters: dict[str, Strength]  # strengths of the chosen set
+    # rms residuals [rad]
     phase_error: float
     amplitude_error: float
 

@@ -108,27 +108,13 @@ class _PlanTable(_Table):
 
 @dataclass(frozen=True)
 class PlannedRecordings:
-    """Planned recordings of an apparatus.
+    """Planned recordings of an apparatus."""
 
-    Attributes
-    ----------
-    model : Model
-        Its friction.
-    numbers : dict of str to float
-        Every parameter [SI].
-    inertias : tuple of float
-        Of rotor and casing [kg m2].
-    experiments : tuple of Experiment
-        The runs.
-    given : dict
-        Bounds of the next run that the file states.
-    """
-
-    model: Model
-    numbers: dict[str, float]
-    inertias: tuple[float, float]
-    experiments: tuple[Experiment, ...]
-    given: dict[str, Any]
+    model: Model  # its friction
+    numbers: dict[str, float]  # every parameter [SI]
+    inertias: tuple[float, float]  # of rotor and casing [kg m2]
+    experiments: tuple[Experiment, ...]  # the runs
+    given: dict[str, Any]  # bounds of the next run that the file states
 
     def fit(self, simulation: int = 0) -> Fit:
         """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""

@@ -169,18 +169,10 @@ class UpperLimit:
 
 @dataclass(frozen=True)
 class _Responses:
-    """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns.
+    """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns."""
 
-    Attributes
-    ----------
-    basis : ndarray, shape (rows, groups * width)
-        Zero for groups that the base absorbs.
-    root : ndarray, shape (groups,)
-        Noncentrality of a unit strength (rms over the phases).
-    """
-
-    basis: Array
-    root: Array
+    basis: Array  # shape (rows, groups * width); zero for groups that the base absorbs
+    root: Array  # shape (groups,); noncentrality of a unit strength (rms over the phases)
     width: int
     one_sided: bool
 
@@ -212,20 +204,15 @@ class _Responses:
 
 @dataclass(frozen=True)
 class _Test:
-    """The score test of one candidate in null data.
+    """The score test of one candidate in null data."""
 
-    Attributes
-    ----------
-    parts : tuple of _Responses
-        One, or one for each case where each has its own strength: scores of the best shapes add up.
-    null : ndarray, shape (rows of all bases, data sets)
-        Projections of the null data on the bases, of all parts one below the other.
-    thresholds : ndarray, shape (estimates of the noise,)
-        Score from which the candidate is found, for each possible estimate of the process noise.
-    """
-
+    # one, or one for each case where each has its own strength: scores of the best shapes add up
     parts: tuple[_Responses, ...]
+    # shape (rows of all bases, data sets); projections of the null data on the bases, of all parts one below the
+    # other
     null: Array
+    # shape (estimates of the noise,); score from which the candidate is found, for each possible estimate of the
+    # process noise
     thresholds: Array
 
     @property
@@ -254,23 +241,12 @@ class ShiftedToBound:
     A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter that would
     pass its bound, and the part of the effect that it would have absorbed beyond the bound contributes to the score. Of
     several such parameters, the one furthest beyond its bound, in standard errors, is held.
-
-    Attributes
-    ----------
-    free : ndarray, shape (rows, columns)
-        Whitened derivatives by the parameters, first, and nuisance columns.
-    inverse : ndarray, shape (parameters, rows)
-        From data to changes of the parameters.
-    noise : ndarray, shape (parameters, data sets)
-        Their changes in null data.
-    distance : ndarray, shape (2, parameters)
-        Distance to the lower (negative) and to the upper bound.
     """
 
-    free: Array
-    inverse: Array
-    noise: Array
-    distance: Array
+    free: Array  # shape (rows, columns); whitened derivatives by the parameters, first, and nuisance columns
+    inverse: Array  # shape (parameters, rows); from data to changes of the parameters
+    noise: Array  # shape (parameters, data sets); their changes in null data
+    distance: Array  # shape (2, parameters); distance to the lower (negative) and to the upper bound
 
     @classmethod
     def of(

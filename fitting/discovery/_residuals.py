@@ -41,18 +41,10 @@ _POWERS = 4
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Ljung-Box test of the casing's whitened residuals, block by block.
+    """Ljung-Box test of the casing's whitened residuals, block by block."""
 
-    Attributes
-    ----------
-    label : str
-        Case.
-    p_value : float
-        Of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978)).
-    """
-
-    label: str
-    p_value: float
+    label: str  # case
+    p_value: float  # of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978))
 
 
 def whiteness(fit: Fit) -> list[Whiteness]:
@@ -169,21 +161,11 @@ _RANK = 1e-6
 
 @dataclass(frozen=True)
 class AngleHarmonics:
-    """Harmonics of the unmodelled torque in the angle of the casing of one case.
+    """Harmonics of the unmodelled torque in the angle of the casing of one case."""
 
-    Attributes
-    ----------
-    label : str
-        Case.
-    gamma : ndarray, shape (4,)
-        Amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m].
-    covariance : ndarray, shape (4, 4)
-        Their covariance [N2 m2].
-    """
-
-    label: str
-    gamma: Array
-    covariance: Array
+    label: str  # case
+    gamma: Array  # shape (4,); amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m]
+    covariance: Array  # shape (4, 4); their covariance [N2 m2]
 
     @property
     def angle(self) -> Array:

@@ -403,48 +403,23 @@ Group = tuple[tuple[dict[str, float], ...], Array]
 
 @dataclass(frozen=True)
 class Score:
-    """A candidate's best trial.
+    """A candidate's best trial."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The candidate.
-    score : float
-        Predicted fall of the deviance.
-    gamma : ndarray
-        Strength of each column (sine and cosine; one per case where a case has its own).
-    shape : tuple of dict
-        Shape constants, for each case.
-    columns : int
-        Degrees of freedom of its strengths.
-    trials : int
-        How many choices of its shape constants were tried.
-    absorbed : bool
-        The base absorbs it completely.
-    direction : ndarray
-        Its whitened, projected column at the fitted strength, of unit length (for cosines).
-    null : ndarray
-        Scores of the null data.
-    shares : tuple of float
-        Share of the process noise of each case in the variance of its response.
-    noise : tuple of Noise
-        Of each case.
-    own_phase : bool
-        Each case has its own strength and phase, but not its own shape.
-    """
-
-    effect: Effect
-    score: float
+    effect: Effect  # the candidate
+    score: float  # predicted fall of the deviance
+    # strength of each column (sine and cosine; one per case where a case has its own)
     gamma: Array = field(repr=False)
-    shape: tuple[dict[str, float], ...]
-    columns: int
-    trials: int
-    absorbed: bool
+    shape: tuple[dict[str, float], ...]  # shape constants, for each case
+    columns: int  # degrees of freedom of its strengths
+    trials: int  # how many choices of its shape constants were tried
+    absorbed: bool  # the base absorbs it completely
+    # its whitened, projected column at the fitted strength, of unit length (for cosines)
     direction: Array = field(repr=False)
-    null: Array = field(repr=False)
+    null: Array = field(repr=False)  # scores of the null data
+    # share of the process noise of each case in the variance of its response
     shares: tuple[float, ...] = field(default=(), repr=False)
-    noise: tuple[Noise, ...] = field(default=(), repr=False)
-    own_phase: bool = False
+    noise: tuple[Noise, ...] = field(default=(), repr=False)  # of each case
+    own_phase: bool = False  # each case has its own strength and phase, but not its own shape
 
 
 def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:

@@ -454,27 +454,14 @@ class History(list[Step]):
 
 
 class Selection(NamedTuple):
-    """The outcome of `select`.
+    """The outcome of `select`."""
 
-    Attributes
-    ----------
-    candidates : list of Candidate
-        In their final order.
-    chosen : Candidate or None
-        The effect to add.
-    named : Fit
-        The refined fit with this effect alone; the base if there is none.
-    final : Fit
-        The refined fit with all that was added, a free shape constant or a second effect; the base if nothing was.
-    history : History
-        Steps of the forward selection; empty where one effect was enough.
-    """
-
-    candidates: list[Candidate]
-    chosen: Candidate | None
-    named: Fit
+    candidates: list[Candidate]  # in their final order
+    chosen: Candidate | None  # the effect to add
+    named: Fit  # the refined fit with this effect alone; the base if there is none
+    # the refined fit with all that was added, a free shape constant or a second effect; the base if nothing was
     final: Fit
-    history: History
+    history: History  # steps of the forward selection; empty where one effect was enough
 
 
 def select(

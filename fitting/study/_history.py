@@ -57,15 +57,9 @@ _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 @dataclass(frozen=True)
 class Entry:
-    """One fit of a ledger.
+    """One fit of a ledger."""
 
-    Attributes
-    ----------
-    document : dict
-        The JSON object, with all keys of the file.
-    """
-
-    document: dict[str, Any]
+    document: dict[str, Any]  # the JSON object, with all keys of the file
 
     @cached_property
     def stored(self) -> EntryDocument:

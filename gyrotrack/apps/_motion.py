@@ -47,34 +47,19 @@ class Value:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The motion of one body.
+    """The motion of one body."""
 
-    Attributes
-    ----------
-    kind : {"spin-down", "oscillation", "steady"}
-        Kind of motion.
-    turns : float
-        Range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured.
-    omega : dict
-        Angular velocity at the "first" and the "last" sample [rad/s].
-    omega_mean : Value
-        Mean angular velocity [rad/s].
-    alpha : Value
-        Angular acceleration at the middle of the record [rad/s2].
-    period, amplitude, decay : Value or None
-        Of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s].
-    quality_factor : Value or None
-        Of a decaying oscillation: pi / (decay rate x period) [1].
-    """
-
-    kind: str
+    kind: str  # kind of motion: "spin-down" or "oscillation" or "steady"
+    # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
-    omega: dict[str, float]
-    omega_mean: Value
-    alpha: Value
+    omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
+    omega_mean: Value  # mean angular velocity [rad/s]
+    alpha: Value  # angular acceleration at the middle of the record [rad/s2]
+    # of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s]
     period: Value | None = None
     amplitude: Value | None = None
     decay: Value | None = None
+    # of a decaying oscillation: pi / (decay rate x period) [1]
     quality_factor: Value | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:

@@ -55,46 +55,25 @@ _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".m
 
 @dataclass(frozen=True)
 class SpindownOptions:
-    """Options of `spindown`.
+    """Options of `spindown`."""
 
-    Attributes
-    ----------
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px].
-    capture_fps : float, optional
-        Frames per second of the camera.
-    inertia : str, optional
-        Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2].
-    pulses_per_turn : float, optional
-        Number of pulses per turn; the table is one column of times of pulses.
-    limits : Limits
-        Times to include and to exclude, and whether to keep drive and rest at the ends of the record.
-    label : str
-        Name of the case.
-    profile : Path, optional
-        Markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers.
-    body : str, optional
-        Body to analyse, "casing" or "rotor", in a film or recording of both.
-    columns : tuple of str
-        Meaning of columns of a table, such as "t=1" and "angle=2".
-    marker, centre : str, optional
-        Point to follow and centre of rotation, in a table or project of points.
-    likelihood : float
-        Minimum likelihood of the points that are used.
-    """
-
-    hub: tuple[float, float] | None = None
-    capture_fps: float | None = None
+    hub: tuple[float, float] | None = None  # centre of rotation (x, y) [px]
+    capture_fps: float | None = None  # frames per second of the camera
+    # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
+    # number of pulses per turn; the table is one column of times of pulses
     pulses_per_turn: float | None = None
+    # times to include and to exclude, and whether to keep drive and rest at the ends of the record
     limits: Limits = field(default_factory=Limits)
-    label: str = ""
+    label: str = ""  # name of the case
+    # markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers
     profile: Path | None = None
-    body: str | None = None
-    columns: tuple[str, ...] = ()
+    body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
+    columns: tuple[str, ...] = ()  # meaning of columns of a table, such as "t=1" and "angle=2"
+    # point to follow and centre of rotation, in a table or project of points
     marker: str | None = None
     centre: str | None = None
-    likelihood: float = 0.6
+    likelihood: float = 0.6  # minimum likelihood of the points that are used
 
 
 def read_source(

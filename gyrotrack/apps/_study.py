@@ -187,21 +187,11 @@ class Study:
 
 @dataclass
 class Recorder:
-    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none.
+    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none."""
 
-    Attributes
-    ----------
-    ledger : Ledger
-        The history of fits.
-    entries : list of Entry
-        The entries, oldest first.
-    fit : Fit
-        The fit of the latest entry.
-    """
-
-    ledger: Ledger
-    entries: list[Entry]
-    fit: Fit
+    ledger: Ledger  # the history of fits
+    entries: list[Entry]  # the entries, oldest first
+    fit: Fit  # the fit of the latest entry
 
     def __call__(self, step: Step) -> None:
         """Store the next step."""

@@ -74,24 +74,12 @@ _SIZE = re.compile(r'<svg ([^>]*?)width="([\d.]+)pt" height="([\d.]+)pt"([^>]*)>
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page.
+    """A figure of the page."""
 
-    Attributes
-    ----------
-    name : str
-        Identifier, unique on a page.
-    svg : str
-        Markup by matplotlib, with text as outlines.
-    caption : str
-        Explanation of the figure; plain text.
-    finding : str
-        Main result, also the text alternative; plain text.
-    """
-
-    name: str
-    svg: str
-    caption: str
-    finding: str
+    name: str  # identifier, unique on a page
+    svg: str  # markup by matplotlib, with text as outlines
+    caption: str  # explanation of the figure; plain text
+    finding: str  # main result, also the text alternative; plain text
 
 
 @contextmanager
@@ -193,69 +181,36 @@ _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 @dataclass(frozen=True)
 class Trace:
-    """One curve.
+    """One curve."""
 
-    Parameters
-    ----------
-    label : str
-        Name in the legend.
-    x, value : ndarray, shape (n,)
-        Increasing abscissa, and value; NaN interrupts the curve.
-    colour : str
-        Colour for CSS and matplotlib.
-    sigma : ndarray, shape (n,), optional
-        Standard uncertainty; a band of plus and minus two of them is drawn.
-    kind : {"line", "points", "band"}
-        A line, points joined by a line, or the band alone.
-    width : float
-        Width of the line [px].
-    dash : tuple of float
-        Lengths of dashes and gaps [px]; empty for a solid line.
-    scale : {"normal", "reference", "none"}
-        Influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale by
-        at most its height on either side; a trace with "none" never does.
-    """
-
-    label: str
+    label: str  # name in the legend
+    # shape (n,); increasing abscissa, and value; NaN interrupts the curve
     x: Array
     value: Array
-    colour: str
+    colour: str  # colour for CSS and matplotlib
+    # shape (n,); standard uncertainty; a band of plus and minus two of them is drawn
     sigma: Array | None = None
-    kind: Literal["line", "points", "band"] = "line"
-    width: float = 1.5
-    dash: tuple[float, ...] = ()
+    kind: Literal["line", "points", "band"] = "line"  # a line, points joined by a line, or the band alone
+    width: float = 1.5  # width of the line [px]
+    dash: tuple[float, ...] = ()  # lengths of dashes and gaps [px]; empty for a solid line
+    # influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale
+    # by at most its height on either side; a trace with "none" never does
     scale: Literal["normal", "reference", "none"] = "normal"
 
 
 @dataclass(frozen=True)
 class Chart:
-    """One pair of axes.
+    """One pair of axes."""
 
-    Parameters
-    ----------
-    name : str
-        Identifier, unique on a page.
-    title, unit : str
-        The quantity on the vertical axis and its unit.
-    traces : tuple of Trace
-        The curves. Bands that are too wide are removed on construction.
-    finding : str
-        Main result in one sentence (text alternative).
-    x_label : str
-        Label of the horizontal axis; charts against time share zoom and cursor.
-    caption : str
-        Explanation of the chart.
-    linear_within : float
-        If positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond.
-    """
-
-    name: str
+    name: str  # identifier, unique on a page
+    # the quantity on the vertical axis and its unit
     title: str
     unit: str
-    traces: tuple[Trace, ...]
-    finding: str
-    x_label: str = TIME
-    caption: str = ""
+    traces: tuple[Trace, ...]  # the curves. Bands that are too wide are removed on construction
+    finding: str  # main result in one sentence (text alternative)
+    x_label: str = TIME  # label of the horizontal axis; charts against time share zoom and cursor
+    caption: str = ""  # explanation of the chart
+    # if positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond
     linear_within: float = 0.0
 
     def __post_init__(self) -> None:

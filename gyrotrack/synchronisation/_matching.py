@@ -173,26 +173,13 @@ HARMONICS = 4
 
 @dataclass(frozen=True)
 class CasingFit:
-    """Fit of spline and harmonics to the casing in a window.
+    """Fit of spline and harmonics to the casing in a window."""
 
-    Attributes
-    ----------
-    knots : ndarray
-        Knots of the quintic spline over the window.
-    reference : Polynomial
-        A quartic in time, to which the spline is added.
-    best : ndarray, shape (n + 4,)
-        Coefficients of spline and harmonics.
-    information : ndarray, shape (n + 4, n + 4)
-        Inverse covariance of `best`.
-    rows, residual : ndarray
-        Design matrix and residuals of the samples, in units of sigma.
-    """
-
-    knots: Floats
-    reference: np.polynomial.Polynomial
-    best: Floats
-    information: Floats
+    knots: Floats  # knots of the quintic spline over the window
+    reference: np.polynomial.Polynomial  # a quartic in time, to which the spline is added
+    best: Floats  # shape (n + 4,); coefficients of spline and harmonics
+    information: Floats  # shape (n + 4, n + 4); inverse covariance of `best`
+    # design matrix and residuals of the samples, in units of sigma
     rows: Floats
     residual: Floats
 
@@ -298,26 +285,13 @@ class Normal:
 
 @dataclass(frozen=True)
 class Solution:
-    """Joint solution for the starts of several clips.
+    """Joint solution for the starts of several clips."""
 
-    Attributes
-    ----------
-    starts : tuple of Start
-        Start of each clip.
-    covariance : ndarray, shape (3 k, 3 k)
-        Covariance of (offset, eps, angle) of all clips.
-    chi2 : float
-        Minimum of chi2 of the clips, including the priors.
-    converged : bool
-        Whether the iteration has converged.
-    windows : tuple of Start
-        The starts at which the windows are centred; chi2 of solutions with equal windows can be compared.
-    """
-
-    starts: tuple[Start, ...]
-    covariance: Floats
-    chi2: float
-    converged: bool
+    starts: tuple[Start, ...]  # start of each clip
+    covariance: Floats  # shape (3 k, 3 k); covariance of (offset, eps, angle) of all clips
+    chi2: float  # minimum of chi2 of the clips, including the priors
+    converged: bool  # whether the iteration has converged
+    # the starts at which the windows are centred; chi2 of solutions with equal windows can be compared
     windows: tuple[Start, ...]
 
     def sigma(self, clip: int) -> Floats:

@@ -29,27 +29,16 @@ _MAX_ANSWER = 2**26  # bytes
 
 @dataclass
 class Job:
-    """One command.
+    """One command."""
 
-    Attributes
-    ----------
-    words : tuple of str
-        The arguments of ``python -m module``, by default of `gyrotrack`.
-    state : {"waiting", "running", "done", "failed", "cancelled"}
-        State of the job.
-    label, done, total
-        Progress of the command.
-    document : dict
-        Its JSON document, or ``{"error": ...}``.
-    """
-
-    words: tuple[str, ...]
+    words: tuple[str, ...]  # the arguments of ``python -m module``, by default of `gyrotrack`
     module: str = "gyrotrack"
-    state: State = "waiting"
+    state: State = "waiting"  # state of the job
+    # progress of the command
     label: str = ""
     done: int = 0
     total: int | None = None
-    document: dict[str, Any] = field(default_factory=dict)
+    document: dict[str, Any] = field(default_factory=dict)  # its JSON document, or ``{"error": ...}``
     began: float = field(default_factory=monotonic)
     process: subprocess.Popen[str] | None = None
 

@@ -39,68 +39,36 @@ Names = Mapping[str, tuple[str, str]]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options for reading a file.
+    """Options for reading a file."""
 
-    Attributes
-    ----------
-    names : mapping
-        Columns by header or number, from `read_names`; if empty, the headers determine them.
-    marker, centre : str or None
-        Names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
-        the path of the marker.
-    fps : float or None
-        Frame rate [1/s], for a file with frame numbers.
-    start : float
-        Time of the first frame [s], added to all times.
-    likelihood : float
-        Minimum likelihood of the points that are used.
-    pulses_per_turn : float or None
-        Pulses per turn, for a file with times of pulses.
-    body : str
-        "casing" or "rotor", to choose between columns whose names contain these words.
-    """
-
+    # columns by header or number, from `read_names`; if empty, the headers determine them
     names: Names | None = None
+    # names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
+    # the path of the marker
     marker: str | None = None
     centre: str | None = None
-    fps: float | None = None
-    start: float = 0.0
-    likelihood: float = 0.6
-    pulses_per_turn: float | None = None
-    body: str = ""
+    fps: float | None = None  # frame rate [1/s], for a file with frame numbers
+    start: float = 0.0  # time of the first frame [s], added to all times
+    likelihood: float = 0.6  # minimum likelihood of the points that are used
+    pulses_per_turn: float | None = None  # pulses per turn, for a file with times of pulses
+    body: str = ""  # "casing" or "rotor", to choose between columns whose names contain these words
 
 
 @dataclass(frozen=True)
 class MotionTable:
-    """The samples of one file: finite, sorted by time, in SI units.
-
-    Attributes
-    ----------
-    quantity : str
-        Quantity of `value`: "angle" [rad] or "omega" [rad s-1].
-    time, value : ndarray, shape (n,)
-        Times [s] and values.
-    sigma : ndarray, shape (n,), or None
-        Standard uncertainty of the values, if the file contains it.
-    line : ndarray, shape (n,)
-        Line of each sample in the file.
-    notes : tuple of str
-        Repairs and choices made while reading.
-    least_sigma : float
-        Lower bound of an estimated uncertainty, from the resolution of the file.
-    counted : bool
-        Whether the samples are pulses: angles are unwrapped and gaps do not interrupt them.
-    """
+    """The samples of one file: finite, sorted by time, in SI units."""
 
     path: Path
     sha256: str
-    quantity: str
+    quantity: str  # quantity of `value`: "angle" [rad] or "omega" [rad s-1]
+    # shape (n,); times [s] and values
     time: Floats
     value: Floats
-    sigma: Floats | None
-    line: Integers
-    notes: tuple[str, ...]
-    least_sigma: float = 0.0
+    sigma: Floats | None  # shape (n,); standard uncertainty of the values, if the file contains it
+    line: Integers  # shape (n,); line of each sample in the file
+    notes: tuple[str, ...]  # repairs and choices made while reading
+    least_sigma: float = 0.0  # lower bound of an estimated uncertainty, from the resolution of the file
+    # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
 
     def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:

@@ -20,34 +20,18 @@ _LARGEST_DEVIATION = 0.15
 
 @dataclass(frozen=True)
 class Points:
-    """Named points in every frame.
+    """Named points in every frame."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    time : ndarray, shape (n,)
-        Times [s], or frame numbers if `counted`.
-    places : dict of ndarray, shape (n, 2)
-        x and y of each point; NaN in frames in which it was not tracked.
-    likelihood : dict of ndarray, shape (n,)
-        Likelihood from the other program, 0 to 1; empty if not available.
-    y_down : bool
-        Whether y points downwards, as in images.
-    counted : bool
-        Whether `time` contains frame numbers.
-    notes : tuple of str
-        Repairs made while reading.
-    """
-
-    path: Path
+    path: Path  # the file
     sha256: str
-    time: Floats
+    time: Floats  # shape (n,); times [s], or frame numbers if `counted`
+    # shape (n, 2); x and y of each point; NaN in frames in which it was not tracked
     places: Mapping[str, Floats]
+    # shape (n,); likelihood from the other program, 0 to 1; empty if not available
     likelihood: Mapping[str, Floats]
-    y_down: bool
-    counted: bool
-    notes: tuple[str, ...] = ()
+    y_down: bool  # whether y points downwards, as in images
+    counted: bool  # whether `time` contains frame numbers
+    notes: tuple[str, ...] = ()  # repairs made while reading
 
 
 @dataclass(frozen=True)

@@ -36,33 +36,20 @@ _FEW_ROWS = 5
 
 @dataclass(frozen=True)
 class RawTable:
-    """The columns of a file.
+    """The columns of a file."""
 
-    Attributes
-    ----------
-    path, sha256 :
-        The file and its hash.
-    names, units : tuple of str
-        Header of each column, and its unit if in a separate line; names are empty without a header.
-    columns : tuple
-        Numbers (ndarray, shape (n,)) or cells of text (list of str), one per column.
-    line : ndarray, shape (n,)
-        Line of each sample in the file.
-    header_line : int
-        Line of the header.
-    notes : tuple of str
-        Repairs made while reading.
-    """
-
+    # the file and its hash
     path: Path
     sha256: str
+    # header of each column, and its unit if in a separate line; names are empty without a header
     names: tuple[str, ...]
     units: tuple[str, ...]
+    # numbers (ndarray, shape (n,)) or cells of text (list of str), one per column
     columns: tuple[Floats | list[str], ...]
-    line: Integers
-    header_line: int = 1
+    line: Integers  # shape (n,); line of each sample in the file
+    header_line: int = 1  # line of the header
     decimal_comma: bool = False
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # repairs made while reading
 
     @property
     def headed(self) -> bool:
