@@ -31,20 +31,10 @@ class Inertia:
 
     @classmethod
     def of(cls, text: str | float | Inertia, body: str = "body") -> Inertia:
-        """Read a moment of inertia.
+        """Read a moment of inertia: a number in kg m2, or a text with optional uncertainty and unit.
 
-        Parameters
-        ----------
-        text : str, float or Inertia
-            A number in kg m2, or a text with optional uncertainty and unit: "5.54e-5 +- 0.06e-5", "554 g cm2",
-            "(554 +- 6) g cm2". Masses in kg, g, mg; lengths in m, cm, mm.
-        body : str
-            Name of the body, for messages.
-
-        Raises
-        ------
-        UsageError
-            It cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
+        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2"; masses in kg, g, mg; lengths in m, cm, mm. A
+        UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
 
         Examples
         --------

@@ -77,17 +77,7 @@ class FormTest:
 
 
 def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
-    """Return how well the data test the form of an effect.
-
-    Parameters
-    ----------
-    found : Fit
-        The fit with the effect.
-    effect : Effect
-        A term of its equations of motion that is no function of an angle.
-    criteria : Criteria
-        `doubt_named`, `equivalence_width`.
-    """
+    """Return how well the data test the form of an effect, which is no function of an angle, in the fit that has it."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
     variable = _variable(effect)

@@ -71,21 +71,7 @@ def with_free_inertia(
 ) -> InertiaRival | None:
     """Return the effect that describes the data as well as the selected ones, or better, with free inertia.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit in question.
-    selection : Selection
-        The effects that were selected with the moments of inertia as given.
-    extra : tuple of Effect
-        Effects of the user.
-    criteria : Criteria
-        `shape_evidence`, `equivalence_width`, `inertia_sigma` and `inertia_largest`.
-
-    Returns
-    -------
-    InertiaRival or None
-        None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
+    None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
     """
     chosen = selection.chosen
     single = base.problem.data[0].record.single
@@ -119,15 +105,7 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the best effect with free inertia first, then the effect selected without it.
-
-    Parameters
-    ----------
-    selection : Selection
-        With the moments of inertia as given.
-    rival : InertiaRival
-        The effect with free inertia.
-    """
+    """Return the selection with the best effect with free inertia first, then the effect selected without it."""
     chosen = selection.chosen
     if chosen is None or rival.effect == chosen.effect.name:
         return selection._replace(final=rival.fit)
@@ -155,16 +133,7 @@ def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Crite
     """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
 
     The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
-    not given counts as none.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit with the lack of fit.
-    named : list of Candidate
-        The effects that explain it, which the data cannot separate.
-    criteria : Criteria
-        `inertia_sigma`.
+    not given counts as none. `named` are the effects that explain the lack of fit, which the data cannot separate.
     """
     found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
     u = relative_uncertainty(fit)

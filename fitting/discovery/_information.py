@@ -67,15 +67,7 @@ class Run:
 
 
 class Information:
-    """Fisher information of runs about the shared parameters and the strengths of candidates.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fit of the present recordings.
-    candidates : sequence of (Effect, dict)
-        Effects with their shape constants.
-    """
+    """Fisher information of runs about the shared parameters and the strengths of candidates (with shape constants)."""
 
     def __init__(self, fit: Fit, candidates: Sequence[tuple[Effect, Mapping[str, float]]]) -> None:
         self.fit = fit
@@ -133,13 +125,7 @@ class Information:
         return list(range(first, first + widths[candidate]))
 
     def of_run(self, run: Run) -> tuple[Array, Fit]:
-        """Return the information of a planned run, and its noiseless simulation.
-
-        Raises
-        ------
-        FittingError
-            If the run cannot be simulated.
-        """
+        """Return the information of a planned run, and its noiseless simulation; or raise a FittingError."""
         planned = simulated(self.fit, run)
         return self._of(planned, 0)[0], planned
 
@@ -256,14 +242,7 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
     Every set of at most two effects, among the candidates and the effects of the model that the paper does not have, is
     scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower BIC.
 
-    Parameters
-    ----------
-    information : Information
-        Of the present recordings.
-    threshold : sequence of float
-        Score from which each candidate is significant in the whole list.
-    criteria : Criteria
-        `equivalence_width`, `evidence`.
+    `threshold` is the score from which each candidate is significant in the whole list.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]

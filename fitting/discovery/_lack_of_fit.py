@@ -100,13 +100,7 @@ class SmoothTest:
 
 
 def smooth_test(fit: Fit) -> SmoothTest:
-    """Return how significantly the residual torque of a fit depends on a speed.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit with the named law.
-    """
+    """Return how significantly the residual torque of a fit depends on a speed."""
     named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
     projected = orthogonal_to(basis, residual)
@@ -380,17 +374,7 @@ UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 def contradiction(
     chosen: Candidate | None, end: Fit, criteria: Criteria
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
-    """Return the lack-of-fit test that contradicts an answer, if one does.
-
-    Parameters
-    ----------
-    chosen : Candidate or None
-        The named effect.
-    end : Fit
-        The fit with it.
-    criteria : Criteria
-        `doubt_named` and `doubt_adequate`.
-    """
+    """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or none) in the fit `end`."""
     peak = significant_peak(end, criteria)
     if peak is not None:
         return peak
@@ -412,16 +396,7 @@ def nonparametric_rivals(
     A law of one speed can resemble a law of another speed on another body; a law with a free time constant or frequency
     can resemble any slow torque in time.
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit without it.
-    chosen : Candidate or None
-        The named effect.
-    test : FormTest or None
-        The test of its form.
-    criteria : Criteria
-        `equivalence_width`.
+    `fit` is the one without the named effect `chosen`, `test` the test of its form.
     """
     if chosen is None or not chosen.physical:
         return ()

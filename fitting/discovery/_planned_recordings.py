@@ -152,17 +152,9 @@ class PlannedRecordings:
 
 
 def read_planned(path: str | Path) -> PlannedRecordings:
-    """Read the description of recordings.
+    """Read the description of recordings in a TOML file; see the module's docstring.
 
-    Parameters
-    ----------
-    path : str or Path
-        A TOML file; see the module's docstring.
-
-    Raises
-    ------
-    EstimationError
-        If it cannot be read, a key is missing, unknown or out of range, or a window lies outside its recording.
+    An EstimationError says which key is missing, unknown or out of range, or which window lies outside its recording.
     """
     name = Path(path).name
     try:

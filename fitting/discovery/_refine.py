@@ -87,19 +87,7 @@ def restarted_from(found: Fit, other: Fit) -> Fit:
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
     """Return the parameters of a fit with the changepoint of cases with a residual torque searched in the whole record.
 
-    Parameters
-    ----------
-    fit : Fit
-        A fit with the effect.
-    effect : Effect
-        One with a changepoint.
-    criteria : Criteria
-        `changepoint_score`.
-
-    Returns
-    -------
-    dict
-        Values by name; empty if no other time is better.
+    Values by name; empty if no other time is better.
     """
     layout = fit.problem.layout
     strength = next(p.symbol for p in effect.parameters if p.role == "amplitude")
@@ -119,17 +107,7 @@ def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[s
 def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
     """Return the parameters of a fit with each changepoint at the most likely time of its neighbourhood.
 
-    Parameters
-    ----------
-    fit : Fit
-        A fit with the effect.
-    effect : Effect
-        One with a changepoint.
-
-    Returns
-    -------
-    dict
-        Values by name; empty if no other time is better.
+    Values by name; empty if no other time is better.
     """
     layout, key = fit.problem.layout, f"{effect.name}.{effect.breakpoint}"
     theta = fit.theta.copy()
@@ -355,17 +333,7 @@ def with_shape_parameter(effect: Effect) -> Effect | None:
 
 
 def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
-    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it.
-
-    Parameters
-    ----------
-    found : Fit
-        A refined fit with the effect.
-    effect : Effect
-        The effect.
-    criteria : Criteria
-        `shape_evidence`.
-    """
+    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it."""
     general = with_shape_parameter(effect)
     if general is None:
         return None

@@ -318,17 +318,6 @@ def find_failures(
 
     A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
     has harmonics in the turns in which the casing is slow.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fitted model.
-    curves : sequence of ResidualTorque
-        Its unmodelled torques.
-    harmonics : sequence of AngleHarmonics
-        Their harmonics in the angle.
-    criteria : Criteria
-        `failure_sigma`, `harmonic_sigma`.
     """
     found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}

@@ -63,20 +63,9 @@ class Level(NamedTuple):
 class ScoreContext:
     """Whitened residuals, free columns and null data of a fit at several levels of process noise.
 
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    draws : int
-        Number of null data sets.
-    without : sequence of str
-        Effects of the fit whose parameters are not free: their torque is part of the residual.
-    torque_rows : ndarray, shape (rows,), optional
-        Response of the rows to the torque of these effects.
-    release : bool
-        Whether parameters at a bound are free as well.
-    shared : str
-        A parameter of which each case has its own value in the fit, and which counts as one parameter here.
+    The parameters of the effects `without` are not free: their torque, to which the rows respond by `torque_rows`
+    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. Of the parameter `shared`
+    each case has its own value in the fit, and it counts as one parameter here.
     """
 
     def __init__(
@@ -203,15 +192,7 @@ class Trial:
 
 
 class CaseColumns:
-    """The columns of candidates in the rows of one case of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    index : int
-        Which of its cases.
-    """
+    """The columns of candidates in the rows of one case of a fit."""
 
     def __init__(self, fit: Fit, index: int) -> None:
         self.case: CaseModel = fit.problem.cases[index]
@@ -525,10 +506,7 @@ class NullDistribution:
     correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
     levels.
 
-    Attributes
-    ----------
-    weights : ndarray, shape (levels,)
-        Probability of each level.
+    `weights` (levels,) are the probabilities of the levels.
     """
 
     def __init__(self, score: Score) -> None:
@@ -572,12 +550,7 @@ def _number_of_trials(single: float, share: float) -> float:
 def over_many_tests(p: float, smallest: Array) -> float:
     """Return the family-wise p-value of the smallest p of many correlated tests of the same data.
 
-    Parameters
-    ----------
-    p : float
-        The smallest p-value.
-    smallest : ndarray
-        The smallest p-value in each of many null data sets.
+    `smallest` holds the smallest p-value in each of many null data sets.
     """
     return float(_any_of(_independent_tests(smallest), np.array(p)))
 
@@ -615,27 +588,10 @@ def score(
     draws: int = 1500,
     context: ScoreContext | None = None,
 ) -> list[Score]:
-    """Score all candidates on a fit.
+    """Score all candidates, which are not in the base, on a fit; the results have the order of the effects.
 
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    effects : sequence of Effect
-        Candidates that are not in the base.
-    cases : sequence of CaseColumns
-        One for each case of the fit.
-    criteria : Criteria
-        Thresholds of the search.
-    draws : int
-        Number of null data sets.
-    context : ScoreContext, optional
-        The linearised data, if not those of the fit with all its effects.
-
-    Returns
-    -------
-    list of Score
-        In the order of the effects.
+    `cases` are the columns of each case of the fit; `context` is the linearised data, if not those of the fit with all
+    its effects.
     """
     context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}

@@ -37,10 +37,7 @@ _TOLERANCE = 1e-9
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit such as ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    Raises
-    ------
-    ExpressionError
-        If a part of the unit is not one of kg, m, s, K, N, J, rad, px, 1 with an exponent.
+    An ExpressionError names a part that is not one of kg, m, s, K, N, J, rad, px, 1 with an exponent.
     """
     result = NONE
     for token in unit.split():
@@ -72,21 +69,9 @@ def format_unit(dimension: Dimension) -> str:
 
 
 def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, float]) -> Dimension:
-    """Return the dimension of an expression.
+    """Return the dimension of an expression from those of its symbols; `exponents` are values of symbols in exponents.
 
-    Parameters
-    ----------
-    e : Expr
-        The expression.
-    units : mapping of str to Dimension
-        The dimension of each symbol.
-    exponents : mapping of str to float
-        Values of symbols in exponents.
-
-    Raises
-    ------
-    ExpressionError
-        If unlike quantities are added, or a function is taken of a quantity that has a unit.
+    An ExpressionError is raised if unlike quantities are added, or a function is taken of a quantity that has a unit.
     """
     if e.op == "num":
         return NONE

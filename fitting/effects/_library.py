@@ -576,13 +576,7 @@ GENERAL = (*REDUCED, "rotor.air.linear", "bearing.constant", "bearing.quadratic"
 
 
 def find(name: str) -> Effect:
-    """Return the effect of this name.
-
-    Raises
-    ------
-    EffectError
-        If there is none; the closest names are offered.
-    """
+    """Return the effect of this name; an EffectError offers the closest names if there is none."""
     if name in LIBRARY:
         return LIBRARY[name]
     close = difflib.get_close_matches(name, LIBRARY, n=3, cutoff=0.4)
@@ -628,16 +622,8 @@ def typical_values(
 ) -> dict[str, float]:
     """Return values of an effect's parameters with which it has a given share of the torque budget.
 
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    share : float
-        Its largest torque over the budget of 1e-4 N m, at typical speeds.
-    duration : float
-        Length of the recording [s], for time constants.
-    speeds : mapping
-        Typical omega_r and omega_c [rad/s].
+    `share` is the largest torque over the budget of 1e-4 N m at the typical `speeds` omega_r and omega_c [rad/s]; the
+    `duration` of the recording [s] sets time constants.
     """
     values: dict[str, float] = {}
     for p in effect.parameters:
@@ -691,12 +677,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's where it has one, typical ones elsewhere.
 
-    Parameters
-    ----------
-    effects : iterable of Effect
-        The effects of the model.
-    share, duration, speeds
-        As for `typical_values`.
+    The other arguments are those of `typical_values`.
     """
     values: dict[str, float] = {}
     for effect in effects:

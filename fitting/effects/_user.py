@@ -70,10 +70,8 @@ def formula(
 
     With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate.
 
-    Raises
-    ------
-    EffectError, ExpressionError
-        If the law is not understood, has no strength to fit, or does not come out in its unit.
+    An EffectError or ExpressionError says that the law is not understood, has no strength to fit, or does not come out
+    in its unit.
     """
     if body not in _BODIES:
         raise EffectError(
@@ -329,13 +327,7 @@ def read_effects(path: Path) -> list[Effect]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    EffectError
-        If it cannot be read or is not TOML.
-    """
+    """Read a TOML file; an EffectError says that it cannot be read or is not TOML."""
     try:
         with path.open("rb") as file:
             return tomllib.load(file)

@@ -428,15 +428,6 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
     """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
     Its candidates have no screening results: it serves display only.
-
-    Parameters
-    ----------
-    stored : StoredDiagnosis
-        As `stored_diagnosis` returned it.
-    fit : Fit
-        The fit that was diagnosed.
-    extra : sequence of Effect
-        Effects of the user.
     """
     if stored.code != fingerprint() or stored.extra != own_effects(extra):
         return None

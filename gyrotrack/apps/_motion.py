@@ -72,15 +72,8 @@ class BodyMotion:
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion.
+    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
 
-    Parameters
-    ----------
-    time, angle, sigma : ndarray, shape (n,)
-        Time [s], unwrapped angle and its standard uncertainty [rad].
-
-    Notes
-    -----
     A rotation is fitted by a polynomial in time (of degree 2 to 6, by the Bayesian information criterion) and the first
     three harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
@@ -88,11 +81,6 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record.
-
-    Raises
-    ------
-    DatasetError
-        There are fewer than 12 samples.
     """
     if len(time) < _MIN_SAMPLES:
         raise DatasetError(
@@ -114,17 +102,10 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
 def motion_of_passages(passages: Passages) -> BodyMotion:
     """Return the period and the decay rate of a pendulum from its passages through light gates.
 
-    Notes
-    -----
     Pairs of neighbouring passages, one in each direction, are averaged: the distance of the gates from the equilibrium
     delays one and advances the other. The times of the pairs, and the logarithms of their durations, which are
     inversely proportional to the amplitude, are polynomials in the number of the passage. Period and decay rate are
-    those at the middle of the record.
-
-    Raises
-    ------
-    DatasetError
-        There are too few passages in immediate succession.
+    those at the middle of the record. A DatasetError is raised if too few passages are in immediate succession.
     """
     t, duration = passages.time, passages.duration
     half = 0.5 * float(np.median(t[2:] - t[:-2]))

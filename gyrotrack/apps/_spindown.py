@@ -81,12 +81,7 @@ def read_source(
 ) -> tuple[Case, Tracked | None]:
     """Make a case of one body from a film, a recording or a table.
 
-    Raises
-    ------
-    VideoError, TrackingError, DatasetError
-        The source cannot be read, or contains no measurable motion.
-    UsageError
-        Columns, marker or centre of a table are given for a film.
+    A UsageError is raised if columns, marker or centre of a table are given for a film.
     """
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
@@ -354,27 +349,10 @@ def spindown(
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the motion of one body, fit, diagnose and improve a model, and write a report.
+    """Measure the motion of one body, fit, diagnose and improve a model, and write a report; return the JSON document.
 
-    Parameters
-    ----------
-    source : Path
-        Film, recording or table.
-    target, report : Path
-        The case and the report to write; without a path no report is written.
-    options : SpindownOptions
-        Options.
-    command : str
-        The command line, for the case file.
-    force : bool
-        Replace existing outputs.
-    progress : callable, optional
-        Called with (frames done, frames in total) while a film is tracked.
-
-    Returns
-    -------
-    dict
-        The JSON document of `gyrotrack spindown`.
+    `target` and `report` are the case and the report to write, if given. `progress` is called with (frames done, frames
+    in total) while a film is tracked.
     """
     from fitting._workers import single_blas_thread
 

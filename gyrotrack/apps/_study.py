@@ -299,19 +299,9 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
-    """Return the latest fit of each run, by name of the run.
+    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run.
 
-    Parameters
-    ----------
-    runs : sequence of Path
-        Cases with ledgers next to them, or ledgers.
-
-    Raises
-    ------
-    UsageError
-        A run is given twice.
-    DatasetError
-        A file does not exist, or has no fit.
+    A run that is given twice, does not exist or has no fit is an error.
     """
     from fitting.study._history import Ledger
 

@@ -51,20 +51,7 @@ class Inspection:
 
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
-    """Read a recording or a case, and return a summary of its contents.
-
-    Parameters
-    ----------
-    path : Path
-        A recording or a case.
-    verify : bool
-        Read every chunk of every dataset and compare it with its checksum.
-
-    Raises
-    ------
-    DatasetError
-        The file has another format, or is damaged.
-    """
+    """Read a recording or a case, and return a summary; `verify` compares every chunk with its checksum."""
     with open_dataset(path) as file:
         kind = attribute(file, "kind", str)
         provenance = {name: attribute(file, name, str, "?") for name in _PROVENANCE}

@@ -209,14 +209,7 @@ def speed_warnings(casing: Series, rotor: Series, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
     Friction between them can neither accelerate the casing beyond the rotor nor, but at the end of a run, make both
-    turn together: the bodies may be exchanged, or one of them was measured twice.
-
-    Parameters
-    ----------
-    casing, rotor : Series
-        Both on one clock.
-    remedy : str
-        What to do if so.
+    turn together: the bodies may be exchanged, or one of them was measured twice. `remedy` is what to do if so.
     """
     windows, speeds = windows_of(rotor), []
     for k in np.unique(windows):
@@ -324,25 +317,11 @@ _READABLE = {"rad s-1": "rad/s"}
 
 
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
-    """Return a recording or a case as columns of equal length.
+    """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Parameters
-    ----------
-    content : Recording or Case
-        Source of the columns.
-    table : {"motion", "markers", "frames"}
-        Angles and speeds of the bodies; every marker in every frame; the frames of each clip. Several bodies, markers
-        or clips are concatenated and identified by the first columns.
-
-    Returns
-    -------
-    tuple of Column
-        Times in s, angles in rad, speeds in rad s-1, lengths in px; NaN where not measured.
-
-    Raises
-    ------
-    UsageError
-        The table is unknown or empty.
+    Lengths are in px. The table is "motion" (angles and speeds of the bodies), "markers" (every marker in every frame)
+    or "frames" (of each clip). Several bodies, markers or clips are concatenated and identified by the first columns;
+    NaN where not measured. A UsageError says that the table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")

@@ -255,13 +255,7 @@ def _span(traces: Sequence[Trace]) -> float:
 
 
 def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
-    """Return traces without those parts of bands that are wider than the chart.
-
-    Parameters
-    ----------
-    traces : sequence of Trace
-        The curves of one chart. Traces of the kind "band" are not changed.
-    """
+    """Return the traces of a chart without those parts of bands of +-2 sigma that are wider than the chart."""
     span = _span(traces)
     found = []
     for t in traces:
@@ -297,15 +291,7 @@ def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
 
 
 def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost.
-
-    Parameters
-    ----------
-    x, value : ndarray, shape (n,)
-        The curve.
-    most : int
-        Largest number of points.
-    """
+    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost."""
     if len(x) <= most:
         return x, value
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
@@ -342,22 +328,10 @@ def draw(
     limits: tuple[float, float] | None = None,
     most: int = 1200,
 ) -> None:
-    """Draw a chart with matplotlib.
+    """Draw a chart with matplotlib; labels and limits of the axes are set, but no legend is drawn.
 
-    Parameters
-    ----------
-    ax : Axes
-        Axes; labels and limits are set, but no legend is drawn.
-    chart : Chart
-        The chart.
-    intervals : sequence of Interval
-        Shaded intervals [s].
-    window : (float, float), optional
-        Limits of the horizontal axis.
-    limits : (float, float), optional
-        Vertical limits instead of those of the chart.
-    most : int
-        Largest number of points of a curve.
+    `intervals` [s] are shaded, `window` are horizontal limits, `limits` vertical ones instead of those of the chart; a
+    curve has at most `most` points.
     """
     from matplotlib.ticker import NullLocator
 
@@ -420,19 +394,7 @@ def chart_picture(
     name: str = "",
     size: tuple[float, float] = (9.2, 3.3),
 ) -> Picture:
-    """Draw a chart as SVG for a page.
-
-    Parameters
-    ----------
-    chart : Chart
-        The chart.
-    intervals : sequence of Interval
-        Shaded intervals [s], for a chart against time.
-    name : str
-        Identifier of the figure; by default that of the chart.
-    size : (float, float)
-        Width and height [inch].
-    """
+    """Draw a chart as SVG for a page, with shaded intervals [s]; the size is width and height [inch]."""
     with style():
         figure = canvas(*size)
         ax = figure.subplots()
@@ -533,15 +495,7 @@ def as_data(document: Any) -> str:
 
 
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
-    """Return a content security policy that allows these scripts only.
-
-    Parameters
-    ----------
-    scripts : sequence of str
-        The exact text of each inline script.
-    connect : bool
-        Whether the page may connect to its own server.
-    """
+    """Return a content security policy that allows these inline scripts only, and optionally its own server."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
     parts = [

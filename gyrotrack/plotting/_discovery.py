@@ -195,16 +195,7 @@ def figures_of_merit(
 ) -> None:
     """Draw one horizontal bar per fit, from zero or, on a logarithmic axis, from the noise limit.
 
-    Parameters
-    ----------
-    ax : Axes
-        Axes.
-    values : ndarray, shape (n,)
-        Figure of merit of each fit.
-    limit : float or None
-        Noise limit, if it is known.
-    texts : list of str
-        Text at the end of each bar; if empty, the number.
+    `texts` stand at the ends of the bars; if empty, the numbers.
     """
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
@@ -281,21 +272,8 @@ def story_picture(
 ) -> Path:
     """Draw the summary figure of the first case: speed, residuals, and the figure of merit that decreased most.
 
-    Parameters
-    ----------
-    history, diagnosis
-        As for `write_report`.
-    path : Path
-        A ``.png`` or ``.svg`` file.
-    frame : ndarray of uint8, shape (height, width, 3), optional
-        A frame of the film (red, green, blue), as an inset of the first panel.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputError
-        The suffix is not supported, the file exists and `force` is not set, or it cannot be written.
+    `history` and `diagnosis` are those of `write_report`, the path ends in ``.png`` or ``.svg``; `frame` (height,
+    width, 3), red, green, blue, is an inset of the first panel.
     """
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
@@ -351,18 +329,9 @@ _FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|
 
 
 def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:
-    """Return a formula as an ``svg`` element with its LaTeX as text alternative; empty if it cannot be typeset.
+    """Return a formula (LaTeX, without dollar signs) as an ``svg`` element with the LaTeX as text alternative.
 
-    Parameters
-    ----------
-    latex : str
-        Formula without dollar signs.
-    name : str
-        Prefix of the ids in the SVG.
-    size : float
-        Font size [pt].
-    colour : str
-        Colour.
+    `name` is the prefix of the ids in the SVG, `size` in pt; empty if the formula cannot be typeset.
     """
     changes = {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
     # mathtext omits the space before functions and draws \left| too small

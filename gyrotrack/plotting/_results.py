@@ -197,17 +197,7 @@ _CURVES = (*_COLOURS, SKY)
 
 
 def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
-    """Write the figure of `plan`.
-
-    Parameters
-    ----------
-    found : Plan
-        Result of `fitting.plan`.
-    path : Path
-        A ``.png`` or ``.svg`` file.
-    force : bool
-        Replace an existing file.
-    """
+    """Write the figure of `plan` as PNG or SVG, by the suffix of `path`."""
     stream = io.BytesIO()
     with style():
         figure = plan_figure(found)
@@ -316,17 +306,7 @@ _MAX_PARAMETERS = 14
 
 
 def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
-    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`.
-
-    Parameters
-    ----------
-    found : Comparison
-        Result of `fitting.compare`.
-    path : Path
-        A ``.png``, ``.svg`` or ``.pdf`` file.
-    force : bool
-        Replace an existing file.
-    """
+    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`."""
     kind = path.suffix.lower().lstrip(".")
     with style(), new_file(path, force=force) as stream:
         metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]

@@ -109,17 +109,10 @@ class CaseView:
         return self.failing(self.failures, self.models[0])
 
     def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
-        """Return the intervals with lack of fit of a model, for the charts.
+        """Return the intervals with lack of fit of one of `models`, for the charts.
 
-        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed
-        is outside of its band: an unmodelled torque changes the speed also at later times.
-
-        Parameters
-        ----------
-        failures : sequence of Failure
-            Intervals of unmodelled torque.
-        model : CaseModel
-            The model, one of `models`.
+        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed is
+        outside of its band: an unmodelled torque changes the speed also at later times.
         """
         found = [
             Interval(
@@ -171,19 +164,7 @@ def case_view(
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
 ) -> CaseView:
-    """Return one case with the first and the last model of a history.
-
-    Parameters
-    ----------
-    history : sequence of FitStep
-        The history of fits, base first.
-    diagnosis : Diagnosis or None
-        Diagnosis of the base model.
-    torques : sequence
-        Unmodelled torques of the first and the last model.
-    index : int
-        Index of the case.
-    """
+    """Return one case with the first and the last model of a history, whose unmodelled torques are given."""
     from fitting.inference._record import speeds
 
     base, final = history[0].fit, history[-1].fit
@@ -337,15 +318,7 @@ class StudyView:
 
 
 def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
-    """Compute the data of a study.
-
-    Parameters
-    ----------
-    history : sequence of FitStep
-        The history of fits, base first.
-    diagnosis : Diagnosis or None
-        Diagnosis of the base model.
-    """
+    """Compute the data of a study from its history of fits, base first, and the diagnosis of the base."""
     from fitting.discovery._residuals import whiteness
     from fitting.study._serialisation import history_verdict
 

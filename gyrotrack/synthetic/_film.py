@@ -73,23 +73,9 @@ def write_film(
     film: Film | None = None,
     force: bool = False,
 ) -> int:
-    """Encode frames (height, width, 3) red, green, blue, and return their number.
+    """Encode frames (height, width, 3) red, green, blue in an mp4 file, atomically, and return their number.
 
-    Parameters
-    ----------
-    path : Path
-        The mp4 file, which is written atomically.
-    frames : iterable of arrays
-        The frames.
-    fps, container_fps : float
-        Capture rate, and rate in the container (None: the same) [1/s].
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputError
-        The file exists or cannot be written.
+    The rates are the capture rate and that in the container, by default the same [1/s].
     """
     film = film or Film()
     path = Path(path)
@@ -306,31 +292,9 @@ def render_clip(
 ) -> Truth:
     """Render a film of a scene with a known motion, and return its exact angles and corners.
 
-    Parameters
-    ----------
-    path : Path
-        The mp4 file to write.
-    scene, motion, camera, light
-        What is rendered.
-    frames : int
-        Number of frames; ``camera.start`` is the true time of the first one.
-    film : Film, optional
-        Options of the encoder.
-    seed : int
-        Random seed.
-    truth : Path, optional
-        File (.npz or .json) to which the truth is written.
-    force : bool
-        Replace existing files.
-    progress : callable, optional
-        Called with (frames rendered, frames in total).
-
-    Raises
-    ------
-    OutputError
-        A file already exists, or cannot be written.
-    ValueError
-        The motion is not known for the whole film.
+    ``camera.start`` is the true time of the first of the frames. `truth` is a file (.npz or .json) to which the truth
+    is written; `progress` is called with (frames rendered, frames in total). A ValueError says that the motion is not
+    known for the whole film.
 
     Examples
     --------

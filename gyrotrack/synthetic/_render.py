@@ -336,14 +336,7 @@ MARGIN = 96  # margin of a bank [px], for 9216 different crops
 class Noise:
     """Gaussian noise in grey levels, rounded to integers, independent in every pixel and colour.
 
-    Parameters
-    ----------
-    height, width : int
-        Size of the frames in px.
-    deviation : float
-        Standard deviation in grey levels; rounding adds a variance of 1/12.
-    rng : numpy.random.Generator
-        Random generator.
+    Rounding adds a variance of 1/12 to that of the `deviation`.
     """
 
     def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
@@ -365,15 +358,7 @@ class Noise:
 
 
 class Renderer:
-    """Renders frames of a scene with given motion, camera and light.
-
-    Parameters
-    ----------
-    scene, motion, camera, light
-        What is rendered.
-    seed : int
-        Random seed of grain and noise.
-    """
+    """Renders frames of a scene with given motion, camera and light; the seed is that of grain and noise."""
 
     def __init__(
         self, scene: Scene, motion: Motion, camera: Camera, light: Light | None = None, *, seed: int = 0
@@ -391,10 +376,7 @@ class Renderer:
     def frames(self, count: int) -> Iterator[Frame]:
         """Yield ``count`` frames, (height, width, 3) red, green, blue, 8 bits, one at a time.
 
-        Raises
-        ------
-        ValueError
-            The motion is not known for the whole film.
+        A ValueError says that the motion is not known for the whole film.
         """
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)

@@ -298,16 +298,9 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles from speeds: a cubic spline through omega(t), integrated exactly.
+        """Angles from at least four speeds [rad/s]: a cubic spline through omega(t), integrated exactly.
 
-        Parameters
-        ----------
-        time : (n,) array
-            Increasing times in s, n >= 4.
-        omega_rotor, omega_casing : (n,) array
-            Speeds in rad/s.
-        psi_rotor, psi_casing : float
-            Angles in rad at ``time[0]``.
+        The angles at ``time[0]`` are `psi_rotor` and `psi_casing` [rad].
         """
         from scipy.interpolate import CubicSpline
 

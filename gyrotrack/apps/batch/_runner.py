@@ -46,22 +46,9 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps.
+    """One execution of all steps, each after those that it needs.
 
-    Parameters
-    ----------
-    steps : sequence of Step
-        The steps, each after those that it needs.
-    results : Path
-        Folder of the results.
-    journal : Journal
-        Record of completed steps.
-    timeout : float, optional
-        Time limit of one step [s].
-    report : callable, optional
-        Called with (step, outcome) when a step has ended.
-    progress : callable, optional
-        Called with (steps ended, steps in total).
+    `report` is called with (step, outcome) when a step has ended, `progress` with (steps ended, steps in total).
     """
 
     def __init__(
@@ -374,31 +361,9 @@ def run_batch(
 ) -> BatchResult:
     """Run the steps of a batch that are not complete.
 
-    Parameters
-    ----------
-    cases, steps
-        The cases, and their steps from `plan`.
-    output : Path
-        Folder for the results.
-    command : str
-        Command line, for the summary.
-    workers : int, optional
-        Processes on this machine; by default one per core.
-    scheduler : str, optional
-        Address of a Dask cluster, instead of local processes.
-    certificates : Certificates, optional
-        TLS files for that cluster.
-    timeout : float
-        Time limit of one step [s].
-    report : callable
-        Called with (step, outcome) when a step has ended.
-    bar : callable
-        Returns a context manager whose value is called with (done, total).
-
-    Raises
-    ------
-    OutputError
-        Another run uses the folder, or it contains other files.
+    They run in processes on this machine, by default one per core, or on the Dask cluster of a scheduler. `report` is
+    called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called with (done,
+    total). An OutputError is raised if another run uses the folder, or it contains other files.
     """
     began = perf_counter()
     with locked_folder(output):

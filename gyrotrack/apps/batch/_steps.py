@@ -176,18 +176,7 @@ HEADER = {"format": "gyrotrack batch", "version": 1}
 
 
 class Journal:
-    """The journal of one folder of results.
-
-    Parameters
-    ----------
-    path : Path
-        The file; it need not exist yet.
-
-    Raises
-    ------
-    OutputError
-        A file with this name exists and is not a journal.
-    """
+    """The journal of one folder of results; an existing file with its name must be a journal."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -308,10 +297,7 @@ def _parsed(text: str) -> Any:
 def locked_folder(results: Path) -> Iterator[None]:
     """Create the folder if necessary, and lock it against other batches within the context.
 
-    Raises
-    ------
-    OutputError
-        Another batch uses the folder, it cannot be created, or it contains other files.
+    An OutputError says that another batch uses it, it cannot be created, or it contains other files.
     """
     with _lock_file(results), locked(results):
         yield

@@ -123,15 +123,7 @@ def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> N
 
 
 def _laws_table(found: Laws, fit_id: str) -> str:
-    """Return the result as text: summary, variables of the torque, laws, and where they differ.
-
-    Parameters
-    ----------
-    found : Laws
-        The result of the search.
-    fit_id : str
-        Name of the fit.
-    """
+    """Return the result as text: summary, variables of the torque, laws, and where they differ."""
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     torques = found.torques

@@ -211,13 +211,7 @@ def view_command(
 
 
 def _only_case(sources: Sequence[Path]) -> Path | None:
-    """Return the case among the sources; None if there is none.
-
-    Raises
-    ------
-    UsageError
-        A case is given together with other sources.
-    """
+    """Return the case among the sources, which must be the only source; None if there is none."""
     from gyrotrack.io._hdf5 import read_kind
 
     cases = [s for s in sources if s.suffix.lower() in (".h5", ".hdf5") and read_kind(s) == "case"]

@@ -79,11 +79,6 @@ def find(named: Path | None = None) -> tuple[Path | None, bool]:
     """Return the settings file and whether it is trusted: given by the user, or the user's own file.
 
     The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
-
-    Raises
-    ------
-    ConfigurationError
-        The given file does not exist.
     """
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):

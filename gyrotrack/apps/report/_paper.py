@@ -310,32 +310,9 @@ def write_figures(
 ) -> list[Path]:
     """Write the figures and tables of the paper for a study.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files; created if necessary.
-    scan : Scan
-        The fits, from `fitting.study._scan`.
-    data : sequence of CaseData
-        The cases that were scanned.
-    cases : sequence of Case
-        The same cases from `gyrotrack.io._hdf5.read_case`.
-    formats : sequence of {"pdf", "svg", "png"}
-        Formats of the figures.
-    films : sequence of Path
-        Folders that may contain the films, for the figure of the gyroscope.
-    force : bool
-        Replace existing files.
-
-    Returns
-    -------
-    list of Path
-        The files: figures, ``figures.tex`` with their captions, one file per table, and ``tables.tex`` with all tables.
-
-    Raises
-    ------
-    OutputError
-        A file exists and `force` is not set, or the folder cannot be written.
+    `data` and `cases` are the cases that were scanned, `films` folders that may contain the films, for the figure of
+    the gyroscope. Returned are the files: figures (pdf, svg, png), ``figures.tex`` with their captions, one file per
+    table, and ``tables.tex`` with all tables.
     """
     documents: dict[str, bytes] = {}
     shown = paper_cases(scan, data, cases)

@@ -42,15 +42,7 @@ class _Clip:
 
 
 class Clips:
-    """The clips of a case; a film is opened when its first frame is requested.
-
-    Parameters
-    ----------
-    case : Case or None
-        The case with its recordings.
-    folders : sequence of Path
-        Folders that may contain the films.
-    """
+    """The clips of a case; a film in one of the folders is opened when its first frame is requested."""
 
     def __init__(self, case: Case | None, folders: Sequence[Path]) -> None:
         self._lock = Lock()
@@ -90,13 +82,7 @@ class Clips:
         return rows
 
     def frame(self, key: str, index: int, *, overlay: bool) -> bytes:
-        """Return a frame as JPEG.
-
-        Raises
-        ------
-        VideoError
-            There is no such clip, film or frame.
-        """
+        """Return a frame as JPEG; a VideoError says that there is no such clip, film or frame."""
         with self._lock:
             picture = self._film(key).picture(index, overlay=overlay)
         if picture is None:
@@ -149,13 +135,7 @@ class SourceFrames:
         self._film: Film | None = None
 
     def picture(self, path: Path, index: int) -> Picture:
-        """Return a frame in colour (BGR).
-
-        Raises
-        ------
-        VideoError
-            There is no such film or frame.
-        """
+        """Return a frame in colour (BGR); a VideoError says that there is no such film or frame."""
         with self._lock:
             if path != self._path or self._film is None:
                 self._end()
@@ -177,13 +157,7 @@ class SourceFrames:
 
 
 def profile_text(wanted: Any) -> str:
-    """Return the markers that were picked in a frame as a profile in TOML.
-
-    Raises
-    ------
-    ProfileError
-        The profile is not valid.
-    """
+    """Return the markers that were picked in a frame as a profile in TOML."""
     data = wanted if isinstance(wanted, dict) else {}
     allowed = {k: data[k] for k in ("name", "centre", "circle_colour", "marker") if k in data}
     return to_toml(parse(allowed, "profile"))
@@ -199,21 +173,8 @@ _TURN = 2 * np.pi
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
     """Return a recording with a marker corrected, or marked as lost, in one frame.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    marker : str
-        Name of the marker.
-    frame : int
-        Index of the frame.
-    place : sequence of two floats or None
-        Centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this frame.
-
-    Raises
-    ------
-    UsageError
-        There is no such marker or frame, or the position is too close to the centre.
+    `place` is the centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this
+    frame. A UsageError says that there is no such marker or frame, or the position is too close to the centre.
     """
     track = recording.markers.get(marker)
     if track is None or not 0 <= frame < len(recording.time):

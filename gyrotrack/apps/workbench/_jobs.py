@@ -61,15 +61,7 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one work folder, at most `most` at a time, and one per key.
-
-    Parameters
-    ----------
-    folder : Path
-        Working directory of the commands.
-    most : int
-        Largest number of processes.
-    """
+    """The jobs of one work folder, at most `most` at a time, and one per key."""
 
     def __init__(self, folder: Path, most: int) -> None:
         self._folder = folder

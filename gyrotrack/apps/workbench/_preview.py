@@ -35,10 +35,7 @@ FRAMES = 500
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
     """Copy the first packets of a film, without decoding, to a file of the same format.
 
-    Raises
-    ------
-    TrackingError
-        The format cannot be copied, or the copy has another orientation.
+    A TrackingError says that the format cannot be copied, or the copy has another orientation.
     """
     with opened(film) as (source, stream):
         try:
@@ -71,28 +68,12 @@ def preview(
     points: Sequence[tuple[float, float]],
     frames: int = FRAMES,
 ) -> dict[str, Any]:
-    """Track the start of a film.
+    """Track the start of a film with the markers of a profile, by default that of the paper.
 
-    Parameters
-    ----------
-    film : Path
-        The film.
-    profile : Path or None
-        Profile with the markers; None for that of the paper.
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px].
-    single : bool
-        The film shows one body, which is tracked by image registration; `points` (x, y) [px] of the first frame are
-        rotated with it.
-    frames : int
-        Number of frames to track.
-
-    Returns
-    -------
-    dict
-        ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each frame the
-        position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by body;
-        ``warnings``.
+    A film of a `single` body is registered instead; `points` (x, y) [px] of the first frame are rotated with it.
+    Returned are ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each
+    frame the position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by
+    body; ``warnings``.
     """
     with tempfile.TemporaryDirectory() as folder:
         excerpt = Path(folder) / f"excerpt{film.suffix.lower()}"

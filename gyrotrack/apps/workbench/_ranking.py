@@ -32,13 +32,7 @@ Array = NDArray[np.float64]
 
 
 class Ranker:
-    """A process that ranks candidates for the latest requested model.
-
-    Parameters
-    ----------
-    case : Path
-        The case file.
-    """
+    """A process that ranks candidates for the latest requested model of a case file."""
 
     def __init__(self, case: Path) -> None:
         self._case = case
@@ -48,13 +42,7 @@ class Ranker:
         self._closed = False
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
-        """Return the diagnosis of a model; an unfinished search is cancelled.
-
-        Raises
-        ------
-        GyrotrackError
-            The search was cancelled by a newer one, or the process failed.
-        """
+        """Return the diagnosis of a model; an unfinished search is cancelled, which raises a GyrotrackError there."""
         with self._lock:
             if self._busy:
                 self._end()
@@ -146,13 +134,7 @@ _DRAWN = 200  # points of a torque curve
 
 
 class Prediction:
-    """Residual speeds of a fit as a function of its parameters.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fit of one case.
-    """
+    """Residual speeds of a fit of one case as a function of its parameters."""
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
@@ -163,12 +145,8 @@ class Prediction:
     def sliders(self) -> dict[str, Any]:
         """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
-        Returns
-        -------
-        dict
-            ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first;
-            ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the
-            parameter.
+        ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first; ``sigma`` of
+        the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()
@@ -194,18 +172,7 @@ class Prediction:
         }
 
     def moved(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the exact residual speeds for changed parameters.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            Values by name.
-
-        Raises
-        ------
-        UsageError
-            A name is unknown, or a value is not a number within its bounds.
-        """
+        """Return the exact residual speeds for changed parameters; a UsageError names an unknown or invalid one."""
         fit, layout = self._fit, self._fit.problem.layout
         theta = fit.theta.copy()
         lower, upper = layout.bounds()
@@ -242,17 +209,10 @@ class Prediction:
         return float(np.sqrt(np.mean((values[0][known] / self._sigma[known]) ** 2)))
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
-        """Return the predicted residual speeds with an added candidate, and its torque.
+        """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.
 
         If the search has refitted the candidate, both are those of the refit. Otherwise the strength of the candidate
         is that of its score test, the other parameters are refitted to first order, and the torque is None.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            A candidate from the diagnosis of this fit.
-        columns : CaseColumns
-            Columns of the design matrix for candidates of this fit.
         """
         fit = self._fit
         if candidate.fit is not None:

@@ -57,13 +57,7 @@ class RawTable:
         return any(self.names)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
-        """Return a column as numbers; NaN for empty cells.
-
-        Raises
-        ------
-        DatasetError
-            A cell is neither a number nor empty.
-        """
+        """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text."""
         column = self.columns[index]
         if isinstance(column, np.ndarray):
             return np.asarray(column, dtype=float)
@@ -118,13 +112,7 @@ def is_number(text: str) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the bytes of a file.
-
-    Raises
-    ------
-    DatasetError
-        It does not exist, is not a regular file, or is too large.
-    """
+    """Return the bytes of a file; a DatasetError says that it is missing, not a regular file, or too large."""
     refuse_special(path)
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -142,11 +130,6 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
     """Return the lines that are neither blank nor comments, with their numbers, and notes on excluded lines.
 
     A header that is repeated, and text without numbers below the samples, are excluded.
-
-    Raises
-    ------
-    DatasetError
-        The file is not text.
     """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
@@ -204,13 +187,7 @@ def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
 
 
 def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
-    """Return the table in the lines of a text file.
-
-    Raises
-    ------
-    DatasetError
-        There are no samples, or a line and the header differ in the number of cells.
-    """
+    """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
     delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
     comma = delimiter != ","
     first = next(
