@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting._numbers import TORQUE
-from fitting.discovery._form import FormTest
+from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate

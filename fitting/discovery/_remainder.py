@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import percentage, rounded
-from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
     HarmonicTest,
@@ -33,6 +32,7 @@ from fitting.discovery._lack_of_fit import (
     harmonic_test,
     smooth_test,
 )
+from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Candidate, Selection

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
-from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._motion import (
     TURN,
@@ -27,7 +26,7 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages

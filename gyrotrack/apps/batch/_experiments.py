@@ -46,8 +46,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from gyrotrack._errors import ConfigurationError, UsageError
-from gyrotrack._inertia import Inertia
 from gyrotrack._toml import check, read_document, read_text
+from gyrotrack.io._records import Inertia
 
 Body = Literal["casing", "rotor", ""]
 
@@ -80,7 +80,7 @@ class Experiment:
     surface : str
         Surface on which the casing turns.
     inertia_rotor, inertia_casing : str or None
-        Moments of inertia as `gyrotrack._inertia.Inertia` reads them.
+        Moments of inertia as `gyrotrack.io._records.Inertia` reads them.
     folder : str
         Unique name of its folder of results.
     """

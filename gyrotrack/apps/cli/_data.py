@@ -102,9 +102,9 @@ def import_command(
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
     """
-    from gyrotrack._inertia import Inertia
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
+    from gyrotrack.io._records import Inertia
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits, read_cuts

@@ -253,7 +253,7 @@ def plan_command(
     with out.progress("planning") as progress:
         progress(0, None)
         if described:
-            from fitting.discovery._planned_recordings import read_planned
+            from fitting.discovery._plan import read_planned
 
             refuse_special(described[0])
             usual: Bounds | None = read_planned(described[0]).bounds if changes else None

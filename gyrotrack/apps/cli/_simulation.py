@@ -104,9 +104,9 @@ def simulate_command(
     from fitting.dynamics._model import Model
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
-    from gyrotrack._inertia import Inertia
     from gyrotrack.apps._simulation import SimulatedRun, hide_effect, write_record
     from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._records import Inertia
 
     out = Output(as_json=as_json, quiet=quiet)
     sealed = output.with_name(f"{output.stem}.seal.json") if hide else None

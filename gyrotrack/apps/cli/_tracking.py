@@ -379,10 +379,10 @@ def sync_command(
     Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --inertia-rotor "5.54e-5 +- 0.06e-5"
     --inertia-casing "206 g cm2"
     """
-    from gyrotrack._inertia import Inertia
     from gyrotrack.apps._api import synchronised
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
+    from gyrotrack.io._records import Inertia
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")

@@ -23,14 +23,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
-from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._films import corrected
-from gyrotrack.apps.workbench._jobs import Job, Jobs
+from gyrotrack.apps.workbench._processes import Job, Jobs
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
-from gyrotrack.io._records import Recording
+from gyrotrack.io._records import Inertia, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._profile import parse, to_toml
 from gyrotrack.video._container import probe
@@ -41,7 +40,7 @@ _DATASETS = {".h5", ".hdf5"}
 LARGEST_UPLOAD = 16 * 2**30
 """Largest file that a page may upload [bytes]."""
 _MAX_SOURCES = 100
-_PREVIEW = "gyrotrack.apps.workbench._preview"
+_PREVIEW = "gyrotrack.apps.workbench._films"
 
 
 class Pick(BaseModel):

@@ -33,9 +33,8 @@ from gyrotrack.apps.workbench._films import (
     colour_at,
     profile_text,
 )
-from gyrotrack.apps.workbench._jobs import Jobs
+from gyrotrack.apps.workbench._processes import Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
-from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
 from gyrotrack.plotting import _charts as charts

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
-    from gyrotrack.apps.workbench._ranking import Prediction
+    from gyrotrack.apps.workbench._processes import Prediction
     from gyrotrack.io._records import Case
 
 
@@ -140,7 +140,7 @@ class Session:
             return self.state()
 
     def _prediction(self) -> Prediction:
-        from gyrotrack.apps.workbench._ranking import Prediction
+        from gyrotrack.apps.workbench._processes import Prediction
 
         step = self.steps[self.current]
         if step.prediction is None:

@@ -15,8 +15,7 @@ from fitting._criteria import DEFAULT
 from fitting._errors import EstimationError
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, next_run, separating_run
-from fitting.discovery._plan import plan
-from fitting.discovery._planned_recordings import read_planned
+from fitting.discovery._plan import plan, read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
