@@ -86,7 +86,9 @@ def figure_of(ax: Axes) -> Figure:
     """Return the figure to which axes belong."""
     found = ax.get_figure(root=True)
     if found is None:
-        raise EstimationError("these axes belong to no figure", "make them with matplotlib.pyplot.subplots()")
+        raise EstimationError(
+            "these axes do not belong to a figure", "create them with matplotlib.pyplot.subplots()"
+        )
     return found
 
 

@@ -12,8 +12,7 @@
 
    which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
 3. The best ones of the second search are refitted at the same noise and ranked by BIC plus the description length of
-the
-   formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
+   the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
    answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
    x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
 

@@ -89,7 +89,7 @@ class FormTest:
 
 
 def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
-    """Return how well the data test the form of an effect, which is no function of an angle, in the fit that has it."""
+    """Return how well the data test the form of an effect, which does not depend on an angle, in its own fit."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
     variable = _variable(effect)

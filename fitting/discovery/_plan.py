@@ -168,13 +168,13 @@ def read_planned(path: str | Path) -> PlannedRecordings:
     try:
         text = Path(path).read_bytes()
         if len(text) > _LARGEST:
-            raise EstimationError(f"{name} has more than 1 MB and is no plan.", _EXAMPLE)
+            raise EstimationError(f"{name} is larger than 1 MB and is not a plan.", _EXAMPLE)
         table = _PlanTable.model_validate(tomllib.loads(text.decode("utf-8")))
     except (OSError, UnicodeDecodeError) as fault:
-        reason = fault.strerror if isinstance(fault, OSError) else "it is no UTF-8 text"
+        reason = fault.strerror if isinstance(fault, OSError) else "it is not UTF-8 text"
         raise EstimationError(f"{name} cannot be read: {reason}.", "Give a plan in TOML.") from None
     except tomllib.TOMLDecodeError as fault:
-        raise EstimationError(f"{name} is no valid TOML: {fault}.", _EXAMPLE) from None
+        raise EstimationError(f"{name} is not valid TOML: {fault}.", _EXAMPLE) from None
     except ValidationError as fault:
         raise EstimationError(f"{name}: {_first_error(fault)}.", _EXAMPLE) from None
     model = _model(table.model, name)
@@ -250,7 +250,7 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
     unknown = [k for k in given if k not in model.free]
     if unknown:
         raise EstimationError(
-            f"{file}: parameters: {unknown[0]!r} is no parameter of the model.",
+            f"{file}: parameters: {unknown[0]!r} is not a parameter of the model.",
             f"It has: {', '.join(model.free)}.",
         )
     for key, value in given.items():
@@ -357,12 +357,12 @@ def plan(
     if isinstance(recordings, Fit):
         if recordings.problem.data[0].oscillation is not None:
             raise EstimationError(
-                "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
+                "a plan needs runs that start at given speeds, but this body oscillates about an equilibrium",
                 "release it from a larger angle, or record it for longer: both separate restoring torques better",
             )
         if recordings.model.rigid_contact is not None:
             raise EstimationError(
-                "a plan is made for runs whose initial speeds are independent, and these bodies roll on each other",
+                "a plan needs independent initial speeds, but these bodies roll on each other",
                 "plan the run of each body alone, from its own study",
             )
         fit, fits = recordings, [recordings]

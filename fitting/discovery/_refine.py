@@ -151,14 +151,21 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none.
 
-    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways.
+    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways: with the
+    process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong shape, of
+    the law that describes the data.
     """
     if score.effect.restoring and not base.model.restoring:
         # the motion of the base does not oscillate: its optimum is no initial value for a model that does
         return _fit_from_scratch(base, score.effect)
+
+    def falls_short(refitted: Fit) -> bool:
+        return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
+
     found = fit_together(base, score)
-    if thorough and found is not None:
-        found = _repeated_if_short(base, score, found, criteria)
+    if thorough and found is not None and has_model_noise(base) and falls_short(found):
+        found = _better(found, fit_together(base, score, hold_strength=True))
+        found = at_lowest_noise(found, criteria) if falls_short(found) else found
     if not score.effect.breakpoint or found is None:
         return found
     for _ in range(_SEARCHES):
@@ -187,22 +194,6 @@ def _fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
 
 def _better(found: Fit, other: Fit | None) -> Fit:
     return other if other is not None and other.deviance < found.deviance else found
-
-
-def _repeated_if_short(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
-    """Return a refit, or the best of several if its fall of the deviance is less than its score.
-
-    With the process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong
-    shape, of the law that describes the data.
-    """
-
-    def falls_short(refitted: Fit) -> bool:
-        return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
-
-    if not has_model_noise(base) or not falls_short(found):
-        return found
-    found = _better(found, fit_together(base, score, hold_strength=True))
-    return at_lowest_noise(found, criteria) if falls_short(found) else found
 
 
 def fit_together(

@@ -93,7 +93,7 @@ def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, f
     if e.op == "sqrt":
         return _to_power(parts[0], 0.5)
     if e.op not in {"sign", "heaviside"} and not _same(parts[0], NONE):
-        raise ExpressionError(f"{e.op} is taken of a quantity with the unit {format_unit(parts[0])}")
+        raise ExpressionError(f"the argument of {e.op} has the unit {format_unit(parts[0])}")
     return NONE
 
 
@@ -367,5 +367,5 @@ class Effect:
         expected = parse_unit(_RESULT[self.joint])
         if any(abs(a - b) > 1e-9 for a, b in zip(result, expected, strict=True)):
             raise EffectError(
-                f"the law of {self.name!r} comes out in {format_unit(result)}, not in {_RESULT[self.joint]}"
+                f"the law of {self.name!r} has the unit {format_unit(result)}, not {_RESULT[self.joint]}"
             )

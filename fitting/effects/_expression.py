@@ -201,7 +201,9 @@ def parse(text: str) -> Expr:
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ExpressionError(f"{text[:60]!r} is not a formula", f"a formula has {_ALLOWED}") from None
+        raise ExpressionError(
+            f"{text[:60]!r} is not a formula", f"a formula may contain {_ALLOWED}"
+        ) from None
     return _convert(tree, 0)
 
 
@@ -233,7 +235,7 @@ def _convert(node: ast.expr, depth: int) -> Expr:
         case _:
             pass
     what = _WORDS.get(type(node), type(node).__name__)
-    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula has {_ALLOWED}")
+    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula may contain {_ALLOWED}")
 
 
 def _combine(op: type[ast.operator], left: Expr, right: Expr) -> Expr:

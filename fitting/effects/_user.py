@@ -150,7 +150,7 @@ def _check(effect: Effect) -> None:
     shapes = [p.symbol for p in effect.parameters if p.role == "shape"]
     if effect.depends_on_angle and shapes:
         raise EffectError(
-            f"{shapes[0]!r} shapes a law that follows an angle, which can have a strength and a phase only",
+            f"{shapes[0]!r} is a shape constant, but a law of an angle can have only a strength and a phase",
             f"write a number for {shapes[0]}",
         )
     if all(p.unit != UNKNOWN_UNIT for p in effect.parameters):
@@ -214,19 +214,20 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
     """Return the first parameter to which the law is proportional."""
     if not candidates:
         raise EffectError(
-            f"every parameter of the law {law!r} is declared a shape", "leave out shape for its strength"
+            f"every parameter of the law {law!r} is declared as a shape constant",
+            "declare its strength without shape",
         )
     linear = [c for c in candidates if c not in symbols(derivative(expression, c))]
     if not linear:
         raise EffectError(
-            f"the law {law!r} is linear in none of {', '.join(candidates)}", "put a strength k in front of it"
+            f"the law {law!r} is linear in none of {', '.join(candidates)}", "multiply it by a strength k"
         )
     for symbol in linear:
         if substitute(expression, {symbol: ZERO}) == ZERO:
             return symbol
     raise EffectError(
         f"the law {law!r} does not vanish with any one of {', '.join(linear)}",
-        "write a sum of laws as several effects, or put one strength in front of it",
+        "write a sum of laws as several effects, or multiply it by one strength",
     )
 
 

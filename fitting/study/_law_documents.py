@@ -167,7 +167,7 @@ def check_name(name: str, path: Path, terms: int = 1) -> None:
     """
     if not _NAME.fullmatch(name):
         raise EffectError(
-            f"{name[:60]!r} is not a name of an effect",
+            f"{name[:60]!r} is not a valid name of an effect",
             "a name has letters, digits, dots and underscores, and starts with a letter",
         )
     refuse_special(path)

@@ -161,16 +161,17 @@ def prepared(record: Record, data: str | None = None, rotor: str = "windows") ->
     """
     if data not in (None, "angle", "velocity") or rotor not in ("windows", "generated"):
         raise RecordError(
-            f"data {data!r} or rotor {rotor!r} is not known", "angle or velocity; windows or generated"
+            f"unknown data {data!r} or rotor {rotor!r}",
+            "data: angle or velocity; rotor: windows or generated",
         )
     if data == "angle" and record.quantity == "omega":
-        raise RecordError(f"{record.label} holds velocities, no angles", "leave out --data angle")
+        raise RecordError(f"{record.label} contains velocities, not angles", "omit --data angle")
     if rotor == "generated" and data == "angle":
         raise RecordError(
-            "a generated rotor curve is one of velocities", "take --data velocity with --rotor generated"
+            "a generated rotor curve consists of velocities", "use --data velocity with --rotor generated"
         )
     if rotor == "generated" and record.single:
-        raise RecordError(f"{record.label} has no rotor", "leave out --rotor generated")
+        raise RecordError(f"{record.label} contains no rotor", "omit --rotor generated")
     if data == "velocity" or rotor == "generated":
         record = as_velocities(record)
     return with_generated_rotor(record) if rotor == "generated" else record

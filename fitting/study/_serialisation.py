@@ -318,7 +318,7 @@ def load_fit(path: str | Path) -> SavedFit:
         raise LedgerError(f"{path} is damaged: {type(fault).__name__} {fault}"[:200]) from None
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):
-        raise LedgerError(f"{path} is damaged: the covariance has another size than the names")
+        raise LedgerError(f"{path} is damaged: the size of the covariance differs from the number of names")
     return SavedFit(
         model=model,
         estimates=_estimates(stored.estimates),

@@ -101,6 +101,19 @@ def canvas(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height))
 
 
+def picture_file(figure: Figure, kind: str, *, dpi: int = 150, title: str | None = None) -> bytes:
+    """Return a figure as a file of the kind "png", "svg" or "pdf", without date and program."""
+    fixed: dict[str, dict[str, Any]] = {
+        "pdf": {"CreationDate": None, "Title": title},
+        "svg": {"Date": None, "Creator": None},
+        "png": {"Software": None},
+    }
+    stream = io.BytesIO()
+    metadata: Any = fixed[kind]
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=metadata)
+    return stream.getvalue()
+
+
 def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> str:
     """Return a figure as an ``svg`` element with a text alternative, its ids starting with `name`."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -141,6 +154,19 @@ def legend(axes: Axes, **changes: Any) -> None:
         "handlelength": 1.6,
     }
     axes.legend(**{**place, **changes}, fontsize=9)
+
+
+def beside(axes: Axes, text: str, at: tuple[float, float], offset: float = 4, **changes: Any) -> None:
+    """Write a text to the right of a point, at a distance [pt]."""
+    axes.annotate(text, at, xytext=(offset, 0), textcoords="offset points", va="center", **changes)
+
+
+def as_rows(axes: Axes, labels: Sequence[str], **changes: Any) -> None:
+    """Label the rows of a bar chart, the first on top, without ticks and grid lines."""
+    axes.set_yticks(range(len(labels)), labels, **changes)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.invert_yaxis()
 
 
 # colours that a page replaces by those of its theme

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,9 +27,12 @@ from gyrotrack.plotting._charts import (
     SKY,
     WIDTH,
     Picture,
+    as_rows,
+    beside,
     canvas,
     draw,
     markup,
+    picture_file,
     plain,
     style,
 )
@@ -78,12 +80,8 @@ def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidate
             if np.isfinite(c.delta_bic):
                 text += rf"   $\Delta$BIC {short(c.delta_bic)}"
             text += "" if c.significant else "   not significant"
-            place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
-            ax.annotate(text, (roots[i], i), fontsize=9, **place)
-        ax.set_yticks(range(len(shown)), [plain(c.effect.name) for c in shown])
-        ax.grid(visible=False, axis="y")
-        ax.tick_params(axis="y", length=0)
-        ax.invert_yaxis()
+            beside(ax, text, (roots[i], i), fontsize=9)
+        as_rows(ax, [plain(c.effect.name) for c in shown])
         ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [σ]")
         _brackets(ax, shown, letters)
         caption = (
@@ -220,8 +218,7 @@ def figures_of_merit(
     if limit is not None:
         ax.axvline(limit, color="#000000", linewidth=1, linestyle=(0, (4, 2)))
     for i, value in enumerate(values):
-        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
-        ax.annotate(texts[i] or short(float(value)), (float(ends[i]), i), fontsize=9.5, **place)
+        beside(ax, texts[i] or short(float(value)), (float(ends[i]), i), fontsize=9.5)
     ax.grid(visible=False, axis="y")
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_color(GREY)
@@ -257,9 +254,6 @@ def _change_phrase(view: StudyView) -> str:
         added, _, dropped = step.change.removeprefix("+").partition(" -")
         parts.append(added + (f" (without {dropped})" if dropped else ""))
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
-
-
-_DPI = 150
 
 
 def story_picture(
@@ -298,11 +292,9 @@ def story_picture(
         middle.legend(loc="best")
         middle.set_title("2  residual")
         _merit(right, view)
-        stream = io.BytesIO()
-        metadata: dict[str, Any] = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+        content = picture_file(figure, kind)
     with new_file(path, force=force) as out:
-        out.write(stream.getvalue())
+        out.write(content)
     return path
 
 

@@ -239,5 +239,5 @@ def _require_packages(*, window: bool) -> None:
     if window and find_spec("webview") is None:
         raise UsageError(
             "A separate window needs a package that is not installed.",
-            'Run: pip install "gyrotrack[window]", or leave out --window.',
+            'Run: pip install "gyrotrack[window]", or omit --window.',
         )

@@ -524,7 +524,7 @@ def spindown_command(
     page = report if report is not None else target.with_suffix(".html")
     if page.resolve() in (target.resolve(), source.resolve()):
         raise UsageError(
-            f"{page} would be case and report at once.",
+            f"{page} is the name of both the case and the report.",
             "Name the case with -o FILE.h5 and the report with --report.",
         )
     for path in (target, page):

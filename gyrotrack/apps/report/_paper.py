@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from gyrotrack.plotting._charts import (
     canvas,
     concatenated,
     draw,
+    picture_file,
     plain,
     style,
 )
@@ -318,8 +318,10 @@ def write_figures(
     shown = paper_cases(scan, data, cases)
     with style(_PRINT):
         figures = paper_figures(shown, clear_frame(shown, films))
-        for figure in figures:
-            documents |= {f"{figure.name}.{kind}": _drawn(figure, kind) for kind in formats}
+        for f in figures:
+            documents |= {
+                f"{f.name}.{kind}": picture_file(f.figure, kind, dpi=_DPI, title=f.name) for kind in formats
+            }
     documents["figures.tex"] = _figures_tex(figures).encode()
     documents |= {name: text.encode("utf-8") for name, text in _tables(scan).items()}
     try:
@@ -334,18 +336,6 @@ def write_figures(
         with new_file(folder / name, force=force) as stream:
             stream.write(document)
     return [folder / name for name in documents]
-
-
-def _drawn(figure: PaperFigure, kind: str) -> bytes:
-    stream = io.BytesIO()
-    known: dict[str, dict[str, Any]] = {
-        "pdf": {"CreationDate": None, "Title": figure.name},
-        "svg": {"Date": None, "Creator": None},
-        "png": {"Software": None},
-    }
-    metadata: Any = known[kind]
-    figure.figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
-    return stream.getvalue()
 
 
 def _figures_tex(figures: Sequence[PaperFigure]) -> str:

@@ -285,7 +285,9 @@ def copy_excerpt(film: Path, target: Path, frames: int) -> None:
                 f"An excerpt of {film.name} cannot be copied ({error}).", "Track the whole film."
             ) from error
     if _orientation(film) != _orientation(target):
-        raise TrackingError(f"An excerpt of {film.name} loses its orientation.", "Track the whole film.")
+        raise TrackingError(
+            f"An excerpt of {film.name} has another orientation than the film.", "Track the whole film."
+        )
 
 
 def _orientation(path: Path) -> Any:

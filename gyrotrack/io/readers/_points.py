@@ -131,7 +131,7 @@ def _centre(points: Points, options: ReadOptions, name: str | None, place: Float
     deviation = float(np.nanstd(radius) / np.nanmean(radius))
     if deviation > _LARGEST_DEVIATION:
         raise DatasetError(
-            f"{points.path}: the path of the point is no circle about its fitted centre, ({found[0]:.4g}, "
+            f"{points.path}: the path of the point is not a circle about its fitted centre, ({found[0]:.4g}, "
             f"{found[1]:.4g}): rms deviation {100 * deviation:.0f} % of the radius.",
             "Give the centre of rotation with --centre, as a point or as coordinates: --centre 320,240.",
         )

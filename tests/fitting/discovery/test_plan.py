@@ -345,7 +345,7 @@ class TestDescription:
             (
                 '"bearing.power.g" = 1.32',
                 '"bearing.power.g" = 1.32\n"bearing.h" = 1',
-                "'bearing.h' is no parameter",
+                "'bearing.h' is not a parameter",
             ),
             (
                 '"bearing.power.g" = 1.32',
@@ -355,7 +355,7 @@ class TestDescription:
             ('model = "reduced"', 'model = "redused"', "there is no model named 'redused'"),
             ("windows = [2.0, 30.0, 50.0]", "windows = [2.0, 58.0]", "ends after the recording (60 s)"),
             ("windows = [2.0, 30.0, 50.0]", "windows = []", "run.1.windows"),
-            ("[noise]", "[noise", "is no valid TOML"),
+            ("[noise]", "[noise", "is not valid TOML"),
             ("[[run]]", "[bounds]\nduration = [9, 3]\n[[run]]", "bounds.duration: 9 is larger than 3"),
             ("casing_fps = 260.0", "casing_fps = 1e9", "more than 10 million frames"),
         ],
