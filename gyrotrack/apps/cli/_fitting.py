@@ -360,7 +360,9 @@ def improve_command(
     out.result(
         {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
     )
-    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}")
+    own_values = [k for k in history[-1].fit.problem.layout.per_case if k not in base.problem.layout.per_case]
+    differing = f"; {' and '.join(own_values)} has a value for each recording" if own_values else ""
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}{differing}")
 
 
 _VERDICTS = {
