@@ -206,10 +206,10 @@ def budget_command(
     ] = None,
     speed_scale: Annotated[
         float | None,
-        typer.Option(
-            "--speed-scale",
-            metavar="U",
-            help="Relative standard uncertainty of the scale of a sensor of angular velocity (from its data sheet).",
+        option(
+            "--speed-scale U",
+            "Relative standard uncertainty of the scale of a sensor of angular velocity (from its data "
+            "sheet).",
         ),
     ] = None,
     ledger: LedgerFile = None,
@@ -225,9 +225,9 @@ def budget_command(
     from fitting.inference._budget import CRYSTAL, budget
     from fitting.study._serialisation import budget_document
 
-    for option, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
+    for name, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
         if u is not None and not 0 <= u < 1:
-            raise UsageError(f"{option} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
+            raise UsageError(f"{name} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
     with out.progress("fitting with other inertias") as progress:
