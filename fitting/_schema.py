@@ -591,8 +591,14 @@ def own_effects(effects: Iterable[Effect]) -> list[Effect]:
 
 def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...]:
     """Return effects by name: the user's own, all others from the library."""
-    known = {e.name: e for e in own}
-    return tuple(known[n] if n in known else LIBRARY[n] for n in names)
+    known = LIBRARY | {e.name: e for e in own}
+    found = {n: known.get(n) for n in names}
+    if missing := [n for n, e in found.items() if e is None]:
+        raise LedgerError(
+            f"a stored fit contains the effect {missing[0][:60]!r}, which is not in the library of this version",
+            "use the version of gyrotrack that wrote it, or another file of fits",
+        )
+    return tuple(e for e in found.values() if e is not None)
 
 
 def as_json(document: Document) -> dict[str, Any]:

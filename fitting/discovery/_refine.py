@@ -65,7 +65,8 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
         return found
     # with so little noise a search may diverge
     with suppress(FittingError):
-        other = refitted_at(found, [n.at(n.least) for n in found.noise])
+        least = [n.at(n.least) for n in found.noise]
+        other = fit_like(found, found.model, start=found.values, noise=least)
         return other if other.deviance < found.deviance - criteria.evidence else found
     return found
 

@@ -250,14 +250,23 @@ def search(
     for _ in range(2 if follows_angle else 1):
         for case in problem.cases:
             case.forget_columns()
-        minimum = _minimise(problem, theta, lower, upper, enough, most)
+        limits = problem.transformed_bounds(lower, upper)
+        minimum = minimise(problem, problem.transformed(theta), *limits, absolute=enough, max_iterations=most)
         theta = problem.physical(minimum.x)
     # the bounds of d and f are no box in transformed variables: they are checked afterwards
     if not _out_of_bounds(problem.power_laws, theta, lower, upper):
         return Solution(theta, minimum)
     if not minimum.converged and minimum.cost > _FAR * problem.rows:
         return Solution(np.clip(theta, lower, upper), minimum)
-    return _within_bounds(problem, minimum, theta, enough, most)
+    # one or two bounds are active: a quick search along every bound, and the best one to convergence
+    ends = list(_ends_at_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK_STEPS, most)))
+    if ends:
+        best = min(ends, key=lambda end: end.minimum.cost)
+        theta, active = best.theta, best.active
+        found = None if active is None else _minimum_at_bounds(problem, theta, active, enough, most)
+        if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
+            return found
+    return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
 
 
 def search_with_held(
@@ -272,14 +281,6 @@ def search_with_held(
     return search(problem.with_ranges(fixed), theta, quick=True, active=active)
 
 
-def _minimise(
-    problem: Problem, theta: Array, lower: Array, upper: Array, enough: float, most: int
-) -> Minimum:
-    least, greatest = problem.transformed_bounds(lower, upper)
-    start = problem.transformed(theta)
-    return minimise(problem, start, least, greatest, absolute=enough, max_iterations=most)
-
-
 def _minimum_at_bounds(
     problem: Problem, theta: Array, active: ActiveBounds, enough: float, most: int
 ) -> Solution | None:
@@ -288,8 +289,9 @@ def _minimum_at_bounds(
     held = list(active.held)
     lower[held] = upper[held] = theta[held]
     along = replace(problem, power_laws=active.power_laws)
+    start, limits = along.transformed(theta), along.transformed_bounds(lower, upper)
     try:
-        minimum = _minimise(along, theta, lower, upper, enough, most)
+        minimum = minimise(along, start, *limits, absolute=enough, max_iterations=most)
         return Solution(along.physical(minimum.x), minimum, active)
     except EstimationError:
         return None
@@ -309,22 +311,6 @@ def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: flo
         if inward and slope**2 > enough * float(column @ column):
             return False
     return True
-
-
-def _within_bounds(problem: Problem, minimum: Minimum, theta: Array, enough: float, most: int) -> Solution:
-    """Return the best fit with d and f within their bounds where the unconstrained one violates them.
-
-    Then one or two bounds are active: a quick search along every bound, and the best one to convergence.
-    """
-    lower, upper = problem.layout.bounds()
-    ends = list(_ends_at_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK_STEPS, most)))
-    if ends:
-        best = min(ends, key=lambda end: end.minimum.cost)
-        theta, active = best.theta, best.active
-        found = None if active is None else _minimum_at_bounds(problem, theta, active, enough, most)
-        if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
-            return found
-    return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
 
 
 def _ends_at_bounds(problem: Problem, theta: Array, active: ActiveBounds, most: int) -> Iterator[Solution]:

@@ -324,7 +324,7 @@ def load_fit(path: str | Path) -> SavedFit:
     stored = read_json(path, SavedFitDocument, "is not a saved fit", "save one with Fit.save")
     try:
         model = Model(effects_of(stored.model, stored.own_effects))
-    except (KeyError, FittingError) as fault:
+    except FittingError as fault:
         raise LedgerError(f"{path} is damaged: {type(fault).__name__} {fault}"[:200]) from None
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):

@@ -1,4 +1,4 @@
-"""Several processes add fits to one ledger at the same time."""
+"""Ledgers: several processes add fits at the same time; stored effects that the library does not have."""
 
 import json
 import subprocess
@@ -6,6 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from fitting._errors import LedgerError
+from fitting._schema import effects_of
 
 ROOT = Path(__file__).parents[3]
 
@@ -47,3 +50,8 @@ def test_concurrent_writers_lose_no_fit(tmp_path):
     assert [f["fit_id"] for f in fits] == [f"f{i + 1}" for i in range(45)]
     assert sorted(f["added"] for f in fits) == sorted("abc" * 15)
     assert [p.name for p in tmp_path.iterdir()] == ["x.fits.json"]
+
+
+def test_a_stored_fit_with_an_unknown_effect_is_refused():
+    with pytest.raises(LedgerError, match=r"'casing\.air\.septic', which is not in the library"):
+        effects_of(["casing.air.linear", "casing.air.septic"], ())
