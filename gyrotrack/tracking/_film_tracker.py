@@ -1,4 +1,8 @@
-"""The tracker of a film: every frame is unrolled, every batch of frames is measured.
+"""The tracker of a film: every frame is unrolled, every batch of frames is measured, body by body.
+
+A body is tracked coarsely by all its markers together, then each marker is measured. Its angle is predicted, and only
+the neighbourhood of each predicted marker is searched. If the uncertainty of the prediction is too large, or the
+markers are not found there, the whole rings are searched.
 
 The allocator of glibc retains freed memory, and its heap becomes fragmented by frames that are allocated and freed.
 `release_memory` returns it to the system after many frames.
@@ -10,21 +14,271 @@ import ctypes
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack.tracking._association import LEAST_SCATTER
-from gyrotrack.tracking._body_tracker import BodyTracker
+from gyrotrack.tracking._association import (
+    LEAST_SCATTER,
+    LONGEST_COAST,
+    Motion,
+    Prediction,
+    find_lock,
+    follow,
+)
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._marker_window import AngleMap
+from gyrotrack.tracking._marker_tracker import MarkerTracker
+from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, MarkerWindow, Occlusion, common_columns
 from gyrotrack.tracking._observations import MarkerObservations
-from gyrotrack.tracking._scene import Samples, Scene
+from gyrotrack.tracking._polar import boxed
+from gyrotrack.tracking._scene import Marker, Samples, Scene
 from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+LEAST_SCORE = 0.4
+"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker."""
+MARGIN = 0.05
+"""Largest distance of a marker from its prediction [rad]."""
+CHECK_EVERY = 2
+"""Every n-th frame is used to check the prediction."""
+COVERAGE_FACTOR = 3.0
+"""Factor on the standard uncertainty of a prediction, which must be within the margin."""
+
+
+class BodyTracker:
+    """Tracker of one body.
+
+    Parameters
+    ----------
+    name : str
+        "casing" or "rotor".
+    markers : tuple of Marker
+        Its markers, at least one of them coloured.
+    samples, centre, keep_out, capacity
+        See `MarkerStrip`.
+    offset : tuple of float
+        See `Occlusion`.
+
+    Attributes
+    ----------
+    step : float
+        Recent mean rotation from frame to frame [rad]; infinite as long as it is unknown.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        markers: tuple[Marker, ...],
+        samples: Samples,
+        centre: tuple[float, float],
+        keep_out: float,
+        capacity: int,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.name = name
+        columns = common_columns(markers, centre)
+        strips = {
+            p.name: MarkerStrip(p, samples, centre, keep_out, columns, MARGIN, capacity) for p in markers
+        }
+        self.markers = {p.name: MarkerTracker(p, strips[p.name]) for p in markers}
+        self._coloured = [strip for strip in strips.values() if not strip.white]
+        self._step = self._coloured[0].ring.step
+        self._coarse = np.full(capacity, np.nan)
+        self._frame = 0.0
+        self.step = float("inf")
+        self._motion: Motion | None = None
+        self._missed: int | None = None
+        self._prediction = Prediction()
+        self._fresh = True
+        self._cover = Occlusion(self._step, offset)
+
+    def centre_on(self, centre: tuple[float, float]) -> None:
+        """Move all rings to a centre."""
+        for tracker in self.markers.values():
+            tracker.strip.centre_on(centre)
+
+    @property
+    def maps(self) -> list[AngleMap]:
+        """Learnt maps of the illumination on the ring of each marker, and of the occlusion."""
+        return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
+
+    def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
+        """Track the body through consecutive frames and store the windows of its markers, from `place` of the batch on.
+
+        `advance` (n,) is the time from the previous frame to each frame in periods of the camera.
+        """
+        number = self._frame + np.cumsum(advance)
+        found = self._predicted(frames, place, number)
+        if found is None:
+            self._motion = self._motion_at(float(number[0])) or _moved(self._motion, float(advance[0]))
+            coarse = self._follow(self._searched(frames), np.append(advance[1:], 0.0))
+            self._cut(frames, place, coarse)
+            found = self._refined(coarse, slice(place, place + len(frames)))
+            if np.isnan(coarse).any():
+                self._prediction.reset()
+            self._prediction.add(number, *found)
+        else:
+            self._missed = int(np.argmax(found[1][::-1]))
+        self._frame = float(number[-1])
+        self.step = _usual_step(found[0])
+        self._coarse[place : place + len(frames)] = found[0]
+
+    def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
+        """Search near the prediction; None if its uncertainty is too large, or if the body is not found there."""
+        prediction = self._prediction.at(number)
+        if prediction is None or COVERAGE_FACTOR * prediction[1] > MARGIN:
+            return None
+        self._cut(frames, place, prediction[0])
+        few = slice(0, len(frames), CHECK_EVERY)
+        angle, seen = self._refined(prediction[0][few], slice(place, place + len(frames), CHECK_EVERY))
+        if seen.mean() <= 0.5:
+            return None
+        self._prediction.add(number[few], angle, seen)
+        off = float(np.median((angle - prediction[0][few])[seen]))
+        return prediction[0] + off, np.repeat(seen, CHECK_EVERY)[: len(frames)]
+
+    def _motion_at(self, number: float) -> Motion | None:
+        """Return the predicted motion at a frame, if the previous frames were tracked by prediction."""
+        ahead = self._prediction.at(np.array([number, number + 1.0])) if self._missed is not None else None
+        if ahead is None or self._missed is None:
+            return None
+        missed, self._missed = self._missed, None
+        return Motion(float(ahead[0][0]), float(ahead[0][1] - ahead[0][0]), missed)
+
+    def _cut(self, frames: list[Frame], place: int, coarse: Floats) -> None:
+        angles = np.nan_to_num(coarse)
+        for tracker in self.markers.values():
+            tracker.strip.take(frames, place, angles + tracker.marker.mount)
+
+    def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
+        """Refine coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
+
+        A marker is weighted by the eighth power of its height, which a partial occlusion reduces.
+        """
+        total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
+        expected = np.nan_to_num(coarse)
+        for strip in self._coloured:
+            off, height = strip.locate(expected + strip.marker.mount, place)
+            own = np.where(height > LEAST_SCORE, np.minimum(height, 1.2) ** 8, 0.0)
+            total, weight = total + own * off, weight + own
+        seen = (weight > 1e-6) & np.isfinite(coarse)
+        return np.where(seen, coarse + total / weight * self._step, coarse), seen
+
+    def measure_batch(
+        self, count: int, casing: Floats | None
+    ) -> tuple[Floats, dict[str, MarkerObservations]]:
+        """Measure the markers in the first `count` frames of the batch.
+
+        Parameters
+        ----------
+        count : int
+            Frames in the batch.
+        casing : ndarray, shape (count,), or None
+            Angle as seen of the other body, whose bar may occlude markers [rad].
+
+        Returns
+        -------
+        coarse, observations
+            Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
+        """
+        coarse = self._coarse[:count].copy()
+        windows = {
+            name: tracker.window(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
+        }
+        if casing is not None:
+            for name, window in windows.items():
+                if not self.markers[name].strip.white:
+                    self._cover.learn(window, self.markers[name].expected(window), casing)
+        if (
+            self._fresh
+        ):  # the first batch is measured twice: the first time to learn templates and illumination
+            self._fresh = False
+            self._measured(windows, casing)
+        return coarse, self._measured(windows, casing)
+
+    def _measured(
+        self, windows: dict[str, MarkerWindow], casing: Floats | None
+    ) -> dict[str, MarkerObservations]:
+        return {
+            name: tracker.measure(
+                windows[name],
+                self._cover.open(windows[name], casing),
+                self._cover.open(windows[name], casing, shadows=True) if tracker.strip.white else None,
+            )
+            for name, tracker in self.markers.items()
+        }
+
+    def _searched(self, frames: list[Frame]) -> Floats:
+        """Return the joint score of all angles, (n, columns)."""
+        total = np.zeros((len(frames), self._coloured[0].ring.columns))
+        for strip in self._coloured:
+            around = np.clip(strip.whole(frames), -0.2, 1.3)
+            half = max(int(strip.marker.half_width / self._step), 1)
+            total += np.roll(boxed(around, half), -round(strip.marker.mount / self._step), axis=1)
+        return total
+
+    def _follow(self, score: Floats, advance: Floats) -> Floats:
+        """Return the coarse angle in each frame of a batch; `advance` is as for `follow`."""
+        count = len(score)
+        coarse = np.full(count, np.nan)
+        begin = 0
+        while begin < count:
+            if self._motion is None or self._motion.missed > LONGEST_COAST:
+                begin = self._lock(score, begin, advance, coarse)
+                if begin == count:
+                    break
+            angle, _, motion = follow(score[begin:], self._motion_now(), LEAST_SCORE, advance[begin:])
+            self._motion = motion
+            coarse[begin:] = angle
+            lost = np.flatnonzero(np.isnan(angle))
+            begin = begin + int(lost[0]) if len(lost) else count
+        return coarse
+
+    def _motion_now(self) -> Motion:
+        return self._motion if self._motion is not None else Motion(0.0, 0.0)
+
+    def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
+        """Find the body again from frame `begin` on; the frames before the lock are tracked backwards.
+
+        Without a lock the previous motion is extrapolated, which preserves the number of turns until the next lock.
+        """
+        old = self._motion
+        place = np.cumsum(np.append(0.0, advance[begin:-1]))
+        lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
+        if lock is None:
+            self._motion = old and _run_on(old, float(advance[begin:].sum()))
+            return len(score)
+        frame, motion = begin + lock[0], lock[1]
+        if old is not None:
+            ahead = _run_on(old, float(advance[begin:frame].sum())).angle - motion.angle
+            motion = replace(motion, angle=motion.angle + 2.0 * np.pi * round(ahead / (2.0 * np.pi)))
+        if frame > begin:
+            before = advance[begin:frame][::-1]
+            back = Motion(motion.angle - float(before[0]) * motion.step, -motion.step)
+            angle, here, _ = follow(score[begin:frame][::-1], back, LEAST_SCORE, np.append(before[1:], 0.0))
+            coarse[begin:frame] = np.where(here, angle, np.nan)[::-1]
+        self._motion = motion
+        return frame
+
+
+def _usual_step(coarse: Floats) -> float:
+    known = np.abs(np.diff(coarse))
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else float("inf")
+
+
+def _moved(motion: Motion | None, frames: float) -> Motion | None:
+    return motion and replace(motion, angle=motion.angle + frames * motion.step)
+
+
+def _run_on(motion: Motion, frames: float) -> Motion:
+    return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + round(frames))
 
 
 def release_memory() -> None:
@@ -36,8 +290,6 @@ def release_memory() -> None:
 
 Rows = dict[str, npt.NDArray[Any]]
 
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 512
