@@ -160,17 +160,14 @@ class _Test(NamedTuple):
     priors: tuple[Array, ...]
 
 
-def dependence(
-    about: Fit, *, without: Sequence[str] = (), context: ScoreContext | None = None
-) -> list[Dependence]:
+def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
     """Return the unmodelled torque of a fit as a function of each variable, and of pairs; the smallest BIC first.
 
     Laws of the fit that are named in `without` count as unmodelled.
     """
     cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
-    if context is None:
-        effects = [e for e in about.model.effects if e.name in without]
-        context = context_without(about, effects, cases, draws=_DRAWS)
+    effects = [e for e in about.model.effects if e.name in without]
+    context = context_without(about, effects, cases, draws=_DRAWS)
     tests = list(_tests(about, cases))
     found, smallest = [], np.ones(_DRAWS)
     for test in tests:

@@ -614,9 +614,7 @@ class Search:
         return tuple(names)
 
 
-def largest_hidden(
-    fit: Fit, extra: Sequence[Effect], criteria: Criteria, most: int = _MOST_HIDDEN
-) -> tuple[UpperLimit, ...]:
+def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> tuple[UpperLimit, ...]:
     """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
 
     A limit above the torque of the bearing, or on a single body, contains no information and is left out.
@@ -626,7 +624,8 @@ def largest_hidden(
     limited = [e for e in found if e.upper_torque < search.typical_torque]
     finite = sorted(limited, key=lambda e: -e.upper_torque)
     return tuple(
-        UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque) for e in finite[:most]
+        UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque)
+        for e in finite[:_MOST_HIDDEN]
     )
 
 

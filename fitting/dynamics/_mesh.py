@@ -96,40 +96,22 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Path:
-    """A solution.
+    """A solution."""
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Its intervals.
-    y, edges : ndarray, shapes (intervals, nodes, states) and (intervals + 1, states)
-        States at the nodes and at the edges.
-    states : tuple of str
-        Their names.
-    sense : ndarray, shape (intervals,)
-        The casing's sense of motion: +1 or -1; 0 while friction holds it.
-    kinks : tuple of float
-        Times at which a torque jumps [s].
-    jumps : dict of int to ndarray
-        Saltation matrices of small deviations at the edges at which the casing stops or reverses.
-    newton_ratio : float
-        The error of a Newton step over the square of the previous step, for solutions near this one.
-    exact : bool
-        Whether it is a solution, and not the measured motion.
-    least_scale : float
-        Least value to which errors of a speed are relative [rad/s]. At a stretch where an oscillating casing hardly
-        moves, its torques cancel, and errors relative to its own speed are rounding.
-    """
-
-    mesh: Mesh
+    mesh: Mesh  # its intervals
+    # states at the nodes (intervals, nodes, states) and at the edges (intervals + 1, states)
     y: Array
     edges: Array
-    states: tuple[str, ...]
-    sense: Array
-    kinks: tuple[float, ...] = ()
+    states: tuple[str, ...]  # their names
+    sense: Array  # shape (intervals,); the casing's sense of motion: +1 or -1; 0 while friction holds it
+    kinks: tuple[float, ...] = ()  # times at which a torque jumps [s]
+    # saltation matrices of small deviations at the edges at which the casing stops or reverses
     jumps: dict[int, Array] = field(default_factory=dict)
+    # the error of a Newton step over the square of the previous step, for solutions near this one
     newton_ratio: float = 1.0
-    exact: bool = True
+    exact: bool = True  # whether it is a solution, and not the measured motion
+    # least value to which errors of a speed are relative [rad/s]. At a stretch where an oscillating casing hardly
+    # moves, its torques cancel, and errors relative to its own speed are rounding
     least_scale: float = 0.0
 
     @property

@@ -76,33 +76,21 @@ _LOWER_LEVELS, _NEAR_LEVELS = (0.1, 0.2, 0.4, 0.8), (0.5, 0.7, 1.0, 1.4, 2.0)
 
 @dataclass(frozen=True)
 class AngleNoise:
-    """Correlated angle noise of the casing, or of the rotor's windows.
+    """Correlated angle noise of the casing, or of the rotor's windows."""
 
-    Attributes
-    ----------
-    sigma, sigma_u : float
-        Standard deviation a and its standard uncertainty [rad]; 0 if it is not significant.
-    time, time_u : float
-        Correlation time T and its standard uncertainty [s].
-    turn_sigma, turn_sigma_u : float
-        Standard deviation b of the part periodic in the angle, and its standard uncertainty [rad]; 0 if not
-        significant.
-    turn_time : float
-        Correlation time of the amplitude of this part [s].
-    gain : float
-        Twice the logarithm of the likelihood ratio of this noise against white noise.
-    root, inverse : ndarray, shape (rows, rows)
-        C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise.
-    """
-
+    # standard deviation a and its standard uncertainty [rad]; 0 if it is not significant
     sigma: float = 0.0
     sigma_u: float = 0.0
+    # correlation time T and its standard uncertainty [s]
     time: float = 0.0
     time_u: float = 0.0
+    # standard deviation b of the part periodic in the angle, and its standard uncertainty [rad]; 0 if not
+    # significant
     turn_sigma: float = 0.0
     turn_sigma_u: float = 0.0
-    turn_time: float = 0.0
-    gain: float = 0.0
+    turn_time: float = 0.0  # correlation time of the amplitude of this part [s]
+    gain: float = 0.0  # twice the logarithm of the likelihood ratio of this noise against white noise
+    # shape (rows, rows); C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise
     root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
 

@@ -37,25 +37,14 @@ LARGEST_PHASE_ERROR = 0.7
 
 
 class Averaged(NamedTuple):
-    """The fitted averaged equations.
+    """The fitted averaged equations."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (variables,)
-        Values of all variables.
-    phase_error : float
-        Largest rms error of the phase [rad].
-    rows : tuple of (list of str, ndarray, ndarray)
-        Of each case the strengths, and in units of the errors their columns and the residuals: first of the amplitudes,
-        then of the phases.
-    scales : tuple of ndarray
-        Of each case the errors of amplitudes and phases [rad].
-    """
-
-    theta: Array
-    phase_error: float
+    theta: Array  # shape (variables,); values of all variables
+    phase_error: float  # largest rms error of the phase [rad]
+    # of each case the strengths, and in units of the errors their columns and the residuals: first of the
+    # amplitudes, then of the phases
     rows: tuple[tuple[list[str], Array, Array], ...]
-    scales: tuple[Array, ...]
+    scales: tuple[Array, ...]  # of each case the errors of amplitudes and phases [rad]
 
 
 def averaged(

@@ -241,22 +241,13 @@ _SPEED = {"casing": "omega_c", "rotor": "omega_r"}
 
 @dataclass(frozen=True)
 class BodyMetrics:
-    """Figures of merit of one body.
+    """Figures of merit of one body."""
 
-    Attributes
-    ----------
-    r2, rmse : float
-        Of the angular velocity smoothed as in the paper [1, rad/s].
-    reduced_chi2 : float
-        Chi-square of what was fitted over the effective number of samples.
-    held_out : float
-        Cross-validation error over the noise; 1 = noise limit.
-    """
-
+    # of the angular velocity smoothed as in the paper [1, rad/s]
     r2: float
     rmse: float
-    reduced_chi2: float
-    held_out: float
+    reduced_chi2: float  # chi-square of what was fitted over the effective number of samples
+    held_out: float  # cross-validation error over the noise; 1 = noise limit
 
 
 @dataclass(frozen=True)

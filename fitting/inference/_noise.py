@@ -79,38 +79,20 @@ WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one case, and the random torque in the residuals of a model.
+    """Noise of one case, and the random torque in the residuals of a model."""
 
-    Attributes
-    ----------
-    scale : float
-        White noise of the casing's samples over the sigma that came with them.
-    pure, pure_u : float
-        Rms of the process noise of the recording [N m], on the casing and between the bodies, each, and its standard
-        uncertainty.
-    level : float
-        Rms of the random torque in the residuals of the fitted model [N m].
-    time : float
-        Correlation time of both [s].
-    whitener : Whitener
-        At `level`.
-    process : ProcessNoise
-        The process noise as an acceleration.
-    excess : float
-        Twice the logarithm of the likelihood ratio of `level` against no random torque.
-    unresolved : float
-        Rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the angle
-        noise is correlated.
-    """
-
-    scale: float
+    scale: float  # white noise of the casing's samples over the sigma that came with them
+    # rms of the process noise of the recording [N m], on the casing and between the bodies, each, and its standard
+    # uncertainty
     pure: float
     pure_u: float
-    level: float
-    time: float
-    whitener: Whitener = field(repr=False)
-    process: ProcessNoise = field(repr=False)
-    excess: float = 0.0
+    level: float  # rms of the random torque in the residuals of the fitted model [N m]
+    time: float  # correlation time of both [s]
+    whitener: Whitener = field(repr=False)  # at `level`
+    process: ProcessNoise = field(repr=False)  # the process noise as an acceleration
+    excess: float = 0.0  # twice the logarithm of the likelihood ratio of `level` against no random torque
+    # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
+    # angle noise is correlated
     unresolved: float = 0.0
 
     def at(self, level: float) -> Noise:

@@ -43,20 +43,12 @@ class SlowMotion(NamedTuple):
 
 @dataclass(frozen=True)
 class Oscillation:
-    """The measured oscillation of a body.
+    """The measured oscillation of a body."""
 
-    Attributes
-    ----------
-    reversals : ndarray, shape (n,)
-        Times at which the body reverses [s].
-    period : float
-        Median of twice the time between neighbouring reversals [s].
-    time, deflection : ndarray, shape (samples,)
-        Angle from the equilibrium [rad] at the samples; of measured speeds their integral, without its drift.
-    """
-
-    reversals: Array
-    period: float
+    reversals: Array  # shape (n,); times at which the body reverses [s]
+    period: float  # median of twice the time between neighbouring reversals [s]
+    # shape (samples,); angle from the equilibrium [rad] at the samples; of measured speeds their integral, without
+    # its drift
     time: Array
     deflection: Array
 

@@ -45,23 +45,12 @@ _DEFLECTION = Parameter("deflection", "rad", "shape", -np.inf, np.inf)
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """The names of all variables of a fit of some cases.
+    """The names of all variables of a fit of some cases."""
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    records : tuple of Record
-        The cases.
-    per_case : tuple of str
-        Parameters (keys, effects or prefixes) with a value for each case.
-    ranges : mapping
-        Bounds, by name, within the declared ones.
-    """
-
-    model: Model
-    records: tuple[Record, ...]
-    per_case: tuple[str, ...]
+    model: Model  # the model
+    records: tuple[Record, ...]  # the cases
+    per_case: tuple[str, ...]  # parameters (keys, effects or prefixes) with a value for each case
+    # bounds, by name, within the declared ones
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod

@@ -35,24 +35,12 @@ _SINGULAR = 1e-13
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior.
+    """A Gaussian prior."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters, ``effect.symbol``.
-    mean : tuple of float
-        Their values [SI].
-    covariance : tuple of tuple of float
-        Their covariance [SI].
-    source : str
-        The study that determined them.
-    """
-
-    names: tuple[str, ...]
-    mean: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
-    source: str = ""
+    names: tuple[str, ...]  # parameters, ``effect.symbol``
+    mean: tuple[float, ...]  # their values [SI]
+    covariance: tuple[tuple[float, ...], ...]  # their covariance [SI]
+    source: str = ""  # the study that determined them
 
     def __post_init__(self) -> None:
         matrix = np.array(self.covariance, dtype=float)

@@ -61,24 +61,15 @@ _BINS = 60
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """Random acceleration of the casing, without a fit.
+    """Random acceleration of the casing, without a fit."""
 
-    Attributes
-    ----------
-    level, level_u : float
-        Rms s and its standard uncertainty [rad/s2].
-    time : float
-        Correlation time T [s].
-    least : float
-        The quantile 0.001 of the posterior distribution of s [rad/s2].
-    ratios, weights : ndarray, shape (n,)
-        Posterior distribution of s^2 T, on which the variance of slow rows depends, in units of `level`^2 `time`.
-    """
-
+    # rms s and its standard uncertainty [rad/s2]
     level: float
     level_u: float
-    time: float
-    least: float
+    time: float  # correlation time T [s]
+    least: float  # the quantile 0.001 of the posterior distribution of s [rad/s2]
+    # shape (n,); posterior distribution of s^2 T, on which the variance of slow rows depends, in units of `level`^2
+    # `time`
     ratios: Array = field(repr=False)
     weights: Array = field(repr=False)
 

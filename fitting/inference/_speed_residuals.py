@@ -78,22 +78,13 @@ _POINTS = 40
 
 @dataclass(frozen=True)
 class SpeedResidual:
-    """Measured minus modelled speed of a run, averaged over parts of it.
+    """Measured minus modelled speed of a run, averaged over parts of it."""
 
-    Attributes
-    ----------
-    time, width : ndarray, shape (n,)
-        Middle and length of each part [s].
-    value : ndarray
-        Mean residual of the speed [rad/s].
-    sigma : ndarray
-        Its standard deviation if there is noise alone [rad/s].
-    """
-
+    # shape (n,); middle and length of each part [s]
     time: Array
     width: Array
-    value: Array
-    sigma: Array
+    value: Array  # mean residual of the speed [rad/s]
+    sigma: Array  # its standard deviation if there is noise alone [rad/s]
 
 
 class SpeedMap:

@@ -52,7 +52,7 @@ _LOGARITHMIC = 20.0
 _CLEAR_CHANGE = 0.05  # relative
 
 
-def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidates") -> Picture | None:
+def candidates_picture(candidates: tuple[Candidate, ...]) -> Picture | None:
     """Draw the scores of candidate effects; None if no score is positive."""
     shown = [c for c in candidates if c.score > 0][:_MAX_CANDIDATES]
     if not shown:
@@ -93,7 +93,7 @@ def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidate
         if any(not c.physical for c in shown):
             caption += " Hatched: measurement effect."
         finding = _candidates_finding(shown)
-        return Picture(name, markup(figure, name, finding), caption, finding)
+        return Picture("candidates", markup(figure, "candidates", finding), caption, finding)
 
 
 def _brackets(ax: Axes, shown: list[Candidate], letters: dict[str, str]) -> None:
@@ -359,7 +359,7 @@ def correlations(view: StudyView) -> tuple[list[str], Array]:
     return [fit.problem.layout.names[i] for i in keep], np.clip(matrix, -1, 1)
 
 
-def correlation_picture(view: StudyView, name: str = "correlation") -> Picture | None:
+def correlation_picture(view: StudyView) -> Picture | None:
     """Draw the correlation matrix of the parameters of the final model; None for fewer than two."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -411,4 +411,4 @@ def correlation_picture(view: StudyView, name: str = "correlation") -> Picture |
             "them is determined. Parameters at a bound are omitted."
             + (f" Cases: {letters}." if len(cases) > 1 else "")
         )
-        return Picture(name, markup(figure, name, finding), caption, finding)
+        return Picture("correlation", markup(figure, "correlation", finding), caption, finding)

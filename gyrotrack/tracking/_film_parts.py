@@ -100,24 +100,12 @@ def split(packets: Packets) -> tuple[Part, ...]:
 
 @dataclass(frozen=True)
 class Film:
-    """Data with which a process tracks a part of a film.
+    """Data with which a process tracks a part of a film."""
 
-    Attributes
-    ----------
-    path : Path
-        The film.
-    packets : Packets
-        Its packets.
-    timing : Timing
-        Origin of its times.
-    tracker : bytes
-        Pickled tracker of the scene that has not tracked any frame.
-    """
-
-    path: Path
-    packets: Packets
-    timing: Timing
-    tracker: bytes
+    path: Path  # the film
+    packets: Packets  # its packets
+    timing: Timing  # origin of its times
+    tracker: bytes  # pickled tracker of the scene that has not tracked any frame
 
 
 @dataclass(frozen=True)

@@ -312,33 +312,15 @@ class BodyObservations:
 
 @dataclass(frozen=True)
 class FilmObservations:
-    """Observations of one pass through a film.
+    """Observations of one pass through a film."""
 
-    Attributes
-    ----------
-    bodies : dict of BodyObservations
-        By name.
-    disc : ndarray, shape (n, 2), or None
-        The disc's centre in every frame [px].
-    pts_time : ndarray, shape (n,)
-        The stream's own timestamps [s].
-    times : FrameTimes
-        Times of the frames.
-    again : ndarray of bool, shape (n,)
-        Frames that seem to repeat the previous one.
-    warnings : tuple of str
-        Warnings of the reader.
-    size : tuple of int
-        Width and height of the picture in px.
-    """
-
-    bodies: dict[str, BodyObservations]
-    disc: Floats | None
-    pts_time: Floats
-    times: FrameTimes
-    warnings: tuple[str, ...]
-    size: tuple[int, int]
-    again: Mask
+    bodies: dict[str, BodyObservations]  # by name
+    disc: Floats | None  # shape (n, 2); the disc's centre in every frame [px]
+    pts_time: Floats  # shape (n,); the stream's own timestamps [s]
+    times: FrameTimes  # times of the frames
+    warnings: tuple[str, ...]  # warnings of the reader
+    size: tuple[int, int]  # width and height of the picture in px
+    again: Mask  # shape (n,); frames that seem to repeat the previous one
 
 
 class FilmTracker:

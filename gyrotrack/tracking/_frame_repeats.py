@@ -36,20 +36,11 @@ FEWEST = 4
 
 @dataclass(frozen=True)
 class Repetition:
-    """The repeated frames of a film.
+    """The repeated frames of a film."""
 
-    Attributes
-    ----------
-    again : ndarray of bool, shape (n,)
-        Frames that repeat the previous one.
-    inserted : bool
-        They were inserted between frames of the camera, and do not replace missing ones.
-    period : float
-        Period of the runs of repeated frames [frames], NaN if they are not regular.
-    """
-
-    again: Mask
-    inserted: bool = False
+    again: Mask  # shape (n,); frames that repeat the previous one
+    inserted: bool = False  # they were inserted between frames of the camera, and do not replace missing ones
+    # period of the runs of repeated frames [frames], NaN if they are not regular
     period: float = float("nan")
 
     @property

@@ -35,24 +35,14 @@ _FARTHEST = 6.0  # largest distance of the hub in picture sizes; beyond it the c
 
 @dataclass(frozen=True)
 class Motion:
-    """The moving part of a film.
+    """The moving part of a film."""
 
-    Attributes
-    ----------
-    mean, deviation : ndarray, shape (height, width)
-        Mean brightness and its standard deviation in time, in grey levels.
-    noise : float
-        Standard deviation where nothing moves.
-    moving : ndarray of bool, shape (height, width)
-        Where the brightness changes by more than noise.
-    area : tuple of int
-        The part (left, top, right, bottom) of the frame that the picture fills, without uniform bars at its sides.
-    """
-
+    # shape (height, width); mean brightness and its standard deviation in time, in grey levels
     mean: Floats
     deviation: Floats
-    noise: float
-    moving: npt.NDArray[np.bool_]
+    noise: float  # standard deviation where nothing moves
+    moving: npt.NDArray[np.bool_]  # shape (height, width); where the brightness changes by more than noise
+    # the part (left, top, right, bottom) of the frame that the picture fills, without uniform bars at its sides
     area: tuple[int, int, int, int]
 
     @classmethod

@@ -22,33 +22,20 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MarkerObservations:
-    """One marker in consecutive frames, about the centre of the ring; NaN where its body is lost.
+    """One marker in consecutive frames, about the centre of the ring; NaN where its body is lost."""
 
-    Attributes
-    ----------
-    angle, radius : ndarray, shape (n,)
-        Fine angle as seen [rad], radius of the middle of the marker [px].
-    corner_angle, corner_radius : ndarray, shape (n, 2)
-        The near corners about the ring's centre.
-    gain, misfit : ndarray, shape (n,)
-        Height relative to the typical one, and rms residual from the template relative to the gain.
-    weakness : ndarray, shape (n,)
-        Factor on the uncertainty for occlusion and low gain; see `Match`.
-    open : ndarray of bool, shape (n,)
-        No part of the marker is known to be occluded.
-    centre : ndarray, shape (n, 2)
-        Centre of the ring in px.
-    """
-
+    # shape (n,); fine angle as seen [rad], radius of the middle of the marker [px]
     angle: Floats
     radius: Floats
+    # shape (n, 2); the near corners about the ring's centre
     corner_angle: Floats
     corner_radius: Floats
+    # shape (n,); height relative to the typical one, and rms residual from the template relative to the gain
     gain: Floats
     misfit: Floats
-    weakness: Floats
-    open: Mask
-    centre: Floats
+    weakness: Floats  # shape (n,); factor on the uncertainty for occlusion and low gain; see `Match`
+    open: Mask  # shape (n,); no part of the marker is known to be occluded
+    centre: Floats  # shape (n, 2); centre of the ring in px
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
         """Place the frames at `index` of `count` frames; see `spread_out`."""

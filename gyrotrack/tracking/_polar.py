@@ -26,21 +26,13 @@ CHROMA_SHIFT = (0.0, 0.5)
 
 @dataclass(frozen=True)
 class Ring:
-    """A polar grid.
+    """A polar grid."""
 
-    Attributes
-    ----------
-    centre : tuple of float
-        (x, y) in luma px.
-    inner, outer : float
-        Radii of the first and last row in luma px.
-    rows, columns : int
-        Size of the strip; columns cover the full turn, the first at angle 0.
-    """
-
-    centre: tuple[float, float]
+    centre: tuple[float, float]  # (x, y) in luma px
+    # radii of the first and last row in luma px
     inner: float
     outer: float
+    # size of the strip; columns cover the full turn, the first at angle 0
     rows: int
     columns: int
 
@@ -85,9 +77,9 @@ def ring_for(centre: tuple[float, float], inner: float, outer: float, pixel: flo
     return Ring(centre, inner, outer, rows, columns)
 
 
-def unroll(plane: Plane, maps: Maps, out: Plane | None = None) -> Plane:
+def unroll(plane: Plane, maps: Maps) -> Plane:
     """Sample a plane along a ring (bilinear); the border of the picture is replicated."""
-    strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
+    strip = cv2.remap(plane, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(strip, dtype=np.uint8)
 
 
@@ -129,7 +121,7 @@ class Score:
             return ([frame.y for frame in frames],)
         return ([frame.u for frame in frames], [frame.v for frame in frames])
 
-    def unrolled(self, frame: Frame, box: Box, x: Singles, y: Singles, out: Singles | None = None) -> Singles:
+    def unrolled(self, frame: Frame, box: Box, x: Singles, y: Singles) -> Singles:
         """Sample the score of a frame at positions within a box; the buffer is not changed outside."""
         left, right, top, bottom = box.tolist()
         part = (slice(top, bottom), slice(left, right))
@@ -138,7 +130,7 @@ class Score:
             np.copyto(self.buffer[part], frame.y[part])  # scaled after sampling
         else:
             cv2.addWeighted(frame.u[part], a, frame.v[part], b, 0.0, dst=self.buffer[part], dtype=cv2.CV_32F)
-        seen = cv2.remap(self.buffer, x, y, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.remap(self.buffer, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         found: Singles = np.asarray(seen, dtype=np.float32)
         if self.white:
             found *= np.float32(a)
@@ -212,23 +204,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Windows:
-    """Some windows of a batch, transformed as (light * window - offset) * scale without a copy.
+    """Some windows of a batch, transformed as (light * window - offset) * scale without a copy."""
 
-    Attributes
-    ----------
-    scores : ndarray, shape (frames, rows, columns)
-        All windows.
-    which : ndarray of int, shape (n,)
-        Indices of the windows that are used.
-    light : ndarray, shape (n, columns)
-        Factor on each column.
-    offset, scale : ndarray, shape (n,)
-        Subtracted offset, and the factor on the difference.
-    """
-
-    scores: Singles
-    which: Integers
-    light: Floats
+    scores: Singles  # shape (frames, rows, columns); all windows
+    which: Integers  # shape (n,); indices of the windows that are used
+    light: Floats  # shape (n, columns); factor on each column
+    # shape (n,); subtracted offset, and the factor on the difference
     offset: Floats
     scale: Floats
 

@@ -119,25 +119,14 @@ def colour_name(red: float, green: float, blue: float) -> str:
 
 @dataclass(frozen=True)
 class Blob:
-    """A connected patch of one colour.
+    """A connected patch of one colour."""
 
-    Attributes
-    ----------
-    x, y : float
-        Centroid, weighted by score, in px of the score image.
-    area : int
-        Pixels above the threshold.
-    weight : float
-        Sum of their scores.
-    fill : float
-        Area over that of the smallest circle with the same extent: 1 for a disc, less for rectangles and
-        arcs.
-    """
-
+    # centroid, weighted by score, in px of the score image
     x: float
     y: float
-    area: int
-    weight: float
+    area: int  # pixels above the threshold
+    weight: float  # sum of their scores
+    # area over that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs
     fill: float
 
 

@@ -17,47 +17,24 @@ _MANY_TURNS = 3.0
 
 @dataclass(frozen=True)
 class Tracked:
-    """The motion of one body in a film.
+    """The motion of one body in a film."""
 
-    Attributes
-    ----------
-    frame : ndarray of int, shape (m,)
-        Frames in which it was measured.
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad].
-    ring : Ring
-        Where it was measured.
-    template : Template
-        The learnt picture of the body.
-    hub_path : ndarray, shape (m, 2)
-        Displacement of the hub [px].
-    explained : float
-        Share of the change of brightness that the motion explains, 0 to 1.
-    way : str
-        Method by which the hub was found.
-    scale : float
-        Measured scatter of the angles over the Cramer-Rao bound.
-    halves : ndarray, shape (2, m)
-        The angle from the inner and from the outer half of the ring alone [rad]; their difference is due to the view
-        (perspective, a hub that is displaced) and to what is fixed in the image.
-    correlated : float
-        Correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method.
-    warnings : tuple of str
-        Warnings for the user.
-    """
-
-    frame: npt.NDArray[np.int64]
+    frame: npt.NDArray[np.int64]  # shape (m,); frames in which it was measured
+    # shape (m,); unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad]
     angle: Floats
     sigma: Floats
-    ring: Ring
-    template: Template
-    hub_path: Floats
-    explained: float
-    way: str
-    scale: float
+    ring: Ring  # where it was measured
+    template: Template  # the learnt picture of the body
+    hub_path: Floats  # shape (m, 2); displacement of the hub [px]
+    explained: float  # share of the change of brightness that the motion explains, 0 to 1
+    way: str  # method by which the hub was found
+    scale: float  # measured scatter of the angles over the Cramer-Rao bound
+    # shape (2, m); the angle from the inner and from the outer half of the ring alone [rad]; their difference is
+    # due to the view (perspective, a hub that is displaced) and to what is fixed in the image
     halves: Floats
+    # correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method
     correlated: float
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # warnings for the user
 
     @property
     def hub_leverage(self) -> float:

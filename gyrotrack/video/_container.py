@@ -28,26 +28,15 @@ _PLANAR_420 = ("yuv420p", "yuvj420p")
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a film.
+    """One frame of a film."""
 
-    Attributes
-    ----------
-    index : int
-        Position among the decoded frames, counted here from 0.
-    pts : int or None
-        The stream's own timestamp in units of its time base.
-    y, u, v : ndarray of uint8
-        Luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128.
-    corrupt : bool
-        Whether the decoder marks the frame as damaged.
-    """
-
-    index: int
-    pts: int | None
+    index: int  # position among the decoded frames, counted here from 0
+    pts: int | None  # the stream's own timestamp in units of its time base
+    # luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128
     y: Plane
     u: Plane
     v: Plane
-    corrupt: bool = False
+    corrupt: bool = False  # whether the decoder marks the frame as damaged
 
     def copy(self) -> Frame:
         """Return a copy of the frame that is independent of the decoder."""
@@ -129,37 +118,20 @@ av.logging.set_level(None)
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """Metadata of a film file; they are not relied upon for counting frames.
+    """Metadata of a film file; they are not relied upon for counting frames."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    width, height : int
-        Size of the coded picture in px, before any rotation.
-    container_fps : float
-        Frames per second of the container; NaN if it declares none.
-    frames_declared : int
-        Number of frames in the header; 0 if it declares none.
-    tag_fps : float or None
-        Capture rate from a tag of the camera (slow motion), if there is one.
-    codec, pixel_format : str
-        Names of both.
-    time_base : Fraction
-        Unit of the timestamps in s.
-    duration_declared : float
-        Duration in a header without a number of frames [s]; NaN without such a header.
-    """
-
-    path: Path
+    path: Path  # the file
+    # size of the coded picture in px, before any rotation
     width: int
     height: int
-    container_fps: float
-    frames_declared: int
-    tag_fps: float | None
+    container_fps: float  # frames per second of the container; NaN if it declares none
+    frames_declared: int  # number of frames in the header; 0 if it declares none
+    tag_fps: float | None  # capture rate from a tag of the camera (slow motion), if there is one
+    # names of both
     codec: str
     pixel_format: str
-    time_base: Fraction
+    time_base: Fraction  # unit of the timestamps in s
+    # duration in a header without a number of frames [s]; NaN without such a header
     duration_declared: float = float("nan")
 
 
@@ -312,24 +284,14 @@ def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]
 
 @dataclass(frozen=True)
 class Packets:
-    """The packets of a film that have a timestamp, in the order of their timestamps.
+    """The packets of a film that have a timestamp, in the order of their timestamps."""
 
-    Attributes
-    ----------
-    stamps, size : ndarray of int, shape (n,)
-        Timestamps in units of the time base, and sizes in bytes.
-    key : ndarray of bool, shape (n,)
-        Which packets are key frames.
-    complete : bool
-        Whether all of the film's packets are among them.
-    exact : bool
-        Whether the container stores the timestamps of the frames; AVI and raw streams only count packets.
-    """
-
+    # shape (n,); timestamps in units of the time base, and sizes in bytes
     stamps: npt.NDArray[np.int64]
     size: npt.NDArray[np.int64]
-    key: npt.NDArray[np.bool_]
-    complete: bool
+    key: npt.NDArray[np.bool_]  # shape (n,); which packets are key frames
+    complete: bool  # whether all of the film's packets are among them
+    # whether the container stores the timestamps of the frames; AVI and raw streams only count packets
     exact: bool = True
 
 

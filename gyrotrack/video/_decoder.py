@@ -119,17 +119,11 @@ _NO_STAMP = -(1 << 63)
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a film that begins with a key frame and can be decoded by itself.
+    """A part of a film that begins with a key frame and can be decoded by itself."""
 
-    Attributes
-    ----------
-    first : int
-        Index of its first frame in the film.
-    start, stop : int or None
-        Timestamps of its key frame and of the first frame beyond it, in units of the time base; None: ends of the film.
-    """
-
-    first: int = 0
+    first: int = 0  # index of its first frame in the film
+    # timestamps of its key frame and of the first frame beyond it, in units of the time base; None: ends of the
+    # film
     start: int | None = None
     stop: int | None = None
 

@@ -149,30 +149,18 @@ _HALF = 20
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """Times of the frames of a film.
+    """Times of the frames of a film."""
 
-    Attributes
-    ----------
-    number : ndarray of int, shape (n,)
-        Numbers of the frames, those of missing frames left out.
-    place : ndarray, shape (n,), or None
-        Times of the frames times the capture rate, where they are from the stamps; None: the numbers are the places.
-    sigma : float
-        Standard deviation of a place, from the tick of the stamps; independent from frame to frame.
-    smooth : ndarray, shape (n,), or None
-        The places without jitter beyond rounding, in case it is not that of the camera.
-    warnings : tuple of str
-        What the user should know.
-    again : ndarray of bool, shape (n,), or None
-        Frames that repeat the one before them; None if there are none.
-    """
-
-    number: Integers
+    number: Integers  # shape (n,); numbers of the frames, those of missing frames left out
+    # shape (n,); times of the frames times the capture rate, where they are from the stamps; None: the numbers are
+    # the places
     place: Floats | None = None
+    # standard deviation of a place, from the tick of the stamps; independent from frame to frame
     sigma: float = 0.0
+    # shape (n,); the places without jitter beyond rounding, in case it is not that of the camera
     smooth: Floats | None = None
-    warnings: tuple[str, ...] = ()
-    again: Mask | None = None
+    warnings: tuple[str, ...] = ()  # what the user should know
+    again: Mask | None = None  # shape (n,); frames that repeat the one before them; None if there are none
 
     def even(self) -> FrameTimes:
         """Return the smoothed times, with a warning."""
@@ -209,18 +197,10 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """Source of the times of a film.
+    """Source of the times of a film."""
 
-    Attributes
-    ----------
-    source : {"auto", "stamps", "frames"}
-        Timestamps, counted frames, or a choice by film ("auto").
-    fps : float
-        The capture rate in frames/s.
-    """
-
-    source: str
-    fps: float
+    source: str  # timestamps, counted frames, or a choice by film ("auto")
+    fps: float  # the capture rate in frames/s
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:

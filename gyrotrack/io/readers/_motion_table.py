@@ -392,7 +392,6 @@ def checked(
     notes: list[str],
     *,
     least_sigma: float = 0.0,
-    fewest: int = MIN_SAMPLES,
 ) -> MotionTable:
     """Return a motion with repaired times and without empty rows."""
     name, line = raw.path.name, raw.line
@@ -409,9 +408,9 @@ def checked(
     if lost:
         first = line[~valid & ~absent][0]
         notes.append(f"{name}: {lost} rows without a value were excluded (first: line {first})")
-    if valid.sum() < fewest:
+    if valid.sum() < MIN_SAMPLES:
         raise DatasetError(
-            f"{raw.path} has {valid.sum()} samples with a value; at least {fewest} are needed.",
+            f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed.",
             "Give a longer recording.",
         )
     if quantity == "angle" and np.ptp(value[valid]) == 0:
@@ -423,9 +422,9 @@ def checked(
         (), least_sigma,
     )  # fmt: skip
     made = in_order(made, notes)
-    if len(made.time) < fewest:
+    if len(made.time) < MIN_SAMPLES:
         raise DatasetError(
-            f"{raw.path} has {len(made.time)} samples at different times; at least {fewest} are needed.",
+            f"{raw.path} has {len(made.time)} samples at different times; at least {MIN_SAMPLES} are needed.",
             "Give a longer recording.",
         )
     return replace(made, notes=tuple(notes))

@@ -292,20 +292,12 @@ def _checked_rows(
     return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
 
 
-def table_of(
-    path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike], units: Sequence[str] = ()
-) -> RawTable:
+def table_of(path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
     """Return a table of numeric columns of equal length."""
     made = tuple(np.asarray(c, dtype=float).ravel() for c in columns)
     rows = len(made[0]) if made else 0
-    return RawTable(
-        path,
-        sha256,
-        tuple(names),
-        tuple(units) or ("",) * len(made),
-        made,
-        np.arange(1, rows + 1, dtype=np.int64),
-    )
+    line = np.arange(1, rows + 1, dtype=np.int64)
+    return RawTable(path, sha256, tuple(names), ("",) * len(made), made, line)
 
 
 TURN = 2 * math.pi
