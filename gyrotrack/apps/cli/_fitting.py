@@ -206,10 +206,10 @@ def budget_command(
     ] = None,
     speed_scale: Annotated[
         float | None,
-        typer.Option(
-            "--speed-scale",
-            metavar="U",
-            help="Relative standard uncertainty of the scale of a sensor of angular velocity (from its data sheet).",
+        option(
+            "--speed-scale U",
+            "Relative standard uncertainty of the scale of a sensor of angular velocity (from its data "
+            "sheet).",
         ),
     ] = None,
     ledger: LedgerFile = None,
