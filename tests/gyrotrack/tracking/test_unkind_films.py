@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._acquisition import SampledMarker, _on_other_body, acquire
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import PAPER
-from gyrotrack.tracking._scene import take_samples
+from gyrotrack.tracking._scene import Marker, take_samples
 
 SMALL = {"width": 320, "height": 240, "radius": 105.0, "wobble": 0.3}
 
@@ -131,3 +132,37 @@ def test_the_roll_of_a_hand_held_camera_is_subtracted(draw):
         assert len(track.time) >= 0.95 * film.frames, body
         assert np.std(error) < 4e-3, body
         assert np.std(error / track.sigma) < 1.6, body
+
+
+def test_a_marker_that_turns_with_the_other_body_is_on_that_body():
+    """Orange on a rotor is the red of the profile's casing, where the casing has another colour."""
+    turn = np.linspace(0.0, 9.0, 30)
+
+    def seen(name, body, angle):
+        marker = Marker(name, body, name, 20.0, 40.0, 0.2, (-30.0, 25.0), 0.3)
+        return SampledMarker(marker, np.asarray(angle), np.ones(len(angle), dtype=bool))
+
+    right = {"red": seen("red", "casing", 0.1 * turn), "blue": seen("blue", "rotor", turn)}
+    assert _on_other_body(right, "film") == []
+    still = {"red": seen("red", "casing", 0 * turn), "blue": seen("blue", "rotor", 1.0 + 0 * turn)}
+    assert _on_other_body(still, "film") == []
+    wrong = {"red": seen("red", "casing", turn + 1.0), "blue": seen("blue", "rotor", turn)}
+    with pytest.raises(TrackingError, match="turn together in film"):
+        _on_other_body(wrong, "film")
+    green = seen("green", "rotor", turn - 2.0)
+    assert _on_other_body({**wrong, "green": green}, "film") == ["red"]
+    assert _on_other_body({**right, "green": seen("green", "rotor", 0.1 * turn)}, "film") == ["green"]
+
+
+@pytest.mark.slow
+def test_colours_of_another_profile_give_no_angles_of_a_wrong_body(draw, tmp_path):
+    magenta, orange = (160, 20, 165), (230, 120, 20)
+    path, film = draw(**{**SMALL, "frames": 150, "red": magenta, "disc": magenta, "white": orange})
+    assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
+    recording = extract(path)
+    assert set(recording.bodies) == {"rotor"}
+    assert (
+        "The red marker of the casing turns with the markers of the other body"
+        in recording.extra["doubts"][0]
+    )
+    assert np.abs(_errors(recording, film, "rotor")[0]).max() < 0.1
