@@ -181,23 +181,30 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
 
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
-    direction = chroma_direction(wanted.colour, wanted.hue)
-    score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
+    """Find the patch of a colour in each sample.
+
+    The difference from a background that is not grey has another hue than the marker. The patch is found by the hue of
+    the profile and measured in its own one.
+    """
+    score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
+    own = score
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
     for _ in range(3):
         half = int(max(extent.half_width / ring.step, 1))
         column, clear = _brightest(score[:, extent.rows].mean(axis=1), half)
-        patch = aligned(score, column, clear)
-        found = extent_of(patch, ring)
+        found = extent_of(aligned(own, column, clear), ring)
         if found is None:
             return None
         extent = found
-    core = extent.core(patch.shape[1], ring.step)
-    u, v = (float(aligned(part, column, clear)[core].mean()) for part in difference)
-    if np.hypot(u, v) < LEAST_CONTRAST or clear.mean() < 0.1:
+        patches = [aligned(part, column, clear) for part in difference]
+        core = extent.core(patches[0].shape[1], ring.step)
+        u, v = (float(patch[core].mean()) for patch in patches)
+        size = float(np.hypot(u, v))
+        own = _scores(difference, (u / size, v / size)) if size > 0.0 else score
+    if size < LEAST_CONTRAST or clear.mean() < 0.1:
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
-    angle = _refined(score[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
+    angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
     marker = Marker(
         name=wanted.name,
         body=wanted.body,
@@ -210,6 +217,10 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         dwell=_dwell(angle, 1.3 * extent.half_width),
     )
     return SampledMarker(marker, angle, clear)
+
+
+def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
+    return np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
