@@ -6,8 +6,9 @@ import pytest
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking._acquisition import SampledMarker, _on_other_body, acquire
+from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured
 from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.tracking._scene import Marker, take_samples
 
@@ -166,3 +167,20 @@ def test_colours_of_another_profile_give_no_angles_of_a_wrong_body(draw, tmp_pat
         in recording.extra["doubts"][0]
     )
     assert np.abs(_errors(recording, film, "rotor")[0]).max() < 0.1
+
+
+def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
+    """Green paper on brass differs from it by another hue than green: nearly 45 degrees, where the score ends."""
+    ring = Ring((160.0, 120.0), 20.0, 100.0, 81, 512)
+    rng = np.random.default_rng(2)
+    strips = np.full((2, 40, 81, 512), 128.0)
+    strips[0], strips[1] = np.linspace(115.0, 108.0, 81)[:, None], 141.0  # brass under a lamp
+    for k in range(40):
+        columns = (np.arange(-15, 16) + 37 * k) % 512
+        strips[0, k, 25:60, columns], strips[1, k, 25:60, columns] = 112.0, 104.0  # green: about (0, -37)
+    strips += rng.normal(0.0, 1.5, strips.shape)
+    found = find_coloured(Rings(np.clip(strips, 0, 255).astype(np.uint8), ring), PAPER.marker[3])
+    assert PAPER.marker[3].colour == "green"
+    assert (found.marker.inner, found.marker.outer) == pytest.approx((45.0, 79.0), abs=1.5)
+    assert found.marker.half_width == pytest.approx(15.5 * ring.step, abs=0.02)
+    assert np.all(found.clear)
