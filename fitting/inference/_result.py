@@ -621,6 +621,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     if any(n.unresolved > n.level for n in noise):
         j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
     covariance = covariance_of(j, determined)
+    covariance += _by_integration_errors(problem, theta, predictions, covariance)
     # with a significant lack of fit, the noise alone understates the uncertainty
     covariance *= variance_factor(chi2, rows - int((~at_bound).sum()))
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
@@ -640,6 +641,20 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         problem=problem,
         predictions=predictions,
     )
+
+
+def _by_integration_errors(
+    problem: Problem, theta: Array, predictions: Sequence[Prediction], covariance: Array
+) -> Array:
+    """Return the covariance of the variables by the errors of integrated angles, which are arguments of laws."""
+    parts = [np.zeros((len(theta), 0))]
+    for case, project, p in zip(problem.cases, problem.projections, predictions, strict=True):
+        errors = case.integration_errors(p, theta)
+        gradient = np.zeros((len(theta), errors.shape[1]))
+        gradient[p.places] = project.unexplained(p.columns).T @ project(errors)
+        parts.append(gradient)
+    shifts = np.nan_to_num(covariance, posinf=0.0) @ np.concatenate(parts, axis=1)
+    return np.asarray(shifts @ shifts.T)
 
 
 def _with_unresolved(
