@@ -320,6 +320,20 @@ class UpperLimitDocument(Document):
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
 
 
+class DifferenceBetweenRecordings(Document):
+    """A parameter shared by the recordings that differs between them; its value in each of them, by label.
+
+    `differences` are the values minus that of the first recording.
+    """
+
+    parameter: str
+    delta_bic: Number
+    p_value: Number
+    values: dict[str, EstimateDocument]
+    differences: dict[str, EstimateDocument]
+    indistinguishable_from: list[str]
+
+
 class DiagnosisDocument(Document):
     """What `diagnose --json` prints."""
 
@@ -335,6 +349,7 @@ class DiagnosisDocument(Document):
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
     upper_limits: list[UpperLimitDocument] = []
+    differs: DifferenceBetweenRecordings | None = None
     whiteness: list[WhitenessDocument]
     energy_drift: dict[str, Number]
     residual_torque: list[TorqueDocument]
@@ -491,6 +506,13 @@ class StoredCandidate(Document):
     fit: StoredFit | None
 
 
+class StoredDifference(DifferenceBetweenRecordings):
+    """A parameter that differs between the recordings, with the bounds of its values."""
+
+    values: dict[str, StoredEstimate]  # type: ignore[assignment]
+    differences: dict[str, StoredEstimate]  # type: ignore[assignment]
+
+
 class StoredDiagnosis(Document):
     """The state from which a diagnosis is restored without a search; `extra` are the user's effects."""
 
@@ -507,6 +529,7 @@ class StoredDiagnosis(Document):
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
     upper_limits: list[UpperLimitDocument] = []
+    differs: StoredDifference | None = None
 
 
 class EntryDocument(FitDocument):

@@ -12,10 +12,9 @@
 
    which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
 3. The best ones of the second search are refitted at the same noise and ranked by BIC plus the description length of
-the
-   formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
-   answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
-   x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
+   the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to
+   the answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with
+   predictions x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
 
        |M (x - y)|^2 < `Criteria.evidence`.
 
@@ -39,10 +38,16 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError
-from fitting._numbers import rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
-from fitting.discovery._grammar import LawForm, description_length, grammar
+from fitting.discovery._difference import (
+    DifferentParameter,
+    SeparateValues,
+    different_parameter,
+    improves_on_difference,
+    penalised,
+)
+from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import initial_values_of, refined, refitted_at
@@ -67,7 +72,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit, fit_like
+from fitting.inference._fit import fit_like
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -87,8 +92,6 @@ _EXPLAINED_TIE = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
 _STEPS = 8
-# shared parameters with the largest scores that are fitted with a value for each recording
-_DIFFERING = 2
 _RANK = 1e-9
 
 
@@ -176,37 +179,6 @@ class Law:
     def penalised(self) -> float:
         """BIC and description length: what laws are ranked by."""
         return self.fit.bic + self.description_length
-
-
-@dataclass(frozen=True)
-class DifferentParameter:
-    """A parameter shared by the recordings that has another value in each of them: an alternative to a law.
-
-    Attributes
-    ----------
-    name : str
-        The parameter, ``<effect>.<symbol>``.
-    estimates : dict
-        Its value in each recording, by label. Their errors may be strongly correlated.
-    differences : dict
-        Its value in each other recording minus that in the first, by label.
-    indistinguishable_from : tuple of str
-        Other shared parameters whose difference describes the data as well.
-    delta_bic : float
-        BIC with a value for each recording minus BIC of the base.
-    p_value : float
-        Probability of such a difference in any of the shared parameters if they are equal.
-    fit : Fit
-        The fit with a value for each recording.
-    """
-
-    name: str
-    estimates: dict[str, Estimate]
-    differences: dict[str, Estimate]
-    indistinguishable_from: tuple[str, ...]
-    delta_bic: float
-    p_value: float
-    fit: Fit = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -313,19 +285,19 @@ def laws(
     steps = _Steps(progress)
     workers = workers or WorkerPool(0)
     search = _Search(base, criteria, workers, steps)
-    differs = _different_parameter(base, None, criteria)
+    separate = different_parameter(base, criteria)
     if (
-        differs is not None
+        separate is not None
         and not beyond_library
-        and not differs.fit.fails(criteria)
-        and not search.improves_on_difference(differs, extra)
+        and not separate.fit.fails(criteria)
+        and not search.improves_on_difference(separate, extra)
     ):
         depends_on = tuple(dependence(base))
         steps.done()
+        differs = separate.parameter
         return Laws(
-            base, "parameter", _difference_sentence(differs), (), None, depends_on, "", search.trials, diagnosis,
-            differs,
-        )  # fmt: skip
+            base, "parameter", differs.sentence, (), None, depends_on, "", search.trials, diagnosis, differs
+        )
     if diagnosis is None:
         candidates: Sequence[Candidate] = rank(base, extra, criteria=criteria, workers=workers)
         steps.next()
@@ -349,12 +321,13 @@ def laws(
     steps.done()
     if not found:
         verdict, sentence = "none", _nothing_sentence(base.model, depends_on, criteria)
-        if differs is not None:
-            verdict, sentence = "parameter", _difference_sentence(differs)
-        return Laws(base, verdict, sentence, (), None, depends_on, "", search.trials, diagnosis, differs)
-    differs = _different_parameter(base, found[0], criteria)
+        known = None if separate is None else separate.parameter
+        if known is not None:
+            verdict, sentence = "parameter", known.sentence
+        return Laws(base, verdict, sentence, (), None, depends_on, "", search.trials, diagnosis, known)
+    separate = different_parameter(base, criteria, rival=(found[0].fit, found[0].penalised))
     library = _equivalent_effect(candidates, found[0], criteria)
-    clear = differs is not None and found[0].penalised - _penalised(differs) > criteria.equivalence_width
+    clear = separate is not None and found[0].penalised - separate.penalised_bic > criteria.equivalence_width
     answer = Laws(
         base,
         "library" if library is not None else "parameter" if clear else "law",
@@ -365,7 +338,7 @@ def laws(
         "",
         search.trials,
         diagnosis,
-        differs,
+        None if separate is None else separate.parameter,
     )
     # formulas of the same torque may differ at other speeds
     rivals = [x for group in answer.torques for x in group[:1]] + [x for g in answer.torques for x in g[1:]]
@@ -569,29 +542,15 @@ class _Search:
         lengths = [f.description_length for f in self.forms]
         return max(map(self._worth, scored.scores, lengths)) > own + self.criteria.equivalence_width
 
-    def improves_on_difference(self, differs: DifferentParameter, extra: Sequence[Effect]) -> bool:
-        """Return whether a law or an effect describes the data better than different values of a shared parameter.
-
-        To first order about the fit with these values, the difference being part of the residuals.
-        """
-        about = differs.fit
-        names = about.problem.layout.names
-        cases = [CaseColumns(about, i) for i in range(len(about.predictions))]
-        own = [i for i, n in enumerate(names) if n.partition("@")[0] == differs.name]
-        change = about.theta[own] - about.theta[own].mean()
-        rows = np.concatenate([p.jacobian[:, own] @ change for p in about.predictions])
-        context = ScoreContext(about, 1, torque_rows=rows, shared=differs.name)
+    def improves_on_difference(self, separate: SeparateValues, extra: Sequence[Effect]) -> bool:
+        """Return whether a law or an effect describes the data better than different values of a parameter."""
         effects = applicable_effects(self.base, extra)
         everything = [*(f.effect for f in self.forms), *effects]
         lengths = [f.description_length for f in self.forms] + [0.0] * len(effects)
-        scores = score(about, everything, cases, self.criteria, context=context)
-        limit = score_of_columns(context, rows[:, None]) - description_length(1)
-        limit -= (len(own) - 1) * float(np.log(self.base.n_eff))
-        return max(map(self._worth, scores, lengths)) > limit
+        return improves_on_difference(separate, everything, lengths, self.criteria)
 
     def _worth(self, s: Score, length: float) -> float:
-        """Return a score minus the penalty of the constants and of the length of the formula."""
-        return s.score - (s.columns + len(s.shape[0])) * float(np.log(self.base.n_eff)) - length
+        return penalised(s, length, self.base.n_eff)
 
     def _scored(self, about: Fit, removed: Sequence[Effect], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit with some of its effects removed.
@@ -889,77 +848,6 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
     return None
 
 
-def _different_parameter(base: Fit, best: Law | None, criteria: Criteria) -> DifferentParameter | None:
-    """Return the shared parameter whose difference between recordings describes the data best, if as well as a law."""
-    layout = base.problem.layout
-    # one at its bound may be there only because of the difference
-    keys = [k for k in base.model.free if k not in layout.per_case]
-    if len(layout.records) < 2 or not keys:
-        return None
-    context, ends = ScoreContext(base, 1), np.cumsum([0, *(len(d.z) for d in base.problem.data)])
-    scores = {}
-    for key in keys:
-        columns = np.zeros((int(ends[-1]), len(layout.records) - 1))
-        for i, p in enumerate(base.predictions[1:], 1):
-            columns[ends[i] : ends[i + 1], i - 1] = p.jacobian[:, layout.index[key]]
-        scores[key] = score_of_columns(context, columns)
-    usual, own = layout.choices
-    noise = base.noise if best is None else best.fit.noise
-    trials: dict[str, Fit] = {}
-    for key in sorted(keys, key=lambda k: -scores[k])[:_DIFFERING]:
-        values = base.values
-        start = values | {f"{key}@{r.label}": values[key] for r in layout.records}
-        with suppress(FittingError):
-            trials[key] = fit(
-                base.model, base.problem.data, share=[k for k in usual if k != key], per_case=[*own, key],
-                start={k: v for k, v in start.items() if k != key}, noise=noise,
-            )  # fmt: skip
-    if not trials:
-        return None
-    name = min(trials, key=lambda k: trials[k].deviance)
-    found = trials[name]
-    from scipy.special import chdtrc
-
-    same = base if best is None else refitted_at(base, noise)
-    single = float(chdtrc(len(layout.records) - 1, max(same.deviance - found.deviance, 0.0)))
-    p_value = min(1.0, len(keys) * single)
-    first, *others = [found.problem.layout.index[f"{name}@{r.label}"] for r in layout.records]
-    estimates = {r.label: found.estimates[f"{name}@{r.label}"] for r in layout.records}
-    differences = {}
-    for label, i in zip(list(estimates)[1:], others, strict=True):
-        c = found.covariance
-        u = float(np.sqrt(max(c[i, i] + c[first, first] - 2 * c[i, first], 0.0)))
-        value = float(found.theta[i] - found.theta[first])
-        differences[label] = replace(estimates[label], value=value, stderr=u)
-    similar = [
-        k for k, f in trials.items() if k != name and f.deviance < found.deviance + criteria.equivalence_width
-    ]
-    differs = DifferentParameter(
-        name, estimates, differences, tuple(similar), found.bic - same.bic, p_value, found
-    )
-    limit = same.bic - criteria.evidence if best is None else best.penalised + criteria.equivalence_width
-    return differs if p_value < criteria.significance and _penalised(differs) < limit else None
-
-
-def _penalised(differs: DifferentParameter) -> float:
-    """Return BIC and the description length of the name of a parameter."""
-    return differs.fit.bic + description_length(1)
-
-
-def _difference_sentence(differs: DifferentParameter) -> str:
-    values = [f"{rounded(e.value, e.stderr, e.unit)} in {label}" for label, e in differs.estimates.items()]
-    first = next(iter(differs.estimates))
-    values += [
-        f"{label} minus {first} {rounded(e.value, e.stderr, e.unit)}"
-        for label, e in differs.differences.items()
-    ]
-    return (
-        f"The recordings may differ in {' or '.join((differs.name, *differs.indistinguishable_from))} "
-        f"({', '.join(values)}): with its own value in each recording the model "
-        f"describes the data without another law; fit with `--per-case {differs.name}`."
-    )
-
-
 def _nothing_sentence(model: Model, depends_on: Sequence[Dependence], criteria: Criteria) -> str:
     """Return what a search without a law means; effects that were added before may imitate the law."""
     if not depends_on or depends_on[0].p_value >= criteria.significance:
@@ -977,7 +865,7 @@ def _nothing_sentence(model: Model, depends_on: Sequence[Dependence], criteria: 
 def _sentence(found: Laws, criteria: Criteria) -> str:
     parts = []
     if found.differs is not None:
-        parts.append(_difference_sentence(found.differs))
+        parts.append(found.differs.sentence)
     if found.library is not None:
         parts.append(
             f"{found.library.effect.name} of the library describes the data as well as any law found: it comes first."

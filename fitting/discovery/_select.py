@@ -22,6 +22,7 @@ from fitting._display import BLUE, block, draw_history, figure, figure_of, marku
 from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
     has_less_process_noise,
@@ -559,6 +560,35 @@ def _with_free_shape(
     return general if general.bic < refined(rival.fit, criteria).bic else None
 
 
+def separate_values(
+    base: Fit, candidates: Sequence[Candidate], extra: Sequence[Effect], criteria: Criteria
+) -> SeparateValues | None:
+    """Return the shared parameter that differs between the recordings, if no effect describes the data as well.
+
+    Parameters
+    ----------
+    base : Fit
+        The fit with one value for all recordings.
+    candidates : sequence of Candidate
+        Its ranking.
+    extra : sequence of Effect
+        Effects of the user, in addition to the library.
+    criteria : Criteria
+        Thresholds.
+    """
+    if not base.fails(criteria):
+        return None
+    # scores of large effects are rough: that of the difference may be smaller than that of an effect it beats
+    least = criteria.rival_share * max((c.score for c in candidates if c.physical), default=0.0)
+    separate = different_parameter(base, criteria, least=least)
+    if separate is None or separate.fit.fails(criteria):
+        return None
+    if any(c.fit is not None and c.fit.bic < separate.penalised_bic for c in candidates):
+        return None
+    effects = applicable_effects(base, extra)
+    return None if improves_on_difference(separate, effects, [0.0] * len(effects), criteria) else separate
+
+
 @single_blas_thread()
 def improve(
     base: Fit,
@@ -599,6 +629,12 @@ def improve(
     """
     known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
+    separate = separate_values(base, known, extra, criteria)
+    if separate is not None:
+        freed = rank(separate.fit, extra, criteria=criteria, workers=workers)
+        history.append(Step(f"+{separate.parameter.name} per recording", separate.fit, tuple(freed)))
+        if keep is not None:
+            keep(history[-1])
     for step in range(criteria.max_steps if max_steps is None else max_steps):
         chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:

@@ -26,6 +26,7 @@ from fitting._display import (
 )
 from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._form import FormTest
 from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (
@@ -52,7 +53,7 @@ from fitting.discovery._residuals import (
     residual_torques,
     whiteness,
 )
-from fitting.discovery._select import Candidate, Selection, Step, rank, select
+from fitting.discovery._select import Candidate, Selection, Step, rank, select, separate_values
 from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._result import Estimate, Fit
@@ -105,6 +106,9 @@ class Diagnosis:
     form_limit : float or None
         Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
         where the form was not tested.
+    differs : DifferentParameter or None
+        The shared parameter whose different values in the recordings explain the lack of fit without another effect;
+        the verdict is then "unexplained".
     """
 
     fit: Fit
@@ -122,6 +126,7 @@ class Diagnosis:
     whiteness: tuple[Whiteness, ...] = field(repr=False)
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
+    differs: DifferentParameter | None = None
 
     def plot(self, ax: Axes | None = None, *, case: int = 0) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib).
@@ -255,6 +260,26 @@ def diagnose(
     workers = workers or WorkerPool(0)
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
+    separate = separate_values(fit, ranked, extra, criteria)
+    if separate is not None:
+        failures = find_failures(fit, curves.result(), harmonics.result(), criteria)
+        where = f": {failures[0]}" if failures else ""
+        return Diagnosis(
+            fit,
+            "unexplained",
+            f"Significant lack of fit{where}. {separate.parameter.sentence}",
+            tuple(failures),
+            tuple(ranked),
+            None,
+            None,
+            None,
+            tuple(nuisance_parameters(separate.fit)),
+            "",
+            tuple(curves.result()),
+            tuple(harmonics.result()),
+            tuple(whiteness(fit)),
+            differs=separate.parameter,
+        )
     selection = select(fit, ranked, extra, criteria, workers, history)
     chosen_as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)

@@ -6,7 +6,8 @@ covariance V_i of each of its sources; a nuisance parameter that is fitted from 
 of the variance when it is freed (type A). These contributions add up to the square of the standard error of the fit.
 
 A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps) and the parameters by
--(J'J)^-1 J' P W dm/d(eps) (type B). A wrong moment of inertia also changes the residuals, and with them the noise by
+-(J'J)^-1 J' P W dm/d(eps) (type B); so does the relative error eps of the scale of a sensor of angular velocity, which
+reads omega (1 + eps). A wrong moment of inertia also changes the residuals, and with them the noise by
 which the data are weighted, so that its influence need not be linear: the distribution of the moments of inertia is
 propagated by fitting again at the nodes of a Gauss-Hermite rule, 0 and +- sqrt(3) u for each of them.
 """
@@ -14,13 +15,14 @@ propagated by fitting again at the nodes of a Gauss-Hermite rule, 0 and +- sqrt(
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._errors import EstimationError
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import NUISANCE
 from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
@@ -51,7 +53,7 @@ class Contribution:
     ----------
     source : str
         "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
-        "inertia.casing", "inertia.rotor x inertia.casing" (their interaction) or "clock rate".
+        "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
     type : {"A", "B"}
         Evaluated from the data, or from other knowledge.
     u : float
@@ -79,7 +81,9 @@ class ParameterBudget:
     contributions: tuple[Contribution, ...]
 
 
-def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL) -> dict[str, ParameterBudget]:
+def budget(
+    fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.0
+) -> dict[str, ParameterBudget]:
     """Return the uncertainty budget of every parameter of a fit that has a standard error.
 
     Parameters
@@ -89,20 +93,41 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL) -> dict[str, ParameterBud
         `Record.I_casing_u`); those of one value are taken as one input of all cases.
     clock_rate_u : float
         Relative standard uncertainty of the time base that all recordings share.
+    speed_scale_u : float
+        Relative standard uncertainty of the scale of the sensor that measured the angular velocities of all recordings,
+        such as the gyroscope of a phone.
 
     Returns
     -------
     dict of str to ParameterBudget
         By parameter, as `fit.estimates`.
+
+    Raises
+    ------
+    EstimationError
+        If `speed_scale_u` is given for recordings of angles, whose scale is exact.
     """
+    measured_speeds = [not d.is_angle and not d.record.gradients for d in fit.problem.data]
+    if speed_scale_u > 0 and not any(measured_speeds):
+        raise EstimationError(
+            "The recordings hold angles, which have no scale that a sensor could get wrong.",
+            "The speed scale applies to measured angular velocities.",
+        )
     names = fit.problem.layout.names
     linear = _Linearised(fit)
     variances = linear.noise_variances()
     inputs = _inertia_contributions(fit)
+    cases = list(zip(fit.problem.data, fit.predictions, strict=True))
     if clock_rate_u > 0:
-        cases = zip(fit.problem.data, fit.predictions, strict=True)
         slope = linear.sensitivity([_clock_rows(d, p) for d, p in cases])
         inputs["clock rate"] = np.abs(slope) * clock_rate_u, slope
+    if speed_scale_u > 0:
+        rows = [
+            _speed_rows(d, p) if own else np.zeros(len(d.z))
+            for (d, p), own in zip(cases, measured_speeds, strict=True)
+        ]
+        slope = linear.sensitivity(rows)
+        inputs["speed scale"] = np.abs(slope) * speed_scale_u, slope
     found = {}
     for i, name in enumerate(names):
         estimate = fit.estimates.get(name)
@@ -305,16 +330,30 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
 
 def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
     """Return the derivative of the rows of a case by the relative rate of the clock: t becomes t (1 + eps)."""
-    path, start = prediction.path, data.record.span[0]
+    start = data.record.span[0]
+
+    def change(t: Array, omega: Array) -> Array:
+        if data.is_angle:
+            return (t - start) * omega
+        # gradients of angles are proportional to the rate of the clock
+        scaled = omega if data.record.gradients else 0.0
+        return (t - start) * np.gradient(omega, t) + scaled
+
+    return _changed_rows(data, prediction, change)
+
+
+def _speed_rows(data: CaseData, prediction: Prediction) -> Array:
+    """Return the derivative of the rows of a case by the relative error eps of the scale of its speeds."""
+    return _changed_rows(data, prediction, lambda _, omega: omega)
+
+
+def _changed_rows(data: CaseData, prediction: Prediction, of: Callable[[Array, Array], Array]) -> Array:
+    """Return the rows of a change of the samples, a function of their times and of the speed of their body."""
+    path = prediction.path
 
     def change(run: Compressed, state: int) -> Array:
         t = run.samples.time
-        omega = Sampler(path.mesh, t).value(path.y[..., state])
-        if data.is_angle:
-            return ((t - start) * omega)[:, None]
-        # gradients of angles are proportional to the rate of the clock
-        scaled = omega if data.record.gradients else 0.0
-        return ((t - start) * np.gradient(omega, t) + scaled)[:, None]
+        return of(t, Sampler(path.mesh, t).value(path.y[..., state]))[:, None]
 
     rows = data.casing_rows(change(data.casing, 1))[:, 0]
     if data.rotor:

@@ -14,10 +14,18 @@ from pathlib import Path
 from typing import Any
 
 from fitting._errors import EffectError
-from fitting._schema import Document, EstimateDocument, Number, refuse_special, write_text
+from fitting._schema import (
+    DifferenceBetweenRecordings,
+    Document,
+    EstimateDocument,
+    Number,
+    refuse_special,
+    write_text,
+)
 from fitting.discovery._laws import Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
+from fitting.study._serialisation import difference_document
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
 # trial values of a shape constant over the fitted one
@@ -83,20 +91,6 @@ class DependenceDocument(Document):
     curve: CurveDocument | None
 
 
-class DifferenceBetweenRecordings(Document):
-    """A parameter shared by the recordings that differs between them; its value in each of them, by label.
-
-    `differences` are the values minus that of the first recording.
-    """
-
-    parameter: str
-    delta_bic: Number
-    p_value: Number
-    values: dict[str, EstimateDocument]
-    differences: dict[str, EstimateDocument]
-    indistinguishable_from: list[str]
-
-
 class LawsDocument(Document):
     """What `laws --json` prints."""
 
@@ -148,11 +142,7 @@ def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
         sentence=found.sentence,
         laws=[_law(x) for x in found.laws],
         library=found.library.effect.name if found.library is not None else None,
-        differs=DifferenceBetweenRecordings.model_validate(
-            vars(found.differs) | {"parameter": found.differs.name, "values": found.differs.estimates}
-        )
-        if found.differs is not None
-        else None,
+        differs=difference_document(found.differs),
         depends_on=depends_on,
         next_experiment=found.next_experiment,
         trials=found.trials,

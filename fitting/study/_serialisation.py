@@ -35,13 +35,14 @@ from fitting._schema import (
     StepDocument,
     StoredCandidate,
     StoredDiagnosis,
-    StoredEstimate,
+    StoredDifference,
     StoredFit,
     StoredNoise,
     effects_of,
     own_effects,
     read_json,
 )
+from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
@@ -180,12 +181,20 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         | {
             "fit_id": fit_id,
             "candidates": [_candidate(c) for c in d.candidates],
+            "differs": difference_document(d.differs),
             "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
             "residual_torque": [_torque(t) for t in d.torques],
             "residual_ripple": [{k: to_json(v) for k, v in r.items()} for r in ripples],
         }
     )
     return document.model_dump()
+
+
+def difference_document(found: DifferentParameter | None) -> StoredDifference | None:
+    """Return a parameter that differs between the recordings as plain numbers; None if there is none."""
+    if found is None:
+        return None
+    return StoredDifference.model_validate(vars(found) | {"parameter": found.name, "values": found.estimates})
 
 
 def _torque(torque: ResidualTorque) -> dict[str, Any]:
@@ -245,7 +254,8 @@ def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
     if steps[-1].fit.verdict != "adequate":
         return "unexplained"
-    return "missing_effect" if len(steps) > 1 else "adequate"
+    # a parameter with a value for each recording is no effect
+    return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"
 
 
 @dataclass(frozen=True)
@@ -347,7 +357,7 @@ def load_fit(path: str | Path) -> SavedFit:
     )
 
 
-def _estimates(stored: Mapping[str, StoredEstimate]) -> dict[str, Estimate]:
+def _estimates(stored: Mapping[str, EstimateDocument]) -> dict[str, Estimate]:
     return {k: Estimate(**e.model_dump()) for k, e in stored.items()}
 
 
@@ -420,7 +430,13 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
         for c in found.candidates
     ]
     return StoredDiagnosis.model_validate(
-        vars(found) | {"code": fingerprint(), "extra": own_effects(extra), "candidates": candidates}
+        vars(found)
+        | {
+            "code": fingerprint(),
+            "extra": own_effects(extra),
+            "candidates": candidates,
+            "differs": difference_document(found.differs),
+        }
     )
 
 
@@ -456,6 +472,16 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
         stored.form_limit,
+        None
+        if (d := stored.differs) is None
+        else DifferentParameter(
+            d.parameter,
+            _estimates(d.values),
+            _estimates(d.differences),
+            tuple(d.indistinguishable_from),
+            d.delta_bic,
+            d.p_value,
+        ),
     )
 
 

@@ -16,6 +16,7 @@ from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
+    from fitting.discovery._difference import DifferentParameter
     from fitting.discovery._power import UpperLimit
     from fitting.discovery._residuals import Failure, ResidualTorque
     from fitting.discovery._select import Candidate
@@ -336,6 +337,7 @@ class StudyView:
     verdict: str
     sentence: str
     candidates: tuple[Candidate, ...]
+    differs: DifferentParameter | None
     next_experiment: str
     whiteness: tuple[tuple[str, float], ...]
     upper_limits: tuple[UpperLimit, ...]
@@ -395,6 +397,7 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         verdict=verdict,
         sentence=diagnosis.sentence if diagnosis is not None else "",
         candidates=tuple(c for c in candidates if c.score > 0),
+        differs=diagnosis.differs if diagnosis is not None else None,
         next_experiment=diagnosis.next_experiment if diagnosis is not None else "",
         whiteness=tuple((w.label, w.p_value) for w in whiteness(final)),
         upper_limits=_upper_limits(final, diagnosis if len(history) == 1 else None),

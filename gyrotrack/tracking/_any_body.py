@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
+from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
@@ -427,7 +428,16 @@ def _measure(
         if share > 0.85 * best.score:
             break
     angle = _settle(polars, angle, allowed, coarse, separate=best.separate)
-    share, _ = _score(polars, angle, allowed, coarse, separate=best.separate)
+    few = use[:: max(1, len(use) // 100)]
+    template = learn(
+        [polars[i] for i in few], angle[few], allowed, coarse, separate=best.separate, plain=True
+    )
+
+    def share_of(counter_clockwise: Floats) -> float:
+        return _score(polars, -counter_clockwise, allowed, coarse, separate=best.separate)[0]
+
+    alias = unaliased(-angle, usable, template, share_of)
+    angle, share = -alias.angle, share_of(alias.angle)
     if share < _EXPLAINED:
         raise TrackingError(
             f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
@@ -476,7 +486,8 @@ def _measure(
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
         if progress is not None:
             progress(k + 1, len(usable))
-    return _finish(film, usable, ring, template, parts, poses, halves, best, angle)
+    tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle)
+    return tracked if alias.warning is None else replace(tracked, warnings=(*tracked.warnings, alias.warning))
 
 
 def _settle(

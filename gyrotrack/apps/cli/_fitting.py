@@ -214,6 +214,14 @@ def budget_command(
             help="Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
         ),
     ] = None,
+    speed_scale: Annotated[
+        float | None,
+        typer.Option(
+            "--speed-scale",
+            metavar="U",
+            help="Relative standard uncertainty of the scale of a sensor of angular velocity (from its data sheet).",
+        ),
+    ] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -227,16 +235,17 @@ def budget_command(
     from fitting.inference._budget import CRYSTAL, budget
     from fitting.study._serialisation import budget_document
 
-    if clock_rate is not None and not 0 <= clock_rate < 1:
-        raise UsageError(
-            f"--clock-rate {clock_rate:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4."
-        )
+    for option, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
+        if u is not None and not 0 <= u < 1:
+            raise UsageError(f"{option} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
     with out.progress("fitting with other inertias") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
-        found = budget(fit, clock_rate_u=CRYSTAL if clock_rate is None else clock_rate)
+        found = budget(
+            fit, clock_rate_u=CRYSTAL if clock_rate is None else clock_rate, speed_scale_u=speed_scale or 0.0
+        )
     out.result({"fit_id": fit_id, **budget_document(found)})
     out.show(_budget_table(found, fit_id))
 
@@ -373,7 +382,9 @@ def improve_command(
     out.result(
         {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
     )
-    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}")
+    own_values = [k for k in history[-1].fit.problem.layout.per_case if k not in base.problem.layout.per_case]
+    differing = f"; {' and '.join(own_values)} has a value for each recording" if own_values else ""
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}{differing}")
 
 
 _VERDICTS = {

@@ -272,7 +272,7 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as text: summary, lack of fit, candidate effects."""
     torque = f"torque [{d.fit.torque_unit}]"
-    lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {d.verdict.replace('_', ' ')}"]
+    lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {_verdict(d)}"]
     if d.failures:
         lines += [
             "",
@@ -304,6 +304,12 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
+
+
+def _verdict(d: Diagnosis) -> str:
+    if d.differs is not None:
+        return f"no missing effect; {d.differs.name} differs between the recordings"
+    return d.verdict.replace("_", " ")
 
 
 def _curves(d: Diagnosis) -> list[str]:

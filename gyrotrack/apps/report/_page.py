@@ -200,6 +200,8 @@ def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | Non
 def _headline(view: StudyView) -> tuple[str, str, str]:
     """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
+    if view.differs is not None and view.verdict != "missing_effect":
+        return "found", "≠", f"The recordings differ in {view.differs.name}"
     if view.verdict != "missing_effect":
         return kind, sign, words
     best = next((c for c in view.candidates if c.significant), None)
@@ -224,7 +226,14 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
             )
         )
     best = next((c for c in view.candidates if c.significant), None)
-    if best is not None and view.verdict == "adequate":
+    if view.differs is not None:
+        rows.append(
+            (
+                "Significance",
+                f"ΔBIC {short(view.differs.delta_bic)}, p {_equal(probability(view.differs.p_value))}",
+            )
+        )
+    elif best is not None and view.verdict == "adequate":
         strongest = f"{best.effect.name}, p {_equal(probability(best.p_value))}"
         tested = (
             f"{len(view.candidates)} candidate effects tested, none accepted; most significant: {strongest}"

@@ -14,9 +14,12 @@ from fitting._errors import EffectError
 from fitting._workers import WorkerPool
 from fitting.discovery import _dependence, _laws
 from fitting.discovery._dependence import context_without, dependence
+from fitting.discovery._difference import different_parameter
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
+from fitting.discovery._select import improve
+from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED, find
 from fitting.effects._user import read_effects, resolve
@@ -25,6 +28,7 @@ from fitting.inference._noise import WHITE
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
 from fitting.study._law_documents import check_name, laws_document, save_law
+from fitting.study._serialisation import history_verdict, restored_diagnosis, stored_diagnosis
 
 K, W = 3e-6, 40.0
 SATURATING = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -K * math.tanh(wc / W))
@@ -146,11 +150,10 @@ def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_v
     shared = ["touchpoint.constant.b1", "casing.air.linear.b2"]
     first = case({}, 2, "a", ou=3e-8)
     same, other = (case({"b1": b1}, 3, "b", (740.0, 12.0), ou=3e-8) for b1 in (twobody.PAPER["b1"], 4e-6))
-    assert (
-        _laws._different_parameter(fit(Model.of(REDUCED), [first, same], share=shared), None, DEFAULT) is None
-    )
+    assert different_parameter(fit(Model.of(REDUCED), [first, same], share=shared), DEFAULT) is None
     base = fit(Model.of(REDUCED), [first, other], share=shared)
-    found = _laws._different_parameter(base, None, DEFAULT)
+    separate = different_parameter(base, DEFAULT)
+    found = separate.parameter
     assert found.name == "touchpoint.constant.b1"
     for label, true in (("a", twobody.PAPER["b1"]), ("b", 4e-6)):
         assert abs(found.estimates[label].value - true) < 4 * found.estimates[label].stderr
@@ -167,7 +170,17 @@ def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_v
     assert document["differs"]["differences"]["b"]["stderr"] == difference.stderr
     # whatever law might imitate the difference is worse
     search = _laws._Search(base, DEFAULT, WorkerPool(0), _laws._Steps(None))
-    assert not search.improves_on_difference(found, ())
+    assert not search.improves_on_difference(separate, ())
+    # the diagnosis says so, and the history goes on from the fit with both values
+    diagnosis = diagnose(base)
+    assert (diagnosis.verdict, diagnosis.differs.name, diagnosis.form) == ("unexplained", found.name, None)
+    assert "--per-case touchpoint.constant.b1" in diagnosis.sentence
+    restored = restored_diagnosis(stored_diagnosis(diagnosis), base)
+    assert restored.differs == diagnosis.differs
+    history = improve(base, first=diagnosis.candidates)
+    assert [s.change for s in history] == ["", f"+{found.name} per recording"]
+    assert history[-1].fit.verdict == "adequate"
+    assert history_verdict(history) == "adequate"
 
 
 @pytest.mark.slow

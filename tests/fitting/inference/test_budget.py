@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import oscillators
 import pytest
+from scipy.integrate import solve_ivp
 
+from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
 from fitting.inference._budget import budget, combined_uncertainties, propagated
 from fitting.inference._fit import fit
@@ -123,6 +125,35 @@ def test_an_oscillation_measured_by_an_encoder_has_no_camera_contribution():
     for name, b in budget(result, clock_rate_u=0.0).items():
         assert {c.source for c in b.contributions} <= {"angle noise", "process noise", "lack of fit"}
         assert b.u == pytest.approx(result.estimates[name].stderr, rel=1e-9)
+
+
+def test_sensitivity_to_the_scale_of_measured_speeds():
+    """Speeds that are 1 + eps too large: dry friction is 1 + eps too large, a drag linear in the speed right, and the
+    quadratic one 1 + eps too small."""
+    inertia, t = 2e-3, np.arange(0, 60, 0.02)
+    laws = {
+        "touchpoint.constant.b1": (2e-4, -1),
+        "casing.air.linear.b2": (3e-5, 0),
+        "casing.air.quadratic.k": (4e-7, 1),
+    }
+    b1, b2, k = (value for value, _ in laws.values())
+    turn = solve_ivp(
+        lambda _, w: -(b1 + b2 * w + k * w**2) / inertia, (0, 60), [80.0], t_eval=t, rtol=1e-10, atol=1e-10
+    )
+    speeds = turn.y[0] + np.random.default_rng(0).normal(0, 0.05, len(t))
+    run = oscillators.record(t, speeds, 0.05, 0, quantity="omega")
+    model = Model.of(tuple(n.rpartition(".")[0] for n in laws)).alone
+    result = fit(model, [replace(run, I_rotor=inertia, I_casing=inertia)])
+    budgets = budget(result, speed_scale_u=0.01)
+    for name, (_, power) in laws.items():
+        scale = next((c for c in budgets[name].contributions if c.source == "speed scale"), None)
+        slope = 0.0 if scale is None else scale.sensitivity / result.estimates[name].value
+        assert slope == pytest.approx(power, abs=0.02)
+        if power:
+            assert (scale.type, scale.u) == ("B", pytest.approx(0.01 * abs(scale.sensitivity)))
+    assert part(budgets["initial.omega_c@body"], "speed scale").sensitivity == pytest.approx(-80, rel=1e-3)
+    with pytest.raises(EstimationError, match="hold angles"):
+        budget(fit(MODEL, [record(0)]), speed_scale_u=0.01)
 
 
 NODES = np.sqrt(3) * np.array([-1.0, 0.0, 1.0])

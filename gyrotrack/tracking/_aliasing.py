@@ -1,0 +1,132 @@
+"""Temporal aliasing: the rotations that one and the same film allows.
+
+A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames show the rotation from one to
+the next only up to multiples of p: with a turn of d per frame, d - p describes the film as well. Tracking by continuity
+takes the smaller one in the first frames; a body that turns by more than p / 2 per frame seems to turn backwards, and
+its apparent speed grows while it slows down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.tracking._registration import TURN, Template, rolled
+
+Floats = npt.NDArray[np.float64]
+
+_MOST_FOLD = 48
+"""Largest order of symmetry that is considered."""
+_ALIKE = 0.5
+"""Correlation of the body's picture with itself after a period from which the other rotation is tried."""
+_FAST = 0.25
+"""Turn per frame, in periods, from which it is tried: slower motions leave only implausibly fast alternatives."""
+_EQUAL = 0.02
+"""Difference of the explained shares from which the pictures themselves decide."""
+_STEADY = 0.02
+"""Relative change of the speed that counts as speeding up or slowing down."""
+
+
+class Alias(NamedTuple):
+    """The rotation to take, and the warning if the film allows another one."""
+
+    angle: Floats
+    warning: str | None
+
+
+def symmetries(template: Template) -> list[int]:
+    """Return the orders n > 1 of the symmetry that the learnt picture of a body has approximately, largest first.
+
+    Parameters
+    ----------
+    template : Template
+        The picture; compared with itself turned by 2 pi / n, row means apart.
+    """
+    ring = template.ring
+    body = template.body - template.body.mean(axis=1, keepdims=True)
+    weight = ring.area.astype(np.float64)
+    energy = float(np.sum(weight * body**2))
+    if energy <= 0:
+        return []
+    orders = range(min(_MOST_FOLD, ring.columns // 8), 1, -1)
+    return [
+        n for n in orders if float(np.sum(weight * body * rolled(body, ring.columns / n))) > _ALIKE * energy
+    ]
+
+
+def unaliased(
+    angle: Floats, frame: npt.NDArray[np.int64], template: Template, explained: Callable[[Floats], float]
+) -> Alias:
+    """Return the rotation to take of those that a film allows.
+
+    The one that explains more of the changes of brightness is taken. Of two that explain as much it is the one that
+    slows down, as a body does that turns freely.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Angles followed by continuity, counter-clockwise [rad].
+    frame : ndarray of int, shape (n,)
+        Numbers of their frames.
+    template : Template
+        The picture of the body that was learnt with them.
+    explained : callable
+        Share of the changes of brightness that a rotation explains.
+    """
+    steps = np.diff(angle) / np.diff(frame)
+    usual = float(np.median(steps))
+    sense = math.copysign(1.0, usual)
+    # an oscillation has no alternative
+    if np.mean(sense * steps > 0) < 0.95:
+        return Alias(angle, None)
+    for n in [*symmetries(template), 1]:
+        period = TURN / n
+        if abs(usual) < _FAST * period or abs(usual) > period:
+            continue
+        other = angle - sense * period * (frame - frame[0])
+        gain = explained(other) - explained(angle)
+        if gain > _EQUAL:
+            return Alias(other, None)
+        if gain < -_EQUAL:
+            continue
+        slows, other_slows = (_growth(a, frame) < -_STEADY for a in (angle, other))
+        fastest = float(np.quantile(np.abs(steps), 0.99))
+        if not other_slows or (slows and fastest < 0.5 * period):
+            if fastest > 0.5 * period:
+                return Alias(angle, _warning(angle, other, frame, period, chosen="slower at first"))
+            continue
+        return Alias(other, _warning(other, angle, frame, period, chosen="that slows down"))
+    return Alias(angle, None)
+
+
+def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """Return the mean turn per frame in the first and in the last fifth."""
+    fifth = max(2, len(angle) // 5)
+    first, last = (
+        float((angle[b] - angle[a]) / (frame[b] - frame[a])) for a, b in ((0, fifth), (-1 - fifth, -1))
+    )
+    return first, last
+
+
+def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
+    """Return the relative change of the speed from the first to the last fifth; NaN where the sense changes."""
+    first, last = _ends(angle, frame)
+    return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
+
+
+def _warning(
+    taken: Floats, other: Floats, frame: npt.NDArray[np.int64], period: float, *, chosen: str
+) -> str:
+    def words(angle: Floats) -> str:
+        first, last = (math.degrees(x) for x in _ends(angle, frame))
+        return f"{first:+.0f} to {last:+.0f} degrees per frame"
+
+    alike = "" if period == TURN else f"The body looks alike after {math.degrees(period):.0f} degrees. "
+    return (
+        f"{alike}The film shows a rotation of {words(taken)} as well as one of {words(other)}; the one "
+        f"{chosen} is taken. Film with a higher frame rate, or mark the body on one side."
+    )

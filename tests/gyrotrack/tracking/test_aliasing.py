@@ -1,0 +1,65 @@
+"""Temporal aliasing of bodies with a symmetry: polar pictures computed at known angles."""
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking._aliasing import symmetries, unaliased
+from gyrotrack.tracking._registration import Ring, explained, learn
+
+RING = Ring.about((100.0, 100.0), 30.0, 80.0, finest=0.02)
+FRAMES = np.arange(80)
+# slows down from 70 to 40 degrees per frame, clockwise
+TRUE = -np.radians(70 * FRAMES - 30 * FRAMES**2 / (2 * FRAMES[-1]))
+
+
+def polars(angle, mark=0.0, fold=3):
+    """Return pictures of a body of `fold` equal arms, one of them brighter by `mark`, with noise of 2 grey levels."""
+    rng = np.random.default_rng(0)
+    found = []
+    for a in angle:
+        # rolled pictures turn clockwise
+        seen = RING.angle + a
+        arms = 60 * np.exp(4 * (np.cos(fold * seen) - 1)) + mark * np.exp(40 * (np.cos(seen) - 1))
+        picture = np.broadcast_to(arms, (RING.rows, RING.columns))
+        found.append((picture + rng.normal(0, 2, picture.shape)).astype(np.float32))
+    return found
+
+
+def taken(apparent, pictures):
+    allowed = np.ones((RING.rows, RING.columns), dtype=bool)
+
+    def template(angle):
+        return learn(pictures, -angle, allowed, RING, separate=False, plain=True)
+
+    return unaliased(
+        apparent, FRAMES, template(apparent), lambda a: explained(pictures, -a, template(a))[0]
+    ), template(apparent)
+
+
+def test_of_two_rotations_that_look_alike_the_one_that_slows_down_is_taken():
+    apparent = TRUE + np.radians(120) * FRAMES
+    assert np.all(np.diff(apparent) > 0)  # counter-clockwise, and faster and faster
+    (angle, warning), template = taken(apparent, polars(TRUE))
+    assert symmetries(template)[-1] == 3
+    np.testing.assert_allclose(angle, TRUE, atol=1e-9)
+    assert "looks alike after 120 degrees" in warning
+    assert "-67 to -43 degrees per frame as well as one of +53 to +77" in warning
+    # the right one followed from the beginning is kept, with the same warning
+    (angle, warning), _ = taken(TRUE, polars(TRUE))
+    np.testing.assert_allclose(angle, TRUE, atol=1e-9)
+    assert "looks alike after 120 degrees" in warning
+
+
+def test_a_mark_on_one_arm_decides():
+    (angle, warning), _ = taken(TRUE + np.radians(120) * FRAMES, polars(TRUE, mark=60.0))
+    np.testing.assert_allclose(angle, TRUE, atol=1e-9)
+    assert warning is None
+
+
+@pytest.mark.parametrize(
+    "angle", [TRUE / 10, 0.5 * np.sin(0.4 * FRAMES)], ids=["slow rotation", "oscillation"]
+)
+def test_a_motion_without_alternative_is_kept(angle):
+    (found, warning), _ = taken(angle, polars(angle))
+    assert found is angle
+    assert warning is None
