@@ -107,6 +107,8 @@ def acceleration(samples: Samples, *, angle: bool) -> float:
 
 Array = NDArray[np.float64]
 
+# relative error of I_casing/I_rotor, a parameter of the library
+INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
 # smallest number of rows of a rotor window with which correlated noise is estimated
 _WINDOW_ROWS = 8
@@ -150,6 +152,8 @@ class CaseData:
     """A record, projected once and used for every model.
 
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
+    `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
+    stated uncertainties.
     """
 
     record: Record
@@ -157,6 +161,7 @@ class CaseData:
     rotor: tuple[Compressed, ...]
     oscillation: Oscillation | None = None
     noiseless: bool = False
+    free_inertia: bool = False
 
     @classmethod
     def of(cls, record: Record) -> CaseData:
@@ -200,6 +205,17 @@ class CaseData:
     def with_prior(self, prior: Prior | None) -> CaseData:
         """Return the same data with this prior."""
         return self if prior == self.record.prior else replace(self, record=replace(self.record, prior=prior))
+
+    @cached_property
+    def prior(self) -> Prior | None:
+        """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
+        record, given = self.record, self.record.prior
+        known = (record.I_casing_u / record.I_casing, record.I_rotor_u / record.I_rotor)
+        u = math.hypot(*(x for x in known if math.isfinite(x)))
+        if not self.free_inertia or record.single or u == 0 or (given and INERTIA_RATIO in given.names):
+            return given
+        stated = Prior((INERTIA_RATIO,), (0.0,), ((u**2,),), "moments of inertia")
+        return stated if given is None else given.joined(stated)
 
     @property
     def is_angle(self) -> bool:
@@ -247,7 +263,7 @@ class CaseData:
     @property
     def prior_rows(self) -> int:
         """Number of rows of the prior, the last ones; their measured values are zero."""
-        prior = self.record.prior
+        prior = self.prior
         return 0 if prior is None else len(prior.names)
 
     @cached_property
@@ -553,6 +569,12 @@ class CaseData:
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
     """Return the cases of a joint fit with a prior of their parameters."""
     return tuple(d.with_prior(prior) for d in data)
+
+
+def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[CaseData]:
+    """Return the cases for a model with effects of these names, with the prior of a free ratio of inertia."""
+    free = INERTIA_RATIO.rpartition(".")[0] in names
+    return [d if d.free_inertia == free else replace(d, free_inertia=free) for d in data]
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:

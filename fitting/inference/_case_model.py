@@ -232,7 +232,7 @@ class CaseModel:
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
-        prior = data.record.prior
+        prior = data.prior
         # the prior of shared parameters counts once, in the first case
         self._prior = (
             None

@@ -374,11 +374,13 @@ class Fit(FitSummary):
 
     @property
     def undetermined(self) -> list[str]:
-        """Parameters, without phases, whose standard uncertainty exceeds their value a hundredfold."""
+        """Parameters, without phases and those with a prior, whose uncertainty exceeds their value a hundredfold."""
+        known = {k for d in self.problem.data if d.prior is not None for k in d.prior.names}
         return [
             k
             for k in not_determined(self.estimates)
-            if self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
+            if k.partition("@")[0] not in known
+            and self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
             and self.problem.layout.parameter(k).role != "phase"
         ]
 
