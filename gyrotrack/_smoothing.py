@@ -34,7 +34,7 @@ _MIN_PATH = 6
 _SIGNIFICANT = 3.5
 """Standard deviations beyond which a correlation is significant."""
 _MIN_NU, _MAX_NU = 5.0, 1e3
-_BORROWED_NU = 4.0
+BORROWED_NU = 4.0
 """Degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)."""
 _BLOCK = 1024
 _MIN_JITTER_SHARE = 0.5
@@ -144,7 +144,7 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
         return 1.0
     own = np.minimum(np.abs(off[known]), FAR * np.hypot(sigma[known], floor))
     seen = max(float(np.mean(own**2) - np.mean(sigma[known] ** 2)), 0.0)
-    return float(np.sqrt(min((_BORROWED_NU + places * seen / floor**2) / (_BORROWED_NU + places), 1.0)))
+    return float(np.sqrt(min((BORROWED_NU + places * seen / floor**2) / (BORROWED_NU + places), 1.0)))
 
 
 def smooth_path(coarse: Floats) -> Floats:

@@ -258,7 +258,7 @@ class _Axis:
 def _orders(about: Fit, angle: str) -> tuple[int, ...]:
     """Return the harmonics of an angle that the recordings resolve."""
     data = about.problem.data
-    if not data[0].is_angle:
+    if data[0].measured_angle is None:
         return ()
     if angle == "psi_c":
         return _HARMONICS

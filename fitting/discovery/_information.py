@@ -194,8 +194,8 @@ def simulated(fit: Fit, run: Run) -> Fit:
     )
     data = CaseData(
         record,
-        compress(casing, degree=CASING_DEGREE, harmonics=False, blocks=_BLOCKS, noisy=False),
-        tuple(compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=1, noisy=False) for w in windows),
+        compress(casing, degree=CASING_DEGREE, blocks=_BLOCKS, noisy=False),
+        tuple(compress(w, degree=ROTOR_DEGREE, blocks=1, noisy=False) for w in windows),
         noiseless=True,
     )
     problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])

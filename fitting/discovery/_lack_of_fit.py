@@ -342,7 +342,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
         chi2, torque, count, shares = 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
-            if not data.is_angle:
+            if data.measured_angle is None:
                 shares.append(0.0)
                 continue
             numbers = fit.problem.layout.numbers(fit.theta, index)

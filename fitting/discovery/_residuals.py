@@ -196,11 +196,11 @@ class AngleHarmonics:
 
 
 def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit; none where speeds were measured, or the body does not turn round."""
+    """Return the harmonics of each case of a fit; none where speeds do not determine it, or the body oscillates."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
-        if not case.data.is_angle or case.data.oscillation is not None:
+        if case.data.measured_angle is None or case.data.oscillation is not None:
             continue
         numbers = fit.problem.layout.numbers(fit.theta, index)
         columns = [

@@ -90,7 +90,7 @@ def curve_bias(found: Fit) -> dict[str, CurveBias]:
 
 def _calibrated(window: Samples) -> Compressed:
     degree = min(ROTOR_DEGREE, (len(window) - 1) // 2)
-    return compress(window, degree=degree, harmonics=False, blocks=1, noise_rows=SPEED_NOISE_ROWS)
+    return compress(window, degree=degree, blocks=1, noise_rows=SPEED_NOISE_ROWS)
 
 
 def _line(window: Samples) -> tuple[float, float, float]:

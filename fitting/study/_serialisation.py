@@ -55,7 +55,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
@@ -398,6 +398,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
     """
     if stored.code != fingerprint():
         return None
+    data = with_free_inertia(data, model.names)
     layout = ParameterLayout(model, tuple(d.record for d in data), tuple(stored.per_case), stored.ranges)
     problem = Problem.of(layout, data)
     theta = np.array(stored.theta, dtype=float)

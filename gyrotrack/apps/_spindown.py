@@ -150,7 +150,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
         "decay, but no angle: no case and no torque law."
     )
     parts = dict.fromkeys(("case", "report", "picture", "oscillator", "diagnosis"))
-    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note]}
+    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note], "ambiguous": False}
 
 
 def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
@@ -463,6 +463,7 @@ def _analysed(
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
+        "ambiguous": tracked is not None and tracked.ambiguous,
     }
 
 

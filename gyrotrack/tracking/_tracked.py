@@ -35,6 +35,7 @@ class Tracked:
     # correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method
     correlated: float
     warnings: tuple[str, ...]  # warnings for the user
+    ambiguous: bool = False  # whether another rotation describes the film as well (temporal aliasing)
 
     @property
     def hub_leverage(self) -> float:

@@ -557,6 +557,8 @@ def spindown_command(
     out.result(document)
     out.show(*_lines(document))
     verdict = (document["diagnosis"] or {}).get("verdict")
+    if document["ambiguous"]:
+        return NOT_TRUSTED
     if document["diagnosis"] is None:
         return NOT_TRUSTED if document["motion"].kind == "spin-down" else DONE
     return NOT_TRUSTED if verdict == "unexplained" else DONE
