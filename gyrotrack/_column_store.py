@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import mmap
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, overload
 from weakref import WeakSet
 
 import numpy as np
@@ -33,15 +33,7 @@ _files: WeakSet[mmap.mmap] = WeakSet()
 
 
 def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeLike]]) -> dict[str, Array]:
-    """Return columns with undefined values.
-
-    Parameters
-    ----------
-    rows : int
-        Length of every column.
-    kinds : mapping
-        Shape of one row and type, by name.
-    """
+    """Return columns of a length with undefined values; `kinds` has shape of one row and type by name."""
     places, end = {}, 0
     for name, (shape, kind) in kinds.items():
         places[name] = end
@@ -79,6 +71,60 @@ def release_pages() -> None:
     for file in list(_files):
         if _DONTNEED is not None:
             file.madvise(_DONTNEED)
+
+
+_LEAST_READ = 16 << 20
+"""Bytes of pictures that are read between two releases of pages."""
+
+
+class StoredPictures(Sequence[Array]):
+    """Pictures of equal shape and type in a file, so that memory use does not grow with their number.
+
+    Parameters
+    ----------
+    pictures : ndarray, shape (n, height, width)
+        A column of `new_columns`.
+    places : ndarray of int, shape (m,)
+        Rows of the pictures in this sequence.
+    """
+
+    def __init__(self, pictures: Array, places: Array) -> None:
+        self._pictures, self._places = pictures, places
+        self._each = max(int(pictures[:1].nbytes), 1)
+        self._read = 0
+
+    @classmethod
+    def of(cls, count: int, pictures: Iterable[Array]) -> StoredPictures:
+        """Store at most `count` pictures as they come."""
+        stored, number = np.empty((0, 0, 0), np.uint8), 0
+        for number, picture in zip(range(1, count + 1), pictures, strict=False):
+            if number == 1:
+                stored = new_columns(count, {"picture": (picture.shape, picture.dtype)})["picture"]
+            stored[number - 1] = picture
+            if number * picture.nbytes % _LEAST_READ < picture.nbytes:
+                release_pages()
+        return cls(stored, np.arange(number))
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, place: int) -> Array: ...
+    @overload
+    def __getitem__(self, place: slice) -> StoredPictures: ...
+    def __getitem__(self, place: int | slice) -> Array | StoredPictures:
+        if isinstance(place, slice):
+            return StoredPictures(self._pictures, self._places[place])
+        self._read += self._each
+        if self._read > _LEAST_READ:
+            self._read = 0
+            release_pages()
+        picture: Array = self._pictures[self._places[place]]
+        return picture
+
+    def at(self, places: npt.ArrayLike) -> StoredPictures:
+        """Return the pictures at some places."""
+        return StoredPictures(self._pictures, self._places[np.asarray(places, dtype=np.int64)])
 
 
 def _mapped(size: int) -> mmap.mmap | None:

@@ -23,8 +23,7 @@ import numpy as np
 from scipy.stats import binom
 
 from fitting import Experiment, Model, diagnose, fit, simulate
-from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS
-from fitting.discovery._planned_recordings import PlannedRecordings
+from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS, PlannedRecordings
 from fitting.discovery._power import Search, delta_of_power
 from fitting.effects._library import INERTIA_CASING, INERTIA_ROTOR, LIBRARY, PAPER, REDUCED
 

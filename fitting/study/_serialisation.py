@@ -328,7 +328,7 @@ def load_fit(path: str | Path) -> SavedFit:
         raise LedgerError(f"{path} is damaged: {type(fault).__name__} {fault}"[:200]) from None
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):
-        raise LedgerError(f"{path} is damaged: the covariance has another size than the names")
+        raise LedgerError(f"{path} is damaged: the size of the covariance differs from the number of names")
     return SavedFit(
         model=model,
         estimates=_estimates(stored.estimates),
@@ -445,15 +445,6 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
     """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
     Its candidates have no screening results: it serves display only.
-
-    Parameters
-    ----------
-    stored : StoredDiagnosis
-        As `stored_diagnosis` returned it.
-    fit : Fit
-        The fit that was diagnosed.
-    extra : sequence of Effect
-        Effects of the user.
     """
     if stored.code != fingerprint() or stored.extra != own_effects(extra):
         return None

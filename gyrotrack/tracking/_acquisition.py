@@ -18,7 +18,15 @@ from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle, orbits_about
 from gyrotrack.tracking._polar import Ring, boxed
-from gyrotrack.tracking._profile import Blob, MarkerProfile, Profile, chroma_direction, find_blobs, hue_score
+from gyrotrack.tracking._profile import (
+    Blob,
+    MarkerProfile,
+    Profile,
+    chroma_direction,
+    find_blobs,
+    hue_score,
+    nearest_colour,
+)
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 
 Floats = npt.NDArray[np.float64]
@@ -173,23 +181,30 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
 
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
-    direction = chroma_direction(wanted.colour, wanted.hue)
-    score = np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
+    """Find the patch of a colour in each sample.
+
+    The difference from a background that is not grey has another hue than the marker. The patch is found by the hue of
+    the profile and measured in its own one.
+    """
+    score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
+    own = score
     extent = Extent(np.ones(ring.rows, dtype=np.bool_), ring.inner, ring.outer, 0.15, 0)
     for _ in range(3):
         half = int(max(extent.half_width / ring.step, 1))
         column, clear = _brightest(score[:, extent.rows].mean(axis=1), half)
-        patch = aligned(score, column, clear)
-        found = extent_of(patch, ring)
+        found = extent_of(aligned(own, column, clear), ring)
         if found is None:
             return None
         extent = found
-    core = extent.core(patch.shape[1], ring.step)
-    u, v = (float(aligned(part, column, clear)[core].mean()) for part in difference)
-    if np.hypot(u, v) < LEAST_CONTRAST or clear.mean() < 0.1:
+        patches = [aligned(part, column, clear) for part in difference]
+        core = extent.core(patches[0].shape[1], ring.step)
+        u, v = (float(patch[core].mean()) for patch in patches)
+        size = float(np.hypot(u, v))
+        own = _scores(difference, (u / size, v / size)) if size > 0.0 else score
+    if size < LEAST_CONTRAST or clear.mean() < 0.1:
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
-    angle = _refined(score[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
+    angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
     marker = Marker(
         name=wanted.name,
         body=wanted.body,
@@ -202,6 +217,10 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         dwell=_dwell(angle, 1.3 * extent.half_width),
     )
     return SampledMarker(marker, angle, clear)
+
+
+def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
+    return np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
@@ -315,9 +334,14 @@ WIDEST = 0.8
 
 
 def find_markers(
-    samples: Samples, profile: Profile, centre: tuple[float, float], disc: Disc | None, radius: float | None
-) -> tuple[dict[str, Marker], dict[str, tuple[float, float]]]:
-    """Find the visible markers of a profile, and `Scene.offsets`.
+    samples: Samples,
+    profile: Profile,
+    centre: tuple[float, float],
+    disc: Disc | None,
+    radius: float | None,
+    where: str,
+) -> tuple[dict[str, Marker], dict[str, tuple[float, float]], tuple[str, ...]]:
+    """Find the visible markers of a profile, `Scene.offsets` and `Scene.doubts`.
 
     Each body is searched in a ring about the hub, and again in a ring about the centre of its orbits if this differs
     from the hub.
@@ -330,6 +354,8 @@ def find_markers(
         The disc at the centre, which is excluded from the search.
     radius : float or None
         Radius of the largest orbit [px].
+    where : str
+        Name of the film, for messages.
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -348,7 +374,9 @@ def find_markers(
             rings = Rings(samples.strips(moved, frames), moved)
             found = _coloured(rings, profile, body)
         observations |= found
-    observations = _placed(_strong(observations), profile)
+    observations = _strong(observations)
+    misplaced = {name: observations.pop(name).marker for name in _on_other_body(observations, where)}
+    observations = _placed(observations, profile)
     markers = {name: seen.marker for name, seen in observations.items()}
     for wanted in profile.marker:
         others = [seen for seen in observations.values() if seen.marker.body == wanted.body]
@@ -357,7 +385,16 @@ def find_markers(
             marker = find_white(samples, frames, ring.moved((centre[0] + x, centre[1] + y)), wanted, others)
             if marker is not None and is_marker_sized(marker):
                 markers[wanted.name] = marker
-    return {m.name: markers[m.name] for m in profile.marker if m.name in markers}, offsets
+    doubts = tuple(
+        f"The {name} marker of the {marker.body} turns with the markers of the other body and is omitted: it is on "
+        f"that body, and its {_hue_of(marker)} was taken for {marker.colour}. Write a profile with `gyrotrack profile`."
+        for name, marker in misplaced.items()
+    )
+    return {m.name: markers[m.name] for m in profile.marker if m.name in markers}, offsets, doubts
+
+
+def _hue_of(marker: Marker) -> str:
+    return nearest_colour(float(np.rad2deg(np.arctan2(marker.contrast[1], marker.contrast[0]))))
 
 
 def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMarker]:
@@ -372,6 +409,8 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 LEAST_COVERED = 4.0
 """Angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured."""
+LEAST_TURNED = 0.5
+"""Angle [rad] that the samples of a marker must cover to tell which markers turn with it."""
 LEAST_OFFSET = 1.0
 """Offset [px] below which rings about the hub are used."""
 
@@ -452,6 +491,55 @@ def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
     return {name: seen for name, seen in observations.items() if contrast[name] >= least}
 
 
+LEAST_TOGETHER = 0.75
+"""Smallest share of the samples in which two markers on one body have the same angular distance."""
+_LEAST_COMMON = 8
+_NEAR = 0.2
+
+
+def share_together(a: SampledMarker, b: SampledMarker) -> float:
+    """Return the largest share of the samples in which two markers have the same distance; NaN for too few samples."""
+    both = a.clear & b.clear
+    if both.sum() < _LEAST_COMMON:
+        return float("nan")
+    turn = np.exp(1j * (a.angle - b.angle)[both])
+    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _NEAR
+    return float(near.mean(axis=1).max())
+
+
+def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
+    """Return the markers of one body that turn with those of the other one.
+
+    Where the colours of a film are not those of the profile, a marker of the rotor may have the colour that is nearest
+    to that of the casing. Of two markers that turn together, that one is wrong with which fewer of its body turn.
+
+    Raises
+    ------
+    TrackingError
+        If this is undecided.
+    """
+    turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
+
+    def agreement(one: SampledMarker) -> int:
+        own = [m for m in turning if m is not one and m.marker.body == one.marker.body]
+        share = [share_together(one, other) for other in own]
+        return sum(s > LEAST_TOGETHER for s in share) - sum(s <= LEAST_TOGETHER for s in share)
+
+    wrong = []
+    for one in (m for m in turning if m.marker.body == "casing"):
+        for other in (m for m in turning if m.marker.body != "casing"):
+            if not share_together(one, other) > LEAST_TOGETHER:
+                continue
+            if agreement(one) == agreement(other):
+                raise TrackingError(
+                    f"The {one.marker.name} marker of the casing and the {other.marker.name} marker of the rotor turn "
+                    f"together in {where}: the colours of the profile are not those of the film.",
+                    "Write a profile with `gyrotrack profile`, or track the casing only (--body casing).",
+                )
+            wrong.append(min(one, other, key=agreement).marker.name)
+    return list(dict.fromkeys(wrong))
+
+
 def _placed(observations: dict[str, SampledMarker], profile: Profile) -> dict[str, SampledMarker]:
     found: dict[str, SampledMarker] = {}
     for body in ("casing", "rotor"):
@@ -502,7 +590,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None
-    markers, offsets = find_markers(samples, profile, centre, disc, radius)
+    markers, offsets, doubts = find_markers(samples, profile, centre, disc, radius, where)
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
         raise TrackingError(
@@ -513,7 +601,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     sought = profile.centre == "circle" and profile.hub is None
     warnings = (_NO_DISC,) if disc is None and sought else ()
     body_of: dict[str, str] = {wanted.name: wanted.body for wanted in profile.marker}
-    return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of)
+    return Scene(centre, disc, tuple(markers.values()), missing, warnings, offsets, body_of, doubts)
 
 
 def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:

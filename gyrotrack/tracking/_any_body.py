@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._column_store import StoredPictures, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
@@ -27,7 +28,6 @@ from gyrotrack.tracking._registration import (
     Picture,
     Pose,
     Ring,
-    StoredPolars,
     Template,
     explained,
     follow,
@@ -217,7 +217,7 @@ def _track(
     return _measure(film, usable, first, best, motion, progress)
 
 
-def _second_body(block: Sequence[Plane], motion: Motion, best: _Trial) -> _Trial | None:
+def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
     """Return a second body that does not overlap with the best one and is explained as well; None if there is none.
 
     The moving area outside the ring of the best candidate is searched by itself.
@@ -286,14 +286,14 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
     return kept
 
 
-def _refined_trial(trial: _Trial, block: Sequence[Plane], area: Area, *, keep: bool) -> _Trial:
+def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bool) -> _Trial:
     """Refine radii, hub and angles of a candidate on its block of frames."""
     ring, angle = trial.ring, trial.angle
     polars = [ring.unwrap(frame) for frame in block]
     _, rows = _score(polars, angle, ring.inside(area), ring, separate=trial.separate)
     ring = ring.trimmed(rows, finest=_COARSE)
     use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
-    few = [block[i] for i in use]
+    few = block.at(use)
 
     def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
         there = _placed(ring, place)
@@ -353,14 +353,17 @@ def ring_step(
 ) -> Floats:
     """Return the Gauss-Newton step in hub and stretch (x, y, p, q), with template and angles projected out."""
     allowed = ring.inside(area)
-    polars = [ring.unwrap(frame) for frame in frames]
+    polars = StoredPictures.of(len(frames), map(ring.unwrap, frames))
     template = learn(polars, angles, allowed, ring, separate=separate, plain=True)
     cos, sin = np.cos(ring.angle), np.sin(ring.angle)
     x, y = ring.radius[:, None] * cos, ring.radius[:, None] * sin
     kernel = (ring.outer - ring.inner) / ring.rows
     turns = [int(np.rint(a / ring.step)) for a in angles]
-    slopes = np.empty((len(frames), len(free), *allowed.shape), dtype=np.float32)
-    rests = np.empty((len(frames), *allowed.shape), dtype=np.float32)
+    stored = new_columns(
+        len(frames), {"slopes": ((len(free), *allowed.shape), "f4"), "rests": (allowed.shape, "f4")}
+    )
+    slopes, rests = stored["slopes"], stored["rests"]
+    mean = np.zeros(slopes.shape[1:], dtype=np.float32)
     for t, (polar, angle, turn) in enumerate(zip(polars, angles, turns, strict=True)):
         model = rolled(template.body, angle / ring.step)
         radial = np.gradient(model, kernel, axis=0)
@@ -370,18 +373,20 @@ def ring_step(
         for n, k in enumerate(free):
             slopes[t, n] = np.roll(every[k], -turn, axis=1)
         rests[t] = np.roll(polar - template.fixed - model, -turn, axis=1)
-    slopes -= slopes.mean(axis=0)
+        mean += slopes[t] / np.float32(len(frames))
+        release_pages()
     root = np.sqrt(ring.area / template.body_variance).astype(np.float32)
     along = np.gradient(template.body, axis=1) * root
     energy = max(float(np.sum(along**2)), 1e-9)
     left, right = np.zeros((len(free), len(free))), np.zeros(len(free))
     for t, turn in enumerate(turns):
         usable = np.roll(allowed, -turn, axis=1)
-        basis = (slopes[t] * root * usable).reshape(len(free), -1)
+        basis = ((slopes[t] - mean) * root * usable).reshape(len(free), -1)
         rest = (rests[t] * root * usable).ravel()
         basis = basis - np.outer(basis @ along.ravel(), along.ravel()) / energy
         left += basis @ basis.T
         right += basis @ rest
+        release_pages()
     scale = np.sqrt(np.diag(left)) + 1e-12
     solved = np.linalg.solve(left / np.outer(scale, scale) + 1e-4 * np.eye(len(free)), right / scale) / scale
     limit = np.array([0.05 * ring.outer, 0.05 * ring.outer, 0.05, 0.05])[list(free)]
@@ -408,7 +413,7 @@ def _measure(
     allowed = coarse.inside(area)
     wanted = set(usable.tolist())
     unwrapped = (coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted)
-    polars = StoredPolars.of(coarse, len(usable), unwrapped)
+    polars = StoredPictures.of(len(usable), unwrapped)
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
     mean = np.mean([polars[i] for i in use], axis=0)
     moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise
@@ -452,13 +457,12 @@ def _measure(
         stretch=coarse.stretch,
     )
     allowed = ring.inside(area)
-    limit = max(40, min(_LEARNT, int(400e6 / (4 * ring.rows * ring.columns))))
-    chosen = np.unique(np.linspace(0, len(usable) - 1, limit).astype(int))
+    chosen = np.unique(np.linspace(0, len(usable) - 1, _LEARNT).astype(int))
     pictures = film.some(usable[chosen])
     separate = best.separate
     free = _free(ring, angle, given=best.way == "given")
     for _ in range(2):
-        shown = [ring.unwrap(picture) for picture in pictures]
+        shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
         template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
         poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
         angle[chosen] = [p.angle for p in poses]
@@ -466,10 +470,10 @@ def _measure(
         if free:
             place = np.array([*ring.hub, *ring.stretch])
             place[free] += ring_step(
-                ring, [pictures[i] for i in few], angle[chosen][few], free, area, separate=separate
+                ring, pictures.at(few), angle[chosen][few], free, area, separate=separate
             )
             ring = _placed(ring, place)
-    shown = [ring.unwrap(picture) for picture in pictures]
+    shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
     poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
     angle[chosen] = [p.angle for p in poses]
@@ -487,23 +491,16 @@ def _measure(
         if progress is not None:
             progress(k + 1, len(usable))
     tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle)
-    return tracked if alias.warning is None else replace(tracked, warnings=(*tracked.warnings, alias.warning))
+    if alias.warning is None:
+        return tracked
+    return replace(tracked, warnings=(*tracked.warnings, alias.warning), ambiguous=True)
 
 
-def _settle(
-    polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring, *, separate: bool
-) -> Floats:
+def _settle(polars: StoredPictures, angle: Floats, allowed: Bools, ring: Ring, *, separate: bool) -> Floats:
     """Refine the angles of all frames on the coarse ring."""
     for _ in range(2):
         use = np.unique(np.linspace(0, len(polars) - 1, _LEARNT).astype(int))
-        template = learn(
-            [polars[i] for i in use],
-            angle[use],
-            allowed,
-            ring,
-            separate=separate,
-            plain=True,
-        )
+        template = learn(polars.at(use), angle[use], allowed, ring, separate=separate, plain=True)
         angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
     return angle
 
@@ -513,10 +510,10 @@ def _good(poses: Sequence[Pose]) -> Floats:
     return np.asarray(misfit < 3 * np.median(misfit), dtype=np.float64)
 
 
-def _hub_motion(polars: Sequence[Picture], angle: Floats, template: Template) -> float:
+def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> float:
     """Return the standard deviation of the displacement of the hub [px]; 0 if it is not significant."""
     use = np.unique(np.linspace(0, len(polars) - 1, _HUB_FRAMES).astype(int))
-    polars, angle = [polars[i] for i in use], angle[use]
+    polars, angle = polars.at(use), angle[use]
     fixed = [register(p, template, a) for p, a in zip(polars, angle, strict=True)]
     moved = [register(p, template, a, move=True) for p, a in zip(polars, angle, strict=True)]
     gain = np.median([m.misfit for m in moved]) / max(float(np.median([f.misfit for f in fixed])), 1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from gyrotrack._smoothing import TimeBase, jitter_is_real
 from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
-from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles, join, variance_left
+from gyrotrack.tracking._fusion import PLACE_ORDERS, BodyAngles, MarkerAngles, join, variance_left
 from gyrotrack.tracking._hub import (
     LEAST_SIGMA,
     CentrePath,
@@ -80,7 +81,8 @@ class BodyView:
         self, centre: Floats, reference: Flattening, shift: Floats, size: float
     ) -> Flattening:
         """Take the tilt from another body, and fit offsets to the arcs of the markers (see `flattening_of_arc`)."""
-        return flattening_of_arc(reference, self._orbits(centre), shift, size)
+        usual = usual_error_by_place(self)
+        return flattening_of_arc(reference, self._orbits(centre), shift, size, usual)
 
     def _orbits(self, centre: Floats) -> dict[str, Floats]:
         return {p.name: self._trusted(p.name, centre) for p in self.markers}
@@ -183,9 +185,8 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     ]
     if not known:
         return flat
-    body_view, reference = views[known[0]], flat[known[0]]
-    p, q = _shrunk(np.array([reference.p, reference.q]), usual_error_by_place(body_view) / body_view.radius)
-    reference = replace(reference, p=float(p), q=float(q))
+    tilt = _common_tilt({name: flat[name] for name in known}, views)
+    body_view, reference = views[known[0]], replace(flat[known[0]], p=tilt.real, q=tilt.imag)
     shift = _shrunk(
         reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
     )
@@ -193,7 +194,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     for name, own in flat.items():
         radius = views[name].radius
         if own.offset:
-            found[name] = own
+            found[name] = replace(own, p=tilt.real, q=tilt.imag)
         elif name == "casing":
             expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, radius)
             found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
@@ -201,6 +202,39 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
             size = float(np.hypot(DEPTH * reference.tilt * radius, LEAST_SIGMA))
             found[name] = views[name].flattening_of_arc(centre.centre, reference, shift, size)
     return found
+
+
+def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView]) -> complex:
+    """Return p + i q of all bodies: they are seen by one camera, and the ellipses of their orbits are equal.
+
+    The component across the tilt is an error. That along it cannot be negative: it is the posterior mean for a normally
+    distributed error, the share of one harmonic in the errors by place, and a uniform prior from 0.
+    """
+    total, number = 0j, 0
+    for name, one in flat.items():
+        markers = sum(m in one.offset for m in views[name].observations)
+        total, number = total + markers * complex(one.p, one.q), number + markers
+    mean = total / number
+    error = max(usual_error_by_place(views[n], number) / views[n].radius for n in flat)
+    error /= math.sqrt(len(PLACE_ORDERS))
+    along = -np.exp(2j * _azimuth(mean, error, flat, views))
+    ratio = max(float((mean * np.conj(along)).real) / error, -5.0)
+    density = math.exp(-0.5 * ratio**2) / math.sqrt(2.0 * math.pi)
+    return complex(along * error * (ratio + density / (0.5 * math.erfc(-ratio / math.sqrt(2.0)))))
+
+
+def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: dict[str, BodyView]) -> float:
+    """Return the azimuth of the tilt [rad], y up.
+
+    Both the ellipse of an orbit (p + i q = `tilt`, with its `error`) and the offset of an orbit below the hub show it.
+    The angles are doubled because the ellipse does not show the sense; each has the weight 1 / variance.
+    """
+    total = -tilt * abs(tilt) / error**2
+    for name, one in flat.items():
+        if coloured := [m for m in views[name].coloured if m in one.offset]:
+            shift = complex(*one.shift(coloured))
+            total += 0.25 * shift**2 / usual_error_by_place(views[name], len(coloured)) ** 2
+    return 0.5 * float(np.angle(total))
 
 
 HEIGHT = 0.03
@@ -266,7 +300,9 @@ def separate_perspective(
         return own
     offset, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
     # Perspective acts along the tilt; the component across it is an error.
-    azimuth = 0.5 * np.arctan2(-reference.q, -reference.p)
+    azimuth = _azimuth(
+        complex(reference.p, reference.q), error / body_view.radius, {"rotor": reference}, views
+    )
     along = np.array([np.cos(azimuth), np.sin(azimuth)])
     off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
     if off:

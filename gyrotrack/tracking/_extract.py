@@ -337,7 +337,7 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str
     The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
     predict angles that differ by more than half a turn.
     """
-    found = []
+    found = list(scene.doubts)
     for name, track in bodies.items():
         if len(track.time) < LEAST_TRACKED * count:
             found.append(

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._column_store import StoredPictures, new_columns, release_pages
 from gyrotrack.video._decoder import Reader
 
 Floats = npt.NDArray[np.float64]
@@ -204,16 +205,16 @@ def camera_shake(
     found = _rigid(places, moved[:, use])
     if found is None or not found.significant:
         return None
-    return _rigid(places, np.stack([tracked(reference, places, frame) for frame in frames]))
+    return _rigid(places, (tracked(reference, places, frame) for frame in frames))
 
 
-def _rigid(places: npt.NDArray[np.float32], moved: Floats) -> Shake | None:
+def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | None:
     """Fit displacement and roll of the picture in each frame by least squares without outliers."""
     centre = places.mean(axis=0).astype(np.float64)
     own = places - centre
-    shift, roll = np.full((len(moved), 2), np.nan), np.full(len(moved), np.nan)
-    errors, rolls = [], []
-    for k, one in enumerate(moved):
+    shifts, turns, errors, rolls = [], [], [], []
+    for one in moved:
+        shift, turn = np.full(2, np.nan), np.nan
         use = np.isfinite(one).all(axis=1)
         for _ in range(3):
             if use.sum() < _FEWEST // 2:
@@ -224,14 +225,16 @@ def _rigid(places: npt.NDArray[np.float32], moved: Floats) -> Shake | None:
             across = np.stack([-(x - middle)[:, 1], (x - middle)[:, 0]], axis=1)
             inertia = float(np.sum(across**2))
             turn = float(np.sum(across * (one[use] - d))) / max(inertia, 1e-9)
-            shift[k] = d - turn * np.array([-middle[1], middle[0]])
-            roll[k] = turn
-            rest = one - shift[k] - turn * np.stack([-own[:, 1], own[:, 0]], axis=1)
+            shift = d - turn * np.array([-middle[1], middle[0]])
+            rest = one - shift - turn * np.stack([-own[:, 1], own[:, 0]], axis=1)
             size = np.hypot(*np.nan_to_num(rest, nan=1e9).T)
             spread = float(np.median(size[use])) + 1e-3
             errors.append(spread / np.sqrt(use.sum()))
             rolls.append(spread / np.sqrt(max(inertia, 1e-9)))
             use = size < 3.0 * spread
+        shifts.append(shift)
+        turns.append(turn)
+    shift, roll = np.array(shifts), np.array(turns)
     known = np.isfinite(roll)
     if known.mean() < 0.9:
         return None
@@ -247,11 +250,15 @@ def _rigid(places: npt.NDArray[np.float32], moved: Floats) -> Shake | None:
 
 
 _HELD = 600_000_000
-"""Largest size of the decoded pictures that are kept in memory [bytes]."""
+"""Largest size of the decoded pictures that are kept in temporary files [bytes] ..."""
+_FILE = 64_000_000
+"""... of this size ..."""
+_RELEASES = 4
+"""... each of which is read in so many parts."""
 
 
 class Film:
-    """The luma of a film's frames, kept in memory where it fits, else decoded again for each pass.
+    """The luma of a film's frames, kept in temporary files if it is small, else decoded again for each pass.
 
     Parameters
     ----------
@@ -267,25 +274,29 @@ class Film:
         self.path = path
         self._threads = threads
         self._shake: Shake | None = None
-        self._kept: list[Plane] | None = []
-        held = 0
-        seen: list[Plane] = []
-        self.repeats: list[bool] = []
+        self._files: list[npt.NDArray[np.uint8]] = []
         before: npt.NDArray[np.int16] | None = None
         changes = []
+        kept = True
         with Reader(path, threads) as reader:
-            for frame in islice(reader, most):
+            for count, frame in enumerate(islice(reader, most)):
                 plane = np.ascontiguousarray(frame.y)
                 small = plane[::4, ::4].astype(np.int16)
                 changes.append(255.0 if before is None else float(np.mean(np.abs(small - before))))
                 before = small
-                held += plane.nbytes
-                if held <= _HELD:
-                    seen.append(plane.copy())
+                rows = max(_FILE // plane.nbytes, 1)
+                kept &= (count + 1) * plane.nbytes <= _HELD
+                if not kept:
+                    self._files.clear()
+                    continue
+                if count % rows == 0:
+                    self._files.append(new_columns(rows, {"plane": (plane.shape, np.uint8)})["plane"])
+                    release_pages()
+                self._files[-1][count % rows] = plane
             self.info = reader.info
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
-        self._kept = seen if held <= _HELD else None
+        release_pages()
         self.changes = np.array(changes)
         self.count = len(changes)
 
@@ -299,9 +310,12 @@ class Film:
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         """Yield the luma of the frames from `first` to before `stop`."""
         stop = self.count if stop is None else min(stop, self.count)
-        if self._kept is not None:
-            for index, plane in enumerate(self._kept[first:stop], first):
-                yield self._still(plane, index)
+        if self._files:
+            rows = len(self._files[0])
+            for index in range(first, stop):
+                if index % max(rows // _RELEASES, 1) == 0:
+                    release_pages()
+                yield self._still(self._files[index // rows][index % rows], index)
             return
         with Reader(self.path, self._threads) as reader:
             for frame in reader:
@@ -313,12 +327,12 @@ class Film:
     def _still(self, plane: Plane, index: int) -> Plane:
         return plane if self._shake is None else self._shake.stabilised(plane, index)
 
-    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> list[Plane]:
+    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> StoredPictures:
         """Return chosen frames, in the order of their numbers."""
-        if self._kept is not None:
-            return [self._still(self._kept[i], int(i)) for i in index]
         wanted = {int(i) for i in index}
-        return [f.copy() for i, f in enumerate(self.frames(0, max(wanted) + 1)) if i in wanted]
+        first, stop = min(wanted), max(wanted) + 1
+        chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
+        return StoredPictures.of(len(wanted), chosen)
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:

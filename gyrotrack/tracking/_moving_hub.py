@@ -16,16 +16,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
-    Picture,
     Pose,
     Ring,
-    StoredPolars,
     explained,
     follow,
     learn,
@@ -49,6 +48,7 @@ _HIDDEN = 6.0  # mean square residual over its median from which a frame does no
 _LARGEST_STEP = 2.0  # px that a registration may correct the path by
 
 _BACKGROUND = 60  # frames of which the background is the median
+_BAND = 64  # rows of the picture of which the median is taken at a time
 _LAG = 4  # frames between which the picture of a moving body changes
 _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
 _FAINTEST = 0.1  # ... and the share of the strongest contrast
@@ -256,7 +256,9 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
     steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])
     sample = film.some(usable[np.unique(np.minimum(steps, len(usable) - 1))])
-    background = np.median(sample, axis=0).astype(np.float32)
+    bands = range(0, len(sample[0]), _BAND)
+    background = np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands])
+    background = background.astype(np.float32)
     away = max(float(np.quantile(np.abs(frame - background), 0.999)) for frame in sample)
     limit = max(_CONTRAST * noise, _FAINTEST * away)
     active: list[_Link] = []
@@ -338,7 +340,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     shift = path.place - hub
     where = {int(frame): k for k, frame in enumerate(path.frame)}
     pictures = (ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where)
-    polars = StoredPolars.of(ring, len(where), pictures)
+    polars = StoredPictures.of(len(where), pictures)
     # frames of a body at rest are excluded: they carry no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
@@ -396,8 +398,9 @@ def _along_path(
     ring = Ring.about(ring.hub, ring.inner, ring.outer, finest=_MIDDLE, start=ring.start, span=ring.span)
     allowed = np.ones((ring.rows, ring.columns), dtype=bool) if area is None else ring.inside(area)
 
-    def unwrapped() -> list[Picture]:
-        return [ring.unwrap(f, tuple(shift[k])) for k, f in zip(use, pictures, strict=True)]
+    def unwrapped() -> StoredPictures:
+        pairs = zip(use, pictures, strict=True)
+        return StoredPictures.of(len(use), (ring.unwrap(f, tuple(shift[k])) for k, f in pairs))
 
     for _ in range(_ROUNDS):
         polars = unwrapped()

@@ -20,8 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._smoothing import median_of, spread
-from gyrotrack.tracking._hub import LEAST_SIGMA
+from gyrotrack._smoothing import BORROWED_NU, median_of, spread
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -258,7 +257,7 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
 
 
 def flattening_of_arc(
-    reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float
+    reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float, usual: float
 ) -> Flattening:
     """Fit offsets to arcs of markers, with the tilt of the view from another body.
 
@@ -272,6 +271,8 @@ def flattening_of_arc(
         Expected offset of all markers [px], or h equally probable alternatives.
     size : float
         Standard deviation of the expected offset [px].
+    usual : float
+        Typical error by place [px].
 
     Notes
     -----
@@ -288,7 +289,7 @@ def flattening_of_arc(
             fits = []
             for one in expected:
                 level = replace(reference, offset={name: (float(one[0]), float(one[1]))}).level(name, v)
-                more, own, evidence = _arc(level, size)
+                more, own, evidence = _arc(level, size, usual)
                 fits.append((one + more, own, evidence))
             found.offset[name], found.offset_covariance[name] = mixture(*map(list, zip(*fits, strict=True)))
     return found
@@ -307,17 +308,23 @@ def mixture(
     return (float(mean[0]), float(mean[1])), np.asarray(covariance)
 
 
-def _arc(v: Floats, size: float) -> tuple[Floats, Floats, float]:
-    """Fit the offset of an arc, expected to be 0 within `size`: (2,), its covariance (2, 2), and the log evidence."""
+def _arc(v: Floats, size: float, usual: float) -> tuple[Floats, Floats, float]:
+    """Fit the offset of an arc, expected to be 0 within `size`: (2,), its covariance (2, 2), and the log evidence.
+
+    The variance of the errors is the posterior mean given the typical one and the residuals of the few independent
+    places, of which three are absorbed by radius and offset.
+    """
     few = v[:: max(len(v) // MOST_OBSERVATIONS, 1)]
     rho, theta = np.hypot(few[:, 0], few[:, 1]), np.arctan2(few[:, 1], few[:, 0])
     design = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)
     expected = np.diag([0.0, size**-2, size**-2])
-    alike = max(len(rho) * CELL / max(covered_angle(theta), CELL), 1.0)
+    places = min(max(covered_angle(theta) / CELL, 1.0), float(len(rho)))
+    alike = len(rho) / places
     keep = np.ones(len(rho), dtype=np.bool_)
     for _ in range(3):
         free = np.linalg.lstsq(design[keep], rho[keep], rcond=None)[0]
-        scatter = max(spread(rho[keep] - design[keep] @ free), LEAST_SIGMA)
+        seen = places * spread(rho[keep] - design[keep] @ free) ** 2
+        scatter = np.sqrt((BORROWED_NU * usual**2 + seen) / (BORROWED_NU + max(places - 3.0, 0.0)))
         weight = 1.0 / (alike * scatter**2)
         covariance = np.linalg.inv(weight * design[keep].T @ design[keep] + expected)
         solution = weight * covariance @ design[keep].T @ rho[keep]

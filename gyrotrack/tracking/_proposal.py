@@ -14,6 +14,7 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._acquisition import (
     LEAST_CONTRAST,
+    LEAST_TOGETHER,
     LONGEST_DWELL,
     Rings,
     SampledMarker,
@@ -24,6 +25,7 @@ from gyrotrack.tracking._acquisition import (
     is_marker_sized,
     placed,
     search_ring,
+    share_together,
 )
 from gyrotrack.tracking._orbit import Orbit, common_centre, orbits_about
 from gyrotrack.tracking._polar import Ring
@@ -267,10 +269,7 @@ Mask = npt.NDArray[np.bool_]
 
 EVEN = 0.6
 """Smallest share of the observations that are in phase with a steady rotation."""
-TOGETHER = 0.75
-"""Smallest share of the samples in which two markers of one body have the same distance."""
 _REST_STEP, _MOVED = 2e-3, 0.25
-_NEAR = 0.2
 _FEWEST = 8
 
 
@@ -326,22 +325,13 @@ def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], l
     for one in sorted(candidates, key=lambda c: -c.contrast):
         if any(one is other for other in uneven):
             continue
-        group = next((g for g in groups if _together(one, g[0])), None)
+        group = next((g for g in groups if share_together(one.sampled, g[0].sampled) > LEAST_TOGETHER), None)
         if group is None:
             groups.append([one])
         else:
             group.append(one)
     made = [Group(tuple(g), max((rotations[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
     return sorted(made, key=lambda g: -g.weight), uneven
-
-
-def _together(a: Candidate, b: Candidate) -> bool:
-    both = a.sampled.clear & b.sampled.clear
-    if both.sum() < _FEWEST:
-        return False
-    turn = np.exp(1j * (a.sampled.angle - b.sampled.angle)[both])
-    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _NEAR
-    return bool(near.mean(axis=1).max() > TOGETHER)
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,13 @@ the learnt picture, scaled by the measured scatter of the angles.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, overload
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-from gyrotrack._column_store import new_columns, release_pages
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
@@ -33,7 +31,6 @@ _PHASES = 8  # copies of the template shifted by fractions of a column
 _ITERATIONS = 6
 _CLOSE = 1e-3  # columns; a step below this ends the iteration
 ALL = slice(None)
-_HELD = 256  # polar pictures in memory
 
 
 @dataclass(frozen=True)
@@ -142,48 +139,6 @@ class Ring:
             picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
         found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
-
-
-class StoredPolars(Sequence[Picture]):
-    """Polar pictures of many frames in a file, so that memory use does not grow with the length of the film.
-
-    Parameters
-    ----------
-    pictures : ndarray, shape (n, rows, columns)
-        A column of `new_columns`.
-    """
-
-    def __init__(self, pictures: Picture) -> None:
-        self._pictures = pictures
-        self._read = 0
-
-    @classmethod
-    def of(cls, ring: Ring, count: int, pictures: Iterable[Picture]) -> StoredPolars:
-        """Store `count` pictures of a ring as they come."""
-        stored = cls(new_columns(count, {"polar": ((ring.rows, ring.columns), np.float32)})["polar"])
-        for place, picture in zip(range(count), pictures, strict=False):
-            stored._pictures[place] = picture
-            stored._release()
-        return stored
-
-    def __len__(self) -> int:
-        return len(self._pictures)
-
-    @overload
-    def __getitem__(self, place: int) -> Picture: ...
-    @overload
-    def __getitem__(self, place: slice) -> StoredPolars: ...
-    def __getitem__(self, place: int | slice) -> Picture | StoredPolars:
-        if isinstance(place, slice):
-            return StoredPolars(self._pictures[place])
-        self._release()
-        picture: Picture = self._pictures[place]
-        return picture
-
-    def _release(self) -> None:
-        self._read += 1
-        if self._read % _HELD == 0:
-            release_pages()
 
 
 def rolled(picture: Picture, columns: float) -> Picture:
@@ -369,7 +324,7 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
 
 
 def learn(
-    polars: Iterable[Picture],
+    polars: Sequence[Picture],
     angles: Floats,
     allowed: Bools,
     ring: Ring,
@@ -401,7 +356,6 @@ def learn(
         Use the same variance for all samples: while angles or hub are inaccurate, the variances are largest at the
         details of the body.
     """
-    polars = list(polars)
     counted = np.ones(len(polars)) if counted is None else counted
     usable = allowed.astype(np.float32)
     fixed = np.zeros(usable.shape, dtype=np.float32)

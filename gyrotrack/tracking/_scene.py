@@ -88,6 +88,8 @@ class Scene:
         The body of each marker of the profile, also of those that were not found.
     warnings : tuple of str
         What the user should know.
+    doubts : tuple of str
+        Reasons to inspect the result.
     """
 
     centre: tuple[float, float]
@@ -97,6 +99,7 @@ class Scene:
     warnings: tuple[str, ...] = ()
     offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
     body_of: dict[str, str] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
     def axis(self, body: str) -> tuple[float, float]:
         """Return the centre of a body's orbits at the time of acquisition, (x, y) in px."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import _column_store as columns
+from gyrotrack.tracking import _film as film
 from gyrotrack.tracking._body_angles import join_bodies
 from gyrotrack.tracking._extract import _recording
 from gyrotrack.tracking._profile import PAPER
@@ -94,3 +95,27 @@ def test_a_large_file_is_not_held_in_memory(tmp_path):
     )
     assert (tmp_path / "long.h5").stat().st_size > 35e6
     assert float(done.stdout) < 12.0  # MB
+
+
+def test_stored_pictures_are_those_that_were_given():
+    rng = np.random.default_rng(1)
+    given = rng.integers(0, 255, (90, 400, 600), dtype=np.uint8)  # 21.6 MB: pages are released between
+    stored = columns.StoredPictures.of(100, iter(given))
+    assert len(stored) == len(given)
+    assert all(np.array_equal(a, b) for a, b in zip(stored, given, strict=True))
+    assert np.array_equal(stored[10::7][3], given[31])
+    assert np.array_equal(stored.at([80, 3])[1], given[3])
+    assert np.array_equal(stored[-1], given[-1])
+    assert len(columns.StoredPictures.of(5, iter(()))) == 0
+
+
+def test_frames_of_a_film_that_is_not_kept_are_decoded_again(monkeypatch):
+    clip = Path(__file__).parents[3] / "sample_clips" / "rotor_1.mp4"
+    kept = film.Film(clip, most=40)
+    monkeypatch.setattr(film, "_HELD", 10**6)
+    passing = film.Film(clip, most=40)
+    assert len(kept) == len(passing) == 40
+    for a, b in zip(kept.frames(3, 9), passing.frames(3, 9), strict=True):
+        assert np.array_equal(a, b)
+    for a, b in zip(kept.some([2, 30]), passing.some([2, 30]), strict=True):
+        assert np.array_equal(a, b)

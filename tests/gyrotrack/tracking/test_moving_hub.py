@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._any_body import track_body
@@ -33,7 +34,7 @@ class Rendered:
         return iter(self._frames[first:stop])
 
     def some(self, index):
-        return [self._frames[i] for i in index]
+        return StoredPictures.of(len(index), (self._frames[i] for i in index))
 
 
 def disc(radius, marks):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle
@@ -34,10 +35,10 @@ class Rendered:
         return iter(self.some(range(len(self))[first:stop]))
 
     def some(self, index):
-        found = [self._frames[i] for i in index]
-        if self._shake is None:
-            return found
-        return [self._shake.stabilised(f, i) for f, i in zip(found, index, strict=True)]
+        found = (self._frames[i] for i in index)
+        if self._shake is not None:
+            found = (self._shake.stabilised(f, i) for f, i in zip(found, index, strict=True))
+        return StoredPictures.of(len(index), found)
 
 
 def renderer(radius, seed=0):

@@ -42,7 +42,7 @@ def test_an_arc_takes_the_tilt_of_another_orbit_and_its_offset_within_what_it_do
         by_place = np.random.default_rng(seed).normal(0, 0.1, (2, 13))  # px, alike over half a radian
         error = np.stack([np.interp(theta, np.arange(13) * np.pi / 6, row) for row in by_place], axis=1)
         seen = _seen(theta, 120.0, truth, 0.25, 0.8) + error
-        found = flattening_of_arc(lender, {"red": seen}, np.array([0.5, -0.4]), 0.64)
+        found = flattening_of_arc(lender, {"red": seen}, np.array([0.5, -0.4]), 0.64, 0.1)
         off = np.array(found.offset["red"]) - truth
         z.append(off @ np.linalg.solve(found.offset_covariance["red"], off) / 2.0)
         v = found.level("red", _seen(theta, 120.0, truth, 0.25, 0.8))

@@ -4,11 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured
 from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import PAPER
-from gyrotrack.tracking._scene import take_samples
+from gyrotrack.tracking._scene import Marker, take_samples
 
 SMALL = {"width": 320, "height": 240, "radius": 105.0, "wobble": 0.3}
 
@@ -131,3 +133,54 @@ def test_the_roll_of_a_hand_held_camera_is_subtracted(draw):
         assert len(track.time) >= 0.95 * film.frames, body
         assert np.std(error) < 4e-3, body
         assert np.std(error / track.sigma) < 1.6, body
+
+
+def test_a_marker_that_turns_with_the_other_body_is_on_that_body():
+    """Orange on a rotor is the red of the profile's casing, where the casing has another colour."""
+    turn = np.linspace(0.0, 9.0, 30)
+
+    def seen(name, body, angle):
+        marker = Marker(name, body, name, 20.0, 40.0, 0.2, (-30.0, 25.0), 0.3)
+        return SampledMarker(marker, np.asarray(angle), np.ones(len(angle), dtype=bool))
+
+    right = {"red": seen("red", "casing", 0.1 * turn), "blue": seen("blue", "rotor", turn)}
+    assert _on_other_body(right, "film") == []
+    still = {"red": seen("red", "casing", 0 * turn), "blue": seen("blue", "rotor", 1.0 + 0 * turn)}
+    assert _on_other_body(still, "film") == []
+    wrong = {"red": seen("red", "casing", turn + 1.0), "blue": seen("blue", "rotor", turn)}
+    with pytest.raises(TrackingError, match="turn together in film"):
+        _on_other_body(wrong, "film")
+    green = seen("green", "rotor", turn - 2.0)
+    assert _on_other_body({**wrong, "green": green}, "film") == ["red"]
+    assert _on_other_body({**right, "green": seen("green", "rotor", 0.1 * turn)}, "film") == ["green"]
+
+
+@pytest.mark.slow
+def test_colours_of_another_profile_give_no_angles_of_a_wrong_body(draw, tmp_path):
+    magenta, orange = (160, 20, 165), (230, 120, 20)
+    path, film = draw(**{**SMALL, "frames": 150, "red": magenta, "disc": magenta, "white": orange})
+    assert run(["extract", str(path), "-q", "-o", str(tmp_path / "film.h5")]) == 3
+    recording = extract(path)
+    assert set(recording.bodies) == {"rotor"}
+    assert (
+        "The red marker of the casing turns with the markers of the other body"
+        in recording.extra["doubts"][0]
+    )
+    assert np.abs(_errors(recording, film, "rotor")[0]).max() < 0.1
+
+
+def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
+    """Green paper on brass differs from it by another hue than green: nearly 45 degrees, where the score ends."""
+    ring = Ring((160.0, 120.0), 20.0, 100.0, 81, 512)
+    rng = np.random.default_rng(2)
+    strips = np.full((2, 40, 81, 512), 128.0)
+    strips[0], strips[1] = np.linspace(115.0, 108.0, 81)[:, None], 141.0  # brass under a lamp
+    for k in range(40):
+        columns = (np.arange(-15, 16) + 37 * k) % 512
+        strips[0, k, 25:60, columns], strips[1, k, 25:60, columns] = 112.0, 104.0  # green: about (0, -37)
+    strips += rng.normal(0.0, 1.5, strips.shape)
+    found = find_coloured(Rings(np.clip(strips, 0, 255).astype(np.uint8), ring), PAPER.marker[3])
+    assert PAPER.marker[3].colour == "green"
+    assert (found.marker.inner, found.marker.outer) == pytest.approx((45.0, 79.0), abs=1.5)
+    assert found.marker.half_width == pytest.approx(15.5 * ring.step, abs=0.02)
+    assert np.all(found.clear)
