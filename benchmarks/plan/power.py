@@ -63,7 +63,7 @@ def cells(path: Path, experiment: Experiment) -> list[dict[str, Any]]:
     if kept.exists():
         found: list[dict[str, Any]] = json.loads(kept.read_text())
         return found
-    described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {}, "benchmark")
+    described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {})
     process = [described.process_noise(_SIMULATIONS + i) for i in range(_ESTIMATES)]
     search, *others = (
         Search(described.fit(i), truth=described.numbers, process=process) for i in range(_SIMULATIONS)

@@ -73,7 +73,7 @@ class Information:
         self.fit = fit
         self.candidates = [(e, dict(s)) for e, s in candidates if not e.depends_on_angle]
         layout, model = fit.problem.layout, fit.model.smooth
-        self._shared = [k for k in model.free if k not in model.per_case]
+        self._shared = [k for k in model.free if k not in {*model.per_case, *layout.per_case}]
         # a parameter at its bound is held, as in the search
         bound = dict(zip(layout.names, layout.at_bound(fit.theta), strict=True))
         self._held = {k for k in self._shared if bound.get(k, False)}
