@@ -24,13 +24,17 @@ HARMONICS = 4
 _MIN_INDEPENDENCE = 0.2
 
 
+def _harmonics(y: Array) -> Array:
+    return np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
+
+
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
 
     In less than a turn a harmonic contains no further information; its part orthogonal to the polynomials would be the
     noise of y, not a signal. For a casing at rest the whole harmonic is noise.
     """
-    waves = np.stack([np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
+    waves = _harmonics(y)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
     keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.sqrt(len(y) / 2)
     return np.asarray(np.where(keep, waves, 0.0))
@@ -60,6 +64,8 @@ _AT_REST = 0.5  # rad/s
 _MOST_CUTS = 12
 # groups of samples of a block
 _BINS = 128
+# smallest range of a harmonic that is more than rounding
+_SAME = 1e-7
 _CLIP = 3.0
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 
@@ -252,7 +258,9 @@ def _block(
             # nearly polynomials it would enter the rows that measure the noise
             smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
             psi = smooth @ (smooth.T @ (y / sigma)) * sigma
-        periodic = independent_harmonics(psi, powers[:, :k])
+        # a harmonic that is the same in all pulses would, of the smoothed angle, be the error of their times
+        varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
+        periodic = independent_harmonics(psi, powers[:, :k]) * varies
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
     design = np.concatenate([powers[:, :k], periodic[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)

@@ -36,6 +36,14 @@ _END = 3
 """Number of intervals at each end that have too few neighbours on one side."""
 _LINE = 4
 """Number of intervals whose speed is continued to the ends."""
+_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
+_REGULAR = 0.13
+"""Relative scatter of the intervals up to which a single interval shows a missed or a double pulse (five of them)."""
+_SIGNIFICANT_STEP = 3.5
+"""Smallest step of the counts in standard errors."""
+_STRETCH = 60
+"""Number of pulses between the knots of the spline through the counts."""
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
 _ALTERNATING = 0.9
@@ -232,7 +240,8 @@ def from_events(
             "Give a longer recording.",
         )
     single = np.append(True, np.diff(time) > 0)
-    single[single] = _not_double(time[single])
+    steps = _steps_of_jittering_counts(time[single])
+    single[single] = _not_double(time[single]) if steps is None else steps >= 0
     doubles = int((~single).sum())
     if doubles:
         notes.append(
@@ -244,7 +253,15 @@ def from_events(
             f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed.",
             "Check the column of the times.",
         )
-    count = _with_missed_pulses(raw, time, np.arange(len(time), dtype=float), line, notes)
+    count = np.arange(len(time), dtype=float)
+    if steps is None:
+        count = _with_missed_pulses(raw, time, count, line, notes)
+    elif (missed := np.maximum(steps[steps >= 0], 0)).any():
+        count = count + np.cumsum(missed)
+        notes.append(
+            f"{raw.path.name}: {int(missed.sum())} missed pulses were added "
+            f"(first: before line {line[np.argmax(missed > 0)]})"
+        )
     return from_counts(raw, time, count, line, per_turn, notes)
 
 
@@ -266,6 +283,47 @@ def _with_missed_pulses(
         f"(first: before line {line[np.argmax(missed) + 1]})"
     )
     return np.asarray(count + np.concatenate([[0.0], np.cumsum(added)]))
+
+
+def _steps_of_jittering_counts(time: Floats) -> Integers | None:
+    """Return the pulses missed before each pulse, -1 for a double one; None if single intervals show them.
+
+    Where the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. But
+    every later count is then too small by one: the counts are described by a cubic spline in time, and steps by whole
+    numbers are added or removed at irregular intervals, one at a time, as long as one is more than a half.
+    """
+    interval = np.diff(time)
+    if len(interval) < _STRETCH:
+        return None
+    ratio = interval / _typical_interval(interval)
+    spread = float(np.median(np.abs(ratio - np.median(ratio)))) / _NORMAL
+    if spread < _REGULAR:
+        return None
+    count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
+    x = np.linspace(0, 1, len(time))
+    knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
+    t = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
+    smooth = np.polynomial.legendre.legvander(t, 3)
+    bends = [np.maximum(t - np.interp(k, x, t), 0.0) ** 3 for k in knots]
+    basis = np.linalg.qr(np.column_stack([smooth, *bends]))[0]
+    places = 1 + np.flatnonzero((ratio > 1.4) | (ratio < 0.6))
+    columns = (np.arange(len(time))[:, None] >= places).astype(float)
+    columns -= basis @ (basis.T @ columns)
+    size = np.sum(columns**2, axis=0)
+    at = ratio[places - 1]
+    # a short interval contains a double pulse, a long one as many missed pulses as its length allows
+    lowest = np.where(at < 1, -1, 0)
+    highest = np.where(at < 1, 0, np.clip(np.round(at - 1 + 2 * spread), 0, _MAX_MISSED))
+    for _ in range(4 * len(places)):
+        step = -(columns.T @ (count - basis @ (basis.T @ count))) / size
+        change = np.clip(np.sign(step), lowest - steps[places], highest - steps[places])
+        gain = np.abs(step) * np.sqrt(size) / (spread / np.sqrt(2)) * ((change != 0) & (np.abs(step) > 0.5))
+        best = int(np.argmax(gain))
+        if gain[best] < _SIGNIFICANT_STEP:
+            break
+        steps[places[best]] += int(change[best])
+        count[places[best] :] += change[best]
+    return steps
 
 
 def _typical_interval(step: Floats) -> Floats:

@@ -191,3 +191,17 @@ def test_harmonics_that_are_nearly_polynomials_do_not_bias_the_noise():
         samples = Samples(t, angle + noise, np.full(len(t), 3e-3))
         variances.append(compress(samples, degree=CASING_DEGREE, angle=samples.value).scale ** 2)
     assert np.mean(variances) == pytest.approx(1.0, abs=3 * np.std(variances) / np.sqrt(60))
+
+
+@pytest.mark.parametrize("per_turn", [1, 2])
+def test_errors_of_the_times_of_pulses_are_no_harmonics(per_turn):
+    """The angle of a pulse is exact, so its harmonics are constant; those of a smooth angle would be the errors."""
+    rng = np.random.default_rng(4)
+    angle = 2 * np.pi * np.arange(600) / per_turn
+    time = angle / 40.0
+    scatter = 0.2 * (time[1] - time[0])
+    samples = Samples(time + scatter * rng.standard_normal(600), angle, np.full(600, 40.0 * scatter))
+    compressed = compress(samples, degree=CASING_DEGREE, angle=angle, blocks=4)
+    chi2 = np.sum(compressed.harmonic**2) + compressed.rest
+    # 2400 / 4 samples without 8 polynomials a block
+    assert chi2 / compressed.rest_dof == pytest.approx(1, abs=0.3)
