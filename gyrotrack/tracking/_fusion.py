@@ -630,7 +630,7 @@ def join(
             learn_neighbours(state, smooth, other, (half, degree), above=above)
     short, leverage = state.smooth(HALF_WINDOW)
     state.reject_outliers(short, leverage)
-    return _result(state, half, degree, floor, axis, leverage > UNCONFIRMED)
+    return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 
 WEAKEST_BODY = 10.0
