@@ -67,7 +67,7 @@ class Criteria:
     excess_noise: float = _criterion(
         4.0, "process noise of a fit above that of the recording that voids its form [sigma]"
     )
-    spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is no noise", "Baluev 2008")
+    spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is not noise", "Baluev 2008")
     doubt_named: float = _criterion(0.01, "smooth-test p-value that contradicts a named effect", "Hart 1997")
     doubt_adequate: float = _criterion(
         0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008"

@@ -86,24 +86,16 @@ def figure_of(ax: Axes) -> Figure:
     """Return the figure to which axes belong."""
     found = ax.get_figure(root=True)
     if found is None:
-        raise EstimationError("these axes belong to no figure", "make them with matplotlib.pyplot.subplots()")
+        raise EstimationError(
+            "these axes do not belong to a figure", "create them with matplotlib.pyplot.subplots()"
+        )
     return found
 
 
 def draw_speed(
     ax: Axes, measured: Sequence[tuple[Array, Array]], modelled: Sequence[tuple[Array, Array, Array]]
 ) -> None:
-    """Draw modelled speeds with bands of 2 sigma over measured ones.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-        Where to draw.
-    measured : sequence of (time, speed)
-        Runs [s], [rad/s].
-    modelled : sequence of (time, speed, sigma)
-        The model in each run [s], [rad/s].
-    """
+    """Draw modelled speeds (time, speed, sigma) [s, rad/s] with bands of 2 sigma over measured ones (time, speed)."""
     for k, (time, omega) in enumerate(measured):
         ax.plot(time, omega, color=GREY, linewidth=3, label=None if k else "measured")
     for k, (time, omega, sigma) in enumerate(modelled):
@@ -112,15 +104,7 @@ def draw_speed(
 
 
 def draw_speed_residual(ax: Axes, runs: Sequence[SpeedCurve]) -> None:
-    """Draw residual speeds over the band of 2 sigma that noise alone would give.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-        Where to draw.
-    runs : sequence of SpeedCurve
-        Residuals of each run.
-    """
+    """Draw residual speeds over the band of 2 sigma that noise alone would give."""
     for k, r in enumerate(runs):
         band = None if k else "± 2 σ of noise"
         ax.fill_between(r.time, -2 * r.sigma, 2 * r.sigma, color=GREY, alpha=0.6, linewidth=0, label=band)
@@ -136,16 +120,8 @@ def draw_torque(
 ) -> None:
     """Draw unmodelled torques with bands of 2 sigma, and shade intervals of significant lack of fit.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-        Where to draw.
-    curves : sequence of (body, time, torque, sigma)
-        Name of the body, [s], [unit], [unit]; where sigma exceeds three times its minimum the curve is not drawn.
-    intervals : sequence of (start, stop)
-        What to shade [s].
-    unit : str
-        Unit of the torque.
+    `curves` are (body, time [s], torque, sigma [unit]); where sigma exceeds three times its minimum nothing is drawn.
+    `intervals` are (start, stop) [s].
     """
     for (body, time, torque, sigma), colour in zip(curves, (VERMILLION, BLUE), strict=False):
         known = np.where(sigma <= 3 * sigma.min(), torque, np.nan)
@@ -169,14 +145,7 @@ def draw_candidates(
 ) -> None:
     """Draw a bar per candidate effect, as long as the root of its score.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-        Where to draw.
-    names, scores : sequence
-        Effects, best first, and their scores (chi-square).
-    significant, physical : sequence of bool
-        Grey bars are not significant, hatched ones are artefacts of the measurement.
+    Effects are given best first; grey bars are not significant, hatched ones are artefacts of the measurement.
     """
     colours = [BLUE if s else GREY for s in significant]
     hatches = ["" if p else "////" for p in physical]
@@ -192,18 +161,8 @@ def draw_history(
 ) -> None:
     """Draw one bar per fit of a history, the first on top.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-        Where to draw.
-    changes : sequence of str
-        What each fit changed.
-    values : sequence of float
-        The error of each fit.
-    label : str
-        Name and unit of the error.
-    limit : float, optional
-        The error that noise alone gives.
+    `changes` and `values` are what each fit changed and its error, `label` the error's name and unit, `limit` the error
+    of noise alone.
     """
     ax.barh(range(len(values)), values, color=[VERMILLION, *[BLUE] * (len(values) - 1)])
     for i, v in enumerate(values):

@@ -35,13 +35,7 @@ LOCK_TIMEOUT = 10.0
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) atomically.
-
-    Raises
-    ------
-    LedgerError
-        The path is not a regular file, or the system refuses to write.
-    """
+    """Write a text file (UTF-8) atomically; a LedgerError says why the system refuses."""
     refuse_special(path)
     part = path.with_name(path.name + ".part")
     refuse_special(part)
@@ -76,10 +70,8 @@ def refuse_special(path: Path) -> None:
 def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
     """Hold the lock of `path` against other processes while the block runs; the file is not touched.
 
-    Raises
-    ------
-    LedgerError
-        Another program holds the lock for longer than `timeout` [s]. A system without locks is no error.
+    A LedgerError is raised if another program holds the lock for longer than `timeout` [s]. A system without locks is
+    no error.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
     with ExitStack() as stack:
@@ -609,13 +601,7 @@ def as_json(document: Document) -> dict[str, Any]:
 
 
 def write_document(path: Path, document: Document) -> None:
-    """Write a document as a JSON file, atomically.
-
-    Raises
-    ------
-    LedgerError
-        If it cannot be written.
-    """
+    """Write a document as a JSON file, atomically."""
     write_text(path, json.dumps(as_json(document), indent=1, allow_nan=False))
 
 
@@ -625,10 +611,7 @@ _D = TypeVar("_D", LedgerDocument, SavedFitDocument)
 def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
     """Read a JSON file of a kind: a ledger or a saved fit.
 
-    Raises
-    ------
-    LedgerError
-        If the file is missing, of another kind, of a newer version, or damaged.
+    A LedgerError says that the file is missing, of another kind, of a newer version, or damaged.
     """
     refuse_special(path)
     try:

@@ -65,10 +65,7 @@ class WorkerPool:
     Without ``with``, on one core, where no process can be started and after a worker was killed, all calls run in the
     calling process. The workers end with the process that started them.
 
-    Parameters
-    ----------
-    processes : int, optional
-        Number of workers; by default one fewer than the available cores, at most 4.
+    By default there is one worker fewer than available cores, at most 4.
     """
 
     processes: int = field(default_factory=lambda: min(available_cores() - 1, _MOST_PROCESSES))

@@ -33,15 +33,7 @@ _files: WeakSet[mmap.mmap] = WeakSet()
 
 
 def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeLike]]) -> dict[str, Array]:
-    """Return columns with undefined values.
-
-    Parameters
-    ----------
-    rows : int
-        Length of every column.
-    kinds : mapping
-        Shape of one row and type, by name.
-    """
+    """Return columns of a length with undefined values; `kinds` has shape of one row and type by name."""
     places, end = {}, 0
     for name, (shape, kind) in kinds.items():
         places[name] = end

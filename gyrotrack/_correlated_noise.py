@@ -51,25 +51,11 @@ def correlated_least_squares(
     prior: Floats,
     psi: Floats | None = None,
 ) -> list[Estimate]:
-    """Fit y by the columns of a design matrix, with white and correlated noise of unknown variance.
+    """Fit y (n,) by columns of a design matrix (n, p), with white and correlated noise of unknown variance.
 
-    Parameters
-    ----------
-    t, y, sigma : ndarray, shape (n,)
-        Time [s], values, and their relative standard uncertainties.
-    design : ndarray, shape (n, p)
-        Design matrix.
-    models : sequence of list of int
-        Indices of the columns of each model.
-    prior : ndarray, shape (p,)
-        Standard deviations of Gaussian priors about zero, infinite for free coefficients.
-    psi : ndarray, shape (n,), optional
-        Smooth angle [rad]; with it, noise that is harmonic in the angle is considered.
-
-    Returns
-    -------
-    list of Estimate
-        One for each model.
+    `t` are times [s], `sigma` relative standard uncertainties; `models` lists the indices of the columns of each model,
+    `prior` (p,) the standard deviations of Gaussian priors about zero, infinite for free coefficients. With the smooth
+    angle `psi` [rad], noise that is harmonic in the angle is considered.
     """
     x, z, white, when = _binned(t, design, y, sigma)
     n = len(z)
@@ -132,20 +118,10 @@ def correlated_least_squares(
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
     """Return the spectral density of residuals at a low frequency over that of white noise of unit variance.
 
-    Parameters
-    ----------
-    t, residual : ndarray, shape (n,)
-        Time [s] and residuals in units of their uncertainty.
-    design : ndarray, shape (n, p)
-        The columns that were fitted, in the same units; the lost degrees of freedom are accounted for.
-    period : float
-        Period at which the density is evaluated [s].
-
-    Returns
-    -------
-    float
-        At least 1: s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))), times in bins; the geometric mean
-        over the posterior of q and tau, which has a long tail.
+    `residual` (n,) is in units of its uncertainty, as are the fitted columns of `design` (n, p), whose lost degrees of
+    freedom are accounted for; `period` and `t` in s. The density, at least 1, is s^2 (1 + q sinh(1 / tau) / (cosh(1 /
+    tau) - cos(2 pi / period))), times in bins; the geometric mean over the posterior of q and tau, which has a long
+    tail.
     """
     x, z, white, when = _binned(t, design, residual, np.ones(len(t)))
     scale = np.linalg.norm(x, axis=0)

@@ -46,24 +46,9 @@ def local_fit(
 ) -> tuple[Floats, Floats]:
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
-    Parameters
-    ----------
-    value : ndarray, shape (n,)
-        The series; entries of weight 0 may be NaN.
-    weight : ndarray, shape (n,)
-        Weights, 0 where there is no value.
-    half : int
-        Half width of the window; its weights are (1 - (x/(half + 1))^2).
-    degree : int
-        Degree of the polynomial.
-    hole : int
-        Points up to this distance are excluded, to predict each point from the others; -1: none.
-
-    Returns
-    -------
-    smooth, leverage : ndarray, shape (n,)
-        The fitted value, and the weight of a point in its own fitted value. NaN where the window contains too few
-        points.
+    The weights of the window are 1 - (x/(half + 1))^2 times those of the points, 0 where there is no value (it may be
+    NaN). Points up to the distance `hole` are excluded, to predict each point from the others. Returned are the fitted
+    value, and the weight of a point in its own fitted value; NaN where the window contains too few points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
@@ -108,15 +93,10 @@ def excess(off: Floats) -> float:
 def tail_factor(off: Floats) -> Floats:
     """Return the factor by which each residual increases its own uncertainty if the distribution has long tails, (n,).
 
-    The noise is normal with an inverse-gamma distributed variance in each frame: residuals then follow
-    Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a residual of r standard
-    deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is no residual (NaN) the
-    factor is 1.
-
-    Parameters
-    ----------
-    off : ndarray, shape (n,)
-        Residuals of unit root mean square.
+    The noise is normal with an inverse-gamma distributed variance in each frame: residuals, here of unit root mean
+    square, then follow Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a
+    residual of r standard deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is
+    no residual (NaN) the factor is 1.
 
     Examples
     --------
@@ -153,18 +133,11 @@ def correlation_factor(residual: Floats) -> float:
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
     """Return the fraction, 0 to 1, of the expected repeatable errors that the residuals of a body confirm.
 
-    Errors that repeat with the angle appear as residuals from the smooth motion. These residuals and the expected value
-    are two estimates of one variance, each with its degrees of freedom. Larger residuals may be motion and do not
-    increase the fraction above 1.
-
-    Parameters
-    ----------
-    off, sigma : ndarray, shape (n,)
-        Residuals from the smooth motion, NaN where there is none, and their uncertainty without such errors [rad].
-    floor : float
-        Expected standard deviation of the repeatable errors [rad].
-    places : float
-        Number of independent repeatable errors on the arc, less those that the smooth motion can absorb.
+    Errors that repeat with the angle appear as residuals `off` from the smooth motion (NaN where there is none), beside
+    their uncertainty without such errors, `sigma`, and the expected standard deviation `floor` [rad]. These residuals
+    and the expected value are two estimates of one variance, each with its degrees of freedom: `places` is the number
+    of independent repeatable errors on the arc, less those that the smooth motion can absorb. Larger residuals may be
+    motion and do not increase the fraction above 1.
     """
     known = np.isfinite(off) & np.isfinite(sigma)
     if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
@@ -226,24 +199,9 @@ def line_through(path: Floats) -> Floats:
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
-    """Return the running median of a series.
+    """Return the running median over an odd number of points; NaN are ignored and stay NaN.
 
-    Parameters
-    ----------
-    x : array_like, shape (n,)
-        The series; NaN are ignored and stay NaN.
-    width : int
-        Points of the median, odd.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The median of the `width` points around each point; the series is extended by its end points.
-
-    Raises
-    ------
-    ValueError
-        `width` is even or not positive.
+    The series is extended by its end points. A ValueError is raised for an even width.
     """
     if width < 1 or width % 2 == 0:
         raise ValueError(f"the width of a median must be odd and positive, not {width}")
@@ -262,22 +220,11 @@ def angular_velocity(
 ) -> tuple[Floats, Floats]:
     """Return the angular velocity of a record without large gaps, smoothed as in the paper, and its uncertainty.
 
-    The uncertainty is that of a running median of central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt with a
-    trend from one to the next: var = N / D^2, with D the sum of the densities of d_i at the median and N the
-    sum of the covariances of the events d_i < median; d_i and d_{i+2} share one angle and have the
-    correlation -1/2. Without trend this is (pi / 6 n) var(d). The noise of the angles must be independent.
-
-    Parameters
-    ----------
-    time, angle, sigma : array_like, shape (n,)
-        Times [s], increasing; unwrapped angles [rad]; their uncertainties [rad].
-    width : int
-        Points of the medians, odd.
-
-    Returns
-    -------
-    omega, omega_sigma : ndarray, shape (n,)
-        Angular velocity and uncertainty [rad s-1]; NaN in the first and last ``width - 1`` points.
+    The uncertainty [rad s-1] is that of a running median of central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt with a
+    trend from one to the next: var = N / D^2, with D the sum of the densities of d_i at the median and N the sum of the
+    covariances of the events d_i < median; d_i and d_{i+2} share one angle and have the correlation -1/2. Without trend
+    this is (pi / 6 n) var(d). The noise of the unwrapped angles [rad] must be independent. The first and last ``width -
+    1`` points are NaN.
     """
     t, x, s = (np.asarray(a, dtype=float) for a in (time, angle, sigma))
     omega, omega_sigma = np.full_like(t, np.nan), np.full_like(t, np.nan)
@@ -300,23 +247,11 @@ def angular_velocity(
 
 
 def smoothing_width(angle: npt.ArrayLike, sigma: npt.ArrayLike, most: int = WIDTH) -> int:
-    """Return the points of the medians that leave the motion of a body as it is.
+    """Return the odd number of points, 3 to `most`, of the medians that leave the motion of a body as it is.
 
     Of a body that turns in one sense this is `most`. Of one that turns back, such as a pendulum, a median over a good
-    part of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 %
-    of the motion, rms, or less than two standard uncertainties.
-
-    Parameters
-    ----------
-    angle, sigma : array_like, shape (n,)
-        Unwrapped angles and their standard uncertainties [rad].
-    most : int
-        The largest width, odd.
-
-    Returns
-    -------
-    int
-        An odd number, 3 or more.
+    part of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 % of
+    the motion, rms, or less than two standard uncertainties.
     """
     x, s = np.asarray(angle, dtype=float), np.asarray(sigma, dtype=float)
     if len(x) <= 2 * most:
@@ -355,12 +290,8 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 class TimeBase:
     """A non-uniform time base: the times at which the frames of a film were taken.
 
-    Parameters
-    ----------
-    place : ndarray, shape (n,)
-        Times of the frames in periods of the capture rate, increasing.
-    sigma : float
-        Their standard deviation, independent from frame to frame.
+    `place` (n,) are the times in periods of the capture rate, `sigma` is their standard deviation, independent from
+    frame to frame.
     """
 
     def __init__(self, place: Floats, sigma: float = 0.0) -> None:
@@ -399,14 +330,8 @@ class TimeBase:
     ) -> tuple[Floats, Floats]:
         """Fit polynomials in time to residuals about a path; return their values and leverages at the frames.
 
-        Parameters
-        ----------
-        off, weight : ndarray, shape (n,)
-            Residuals [rad] and their weights, 0 for a missing residual.
-        bend : ndarray
-            The path on the uniform grid, less a straight line [rad].
-        half, degree : int
-            See `local_fit`; in periods.
+        `off` are residuals [rad] with their weights, 0 for a missing one; `bend` is the path on the uniform grid, less
+        a straight line [rad]; `half` [periods] and `degree` as for `local_fit`.
         """
         total = np.bincount(self._slot, weight, len(bend)).astype(np.float64)
         clean = np.where(weight > 0.0, off, 0.0) * weight
@@ -436,20 +361,12 @@ def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tup
 
 
 def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
-    """Return whether the jitter of the timestamps is that of the exposures: whether the angle follows it.
+    """Return whether the jitter of the timestamps is that of the exposures: whether the angle [rad] follows it.
 
-    Parameters
-    ----------
-    place, smooth : ndarray, shape (n,)
-        Times of the frames, and the same without jitter.
-    angle : ndarray, shape (n,)
-        Unwrapped angle of a body, NaN where it is unknown [rad].
-
-    Notes
-    -----
-    The residual of an angle from a parabola in the smooth times is b w (place - smooth), with w the angular rate. The
-    least-squares estimate of b is close to 1 if the exposure was late, and to 0 if only the timestamp was. Where its
-    standard uncertainty exceeds 0.2, the timestamps are used.
+    `smooth` are the times of the frames `place` without jitter. The residual of an angle from a parabola in the smooth
+    times is b w (place - smooth), with w the angular rate. The least-squares estimate of b is close to 1 if the
+    exposure was late, and to 0 if only the timestamp was. Where its standard uncertainty exceeds 0.2, the timestamps
+    are used.
     """
     known = np.isfinite(angle)
     if known.sum() < 2 * HALF_WINDOW:

@@ -21,17 +21,9 @@ _KEY = re.compile(
 def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
     """Return the line (from 1) of the key at `location`, or of the nearest table around it that has one.
 
-    Parameters
-    ----------
-    text : str
-        Valid TOML.
-    location : tuple of int or str
-        Keys, and indices in arrays of tables, for example ``("clip", 1, "file")``.
-
-    Notes
-    -----
-    This is a scan by line, not a parser: for keys of inline tables the line of the table is returned, and a line within
-    a multi-line string may be mistaken for a key.
+    A location is keys, and indices in arrays of tables: ``("clip", 1, "file")``. This is a scan by line, not a parser:
+    for keys of inline tables the line of the table is returned, and a line within a multi-line string may be mistaken
+    for a key.
     """
     places: dict[tuple[int | str, ...], int] = {}
     counts: dict[tuple[str, ...], int] = {}
@@ -75,24 +67,9 @@ _MOST_FAULTS = 8
 def read_document(
     path: Path, model: type[Model], *, what: str, error: type[GyrotrackError] = ConfigurationError
 ) -> Model:
-    """Read a TOML file and check it.
+    """Read a TOML file of at most 1 MB and check it against a schema; `what` names its kind in messages.
 
-    Parameters
-    ----------
-    path : Path
-        The file; at most 1 MB of text.
-    model : type of pydantic.BaseModel
-        Schema of the content.
-    what : str
-        Kind of file, for messages ("profile", "manifest").
-    error : type of GyrotrackError
-        Class of the exception.
-
-    Raises
-    ------
-    GyrotrackError
-        Of the class `error`: the file is missing, is not TOML, or contains invalid keys or values, each of which is
-        named with its line.
+    An error of the given class names each invalid key or value with its line.
     """
     text = read_text(path, what=what, error=error)
     try:

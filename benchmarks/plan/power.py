@@ -23,8 +23,7 @@ import numpy as np
 from scipy.stats import binom
 
 from fitting import Experiment, Model, diagnose, fit, simulate
-from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS
-from fitting.discovery._planned_recordings import PlannedRecordings
+from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS, PlannedRecordings
 from fitting.discovery._power import Search, delta_of_power
 from fitting.effects._library import INERTIA_CASING, INERTIA_ROTOR, LIBRARY, PAPER, REDUCED
 
@@ -64,7 +63,7 @@ def cells(path: Path, experiment: Experiment) -> list[dict[str, Any]]:
     if kept.exists():
         found: list[dict[str, Any]] = json.loads(kept.read_text())
         return found
-    described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {}, "benchmark")
+    described = PlannedRecordings(Model.of(REDUCED), NUMBERS, INERTIAS, (experiment,), {})
     process = [described.process_noise(_SIMULATIONS + i) for i in range(_ESTIMATES)]
     search, *others = (
         Search(described.fit(i), truth=described.numbers, process=process) for i in range(_SIMULATIONS)

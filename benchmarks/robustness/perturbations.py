@@ -4,8 +4,9 @@
 
 Two simulated recordings, each with one hidden law, and every CASE given (the demo's: `gyrotrack demo -o FOLDER`), are
 fitted with the reduced model and diagnosed, unchanged and with one thing changed: a moment of inertia, the sample, the
-stated standard uncertainty of the angles, the number of blocks, the exponent or the width of the hidden law. The lines
-go to ``perturbations.jsonl`` (one that is there is not computed again), the table to ``perturbations.md``.
+stated standard uncertainty of the angles, the number of blocks, the exponent or the width of the hidden law; and with a
+stated uncertainty of the casing's moment of inertia and its error as a parameter. The lines go to
+``perturbations.jsonl`` (one that is there is not computed again), the table to ``perturbations.md``.
 """
 
 import argparse
@@ -32,6 +33,7 @@ COLUMNS = (
     "| changed | chi2 / n | ratio | chi2 per fitted row | cross-validation error | ratio "
     "| process noise [nN m] | answer | form | explained |"
 )
+FREE = "u(I_casing) 3 % stated, setup.inertia added"
 STRENGTH, FASTEST = 2e-6, 160.0  # N m at rad/s
 
 
@@ -88,6 +90,12 @@ def of_name(name):
 def inertia(body, share, record):
     """Change a moment of inertia by a share."""
     return replace(record, **{f"I_{body}": getattr(record, f"I_{body}") * (1 + share)})
+
+
+def stated(share, record):
+    """Change the casing's moment of inertia by a share, and state a standard uncertainty of 3 %."""
+    changed = inertia("casing", share, record)
+    return replace(changed, I_casing_u=0.03 * changed.I_casing, digest="")
 
 
 def sample(first, last, record):
@@ -149,6 +157,8 @@ def changes(name):
     for body in ("casing", "rotor"):
         for percent in (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0):
             yield f"I_{body} {percent:+g} %", partial(inertia, body, percent / 100), None
+    for percent in (0.0, -3.0, 3.0):
+        yield f"{FREE}: I_casing {percent:+g} %", partial(stated, percent / 100), None
     for words, first, last in (
         ("first half", 0, 0.5),
         ("second half", 0.5, 1),
@@ -176,7 +186,10 @@ def answer(name, words, ask):
     if blocks:
         _case_data.BLOCKS = blocks
     began = time.process_time()
-    base = fitting.fit("reduced", CaseData.of(change(record)))
+    model = fitting.Model.of("reduced")
+    if words.startswith(FREE):
+        model = model + "setup.inertia"
+    base = fitting.fit(model, CaseData.of(change(record)))
     (case,), (noise,) = base.cases, base.noise
     said = {"verdict": None, "form": None, "named": [], "explained": None}
     if ask:
@@ -203,7 +216,7 @@ def answer(name, words, ask):
 
 
 def table(lines):
-    """Return one table for each recording; ratios are those to the unchanged one."""
+    """Return one table for each recording; ratios are those to the unchanged one, with the same model."""
     parts = []
     for name in dict.fromkeys(x["case"] for x in lines):
         own = {x["change"]: x for x in lines if x["case"] == name}
@@ -217,7 +230,8 @@ def table(lines):
         ]
         for words in order:
             x = own[words]
-            ratios = [x[k] / plain[k] if plain else float("nan") for k in ("chi2", "held_out")]
+            reference = own.get(f"{FREE}: I_casing +0 %") if words.startswith(FREE) else plain
+            ratios = [x[k] / reference[k] if reference else float("nan") for k in ("chi2", "held_out")]
             share = "-" if x["explained"] is None else f"{x['explained']:.3f}"
             said = (x["verdict"] or "-") if not x["named"] else f"{x['verdict']}: {', '.join(x['named'][:3])}"
             level = f"{1e9 * x['noise']:.2g} +- {1e9 * x['noise_u']:.1g}"
@@ -225,14 +239,16 @@ def table(lines):
                 f"| {words} | {x['chi2']:.4g} | {ratios[0]:.3f} | {x['misfit']:.4g} | {x['held_out']:.4g} "
                 f"| {ratios[1]:.3f} | {level} | {said} | {x['form'] or '-'} | {share} |"
             )
-        near = [own[w] for w in order if w.startswith("I_")]
-        if plain and near:
+        for kind, reference, where in (
+            ("I_", plain, ""),
+            (FREE, own.get(f"{FREE}: I_casing +0 %"), f", {FREE}"),
+        ):
+            near = [own[w] for w in order if w.startswith(kind)]
             for key, goal, what in (("chi2", 1.5, "chi2 / n"), ("held_out", 1.2, "cross-validation error")):
-                worst = max(max(x[key] / plain[key], plain[key] / x[key]) for x in near)
-                parts += [
-                    "",
-                    f"Largest factor of the {what} under changes of inertia: {worst:.3f} (goal {goal:g}).",
-                ]
+                if reference and near:
+                    worst = max(max(x[key] / reference[key], reference[key] / x[key]) for x in near)
+                    said = f"Largest factor of the {what} under changes of inertia{where}: {worst:.3f}"
+                    parts += ["", f"{said} (goal {goal:g})."]
         parts.append("")
     return "\n".join(parts)
 

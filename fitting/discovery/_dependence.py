@@ -165,14 +165,7 @@ def dependence(
 ) -> list[Dependence]:
     """Return the unmodelled torque of a fit as a function of each variable, and of pairs; the smallest BIC first.
 
-    Parameters
-    ----------
-    about : Fit
-        The fit about which the data are linearised.
-    without : sequence of str
-        Laws of this fit that count as unmodelled.
-    context : ScoreContext, optional
-        The linearised data, if they are known already.
+    Laws of the fit that are named in `without` count as unmodelled.
     """
     cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
     if context is None:
@@ -268,7 +261,7 @@ class _Axis:
 def _orders(about: Fit, angle: str) -> tuple[int, ...]:
     """Return the harmonics of an angle that the recordings resolve."""
     data = about.problem.data
-    if not data[0].is_angle:
+    if data[0].measured_angle is None:
         return ()
     if angle == "psi_c":
         return _HARMONICS

@@ -61,24 +61,12 @@ _MOST_FREQUENCIES = 800
 
 @dataclass(frozen=True)
 class LawForm:
-    """One law of the grammar.
+    """One law of the grammar."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The law with its parameters, units, bounds and trial values.
-    form : str
-        Its form in a word: "power", "saturation", ...
-    variables : tuple of str
-        The variables on which it depends.
-    symbols : int
-        Length of the formula: variables, functions and operators.
-    """
-
-    effect: Effect
-    form: str
-    variables: tuple[str, ...]
-    symbols: int
+    effect: Effect  # the law with its parameters, units, bounds and trial values
+    form: str  # its form in a word: "power", "saturation", ...
+    variables: tuple[str, ...]  # the variables on which it depends
+    symbols: int  # length of the formula: variables, functions and operators
 
     @property
     def description_length(self) -> float:
@@ -196,16 +184,9 @@ def grammar(
 ) -> list[LawForm]:
     """Return all laws of the grammar, with trial values of their constants for some recordings.
 
-    Parameters
-    ----------
-    ranges : mapping of str to (float, float)
-        Least and largest value of omega_r, omega_c and delta along the motion [rad/s].
-    span : float
-        Length of the longest recording [s].
-    single : bool
-        There is one body only: laws on the casing of its own speed, of time and of the angle.
-    angles : bool
-        Angles were measured: laws of the angle are included.
+    `ranges` holds the least and the largest omega_r, omega_c and delta along the motion [rad/s], `span` is the length
+    of the longest recording [s]. With a `single` body the laws are those of its own speed, of time and of the angle;
+    laws of the angle need measured `angles`.
     """
     bodies: Sequence[Joint] = ("casing",) if single else ("casing", "bearing", "rotor")
     found = []

@@ -54,49 +54,26 @@ _RANK, _TINY = 1e-7, 1e-12
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is planned.
+    """A run that is planned."""
 
-    Attributes
-    ----------
-    omega_rotor, omega_casing : float
-        Initial angular rates [rad/s].
-    duration : float
-        Length of the casing's recording [s].
-    windows : tuple of float
-        Start of each rotor window [s].
-    window_length : float
-        Length of each window [s].
-    ring : float
-        Moment of inertia of the casing over the present one.
-    surface : float
-        Friction at the touch point over the present one.
-    """
-
+    # initial angular rates [rad/s]
     omega_rotor: float
     omega_casing: float
-    duration: float
-    windows: tuple[float, ...]
-    window_length: float
-    ring: float = 1.0
-    surface: float = 1.0
+    duration: float  # length of the casing's recording [s]
+    windows: tuple[float, ...]  # start of each rotor window [s]
+    window_length: float  # length of each window [s]
+    ring: float = 1.0  # moment of inertia of the casing over the present one
+    surface: float = 1.0  # friction at the touch point over the present one
 
 
 class Information:
-    """Fisher information of runs about the shared parameters and the strengths of candidates.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fit of the present recordings.
-    candidates : sequence of (Effect, dict)
-        Effects with their shape constants.
-    """
+    """Fisher information of runs about the shared parameters and the strengths of candidates (with shape constants)."""
 
     def __init__(self, fit: Fit, candidates: Sequence[tuple[Effect, Mapping[str, float]]]) -> None:
         self.fit = fit
         self.candidates = [(e, dict(s)) for e, s in candidates if not e.depends_on_angle]
         layout, model = fit.problem.layout, fit.model.smooth
-        self._shared = [k for k in model.free if k not in model.per_case]
+        self._shared = [k for k in model.free if k not in {*model.per_case, *layout.per_case}]
         # a parameter at its bound is held, as in the search
         bound = dict(zip(layout.names, layout.at_bound(fit.theta), strict=True))
         self._held = {k for k in self._shared if bound.get(k, False)}
@@ -148,13 +125,7 @@ class Information:
         return list(range(first, first + widths[candidate]))
 
     def of_run(self, run: Run) -> tuple[Array, Fit]:
-        """Return the information of a planned run, and its noiseless simulation.
-
-        Raises
-        ------
-        FittingError
-            If the run cannot be simulated.
-        """
+        """Return the information of a planned run, and its noiseless simulation; or raise a FittingError."""
         planned = simulated(self.fit, run)
         return self._of(planned, 0)[0], planned
 
@@ -223,8 +194,8 @@ def simulated(fit: Fit, run: Run) -> Fit:
     )
     data = CaseData(
         record,
-        compress(casing, degree=CASING_DEGREE, harmonics=False, blocks=_BLOCKS, noisy=False),
-        tuple(compress(w, degree=ROTOR_DEGREE, harmonics=False, blocks=1, noisy=False) for w in windows),
+        compress(casing, degree=CASING_DEGREE, blocks=_BLOCKS, noisy=False),
+        tuple(compress(w, degree=ROTOR_DEGREE, blocks=1, noisy=False) for w in windows),
         noiseless=True,
     )
     problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
@@ -254,24 +225,12 @@ _ABSORBED = 1e-12
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation: candidate effects with their shape constants and strengths.
+    """An explanation: candidate effects with their shape constants and strengths."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The effects.
-    columns : tuple of int
-        Their places among the columns of `Information`.
-    strengths : ndarray
-        Strength of each column.
-    weight : float
-        Its posterior probability among the rivals.
-    """
-
-    names: tuple[str, ...]
-    columns: tuple[int, ...]
-    strengths: Array
-    weight: float = 1.0
+    names: tuple[str, ...]  # the effects
+    columns: tuple[int, ...]  # their places among the columns of `Information`
+    strengths: Array  # strength of each column
+    weight: float = 1.0  # its posterior probability among the rivals
 
 
 MOST_RIVALS = 6
@@ -283,14 +242,7 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
     Every set of at most two effects, among the candidates and the effects of the model that the paper does not have, is
     scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower BIC.
 
-    Parameters
-    ----------
-    information : Information
-        Of the present recordings.
-    threshold : sequence of float
-        Score from which each candidate is significant in the whole list.
-    criteria : Criteria
-        `equivalence_width`, `evidence`.
+    `threshold` is the score from which each candidate is significant in the whole list.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting._numbers import TORQUE
-from fitting.discovery._form import FormTest
+from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
@@ -100,13 +100,7 @@ class SmoothTest:
 
 
 def smooth_test(fit: Fit) -> SmoothTest:
-    """Return how significantly the residual torque of a fit depends on a speed.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit with the named law.
-    """
+    """Return how significantly the residual torque of a fit depends on a speed."""
     named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
     projected = orthogonal_to(basis, residual)
@@ -188,33 +182,15 @@ _NEAR_RESONANCE = 0.01
 
 @dataclass(frozen=True)
 class PeriodogramPeak:
-    """The highest peak of the periodogram of the residual torque on one body.
+    """The highest peak of the periodogram of the residual torque on one body."""
 
-    Attributes
-    ----------
-    rate : float
-        Its frequency, 2 pi over the period [rad/s].
-    torque : float
-        Its amplitude [N m].
-    angle : float
-        Amplitude of the body's angle, k / (I w^2) [rad].
-    label : str
-        The case.
-    body : str
-        "casing", or "body" where only one was recorded.
-    p_value : float
-        Probability that noise has as high a peak (an upper bound).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
-
-    rate: float
-    torque: float
-    angle: float
-    label: str
-    body: str
-    p_value: float
-    unit: str = TORQUE
+    rate: float  # its frequency, 2 pi over the period [rad/s]
+    torque: float  # its amplitude [N m]
+    angle: float  # amplitude of the body's angle, k / (I w^2) [rad]
+    label: str  # the case
+    body: str  # "casing", or "body" where only one was recorded
+    p_value: float  # probability that noise has as high a peak (an upper bound)
+    unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
 
     @property
     def words(self) -> str:
@@ -335,24 +311,12 @@ _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 @dataclass(frozen=True)
 class HarmonicTest:
-    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly.
+    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly."""
 
-    Attributes
-    ----------
-    order : int
-        Periods per turn.
-    torque : float
-        Its amplitude in the case where it is largest [N m].
-    p_value : float
-        Probability that noise has as clear a harmonic (Bonferroni bound over the orders).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
-
-    order: int
-    torque: float
-    p_value: float
-    unit: str = TORQUE
+    order: int  # periods per turn
+    torque: float  # its amplitude in the case where it is largest [N m]
+    p_value: float  # probability that noise has as clear a harmonic (Bonferroni bound over the orders)
+    unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
 
     @property
     def words(self) -> str:
@@ -378,7 +342,7 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
         law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
         chi2, torque, count, shares = 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
-            if not data.is_angle:
+            if data.measured_angle is None:
                 shares.append(0.0)
                 continue
             numbers = fit.problem.layout.numbers(fit.theta, index)
@@ -410,17 +374,7 @@ UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 def contradiction(
     chosen: Candidate | None, end: Fit, criteria: Criteria
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
-    """Return the lack-of-fit test that contradicts an answer, if one does.
-
-    Parameters
-    ----------
-    chosen : Candidate or None
-        The named effect.
-    end : Fit
-        The fit with it.
-    criteria : Criteria
-        `doubt_named` and `doubt_adequate`.
-    """
+    """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or none) in the fit `end`."""
     peak = significant_peak(end, criteria)
     if peak is not None:
         return peak
@@ -442,16 +396,7 @@ def nonparametric_rivals(
     A law of one speed can resemble a law of another speed on another body; a law with a free time constant or frequency
     can resemble any slow torque in time.
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit without it.
-    chosen : Candidate or None
-        The named effect.
-    test : FormTest or None
-        The test of its form.
-    criteria : Criteria
-        `equivalence_width`.
+    `fit` is the one without the named effect `chosen`, `test` the test of its form.
     """
     if chosen is None or not chosen.physical:
         return ()

@@ -12,9 +12,9 @@
 
    which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
 3. The best ones of the second search are refitted at the same noise and ranked by BIC plus the description length of
-   the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to
-   the answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with
-   predictions x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
+   the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
+   answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
+   x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
 
        |M (x - y)|^2 < `Criteria.evidence`.
 
@@ -451,19 +451,7 @@ class _Refitted(NamedTuple):
 
 
 class _Search:
-    """The search of one base: scores, refits, scores about the best refit, refits.
-
-    Parameters
-    ----------
-    base : Fit
-        The base.
-    criteria : Criteria
-        Thresholds.
-    workers : WorkerPool
-        Processes that share the refits.
-    steps : _Steps
-        Progress.
-    """
+    """The search of one base: scores, refits, scores about the best refit, refits."""
 
     def __init__(self, base: Fit, criteria: Criteria, workers: WorkerPool, steps: _Steps) -> None:
         self.base, self.criteria, self.workers, self.steps = base, criteria, workers, steps
@@ -759,15 +747,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return laws, best first, each with the other laws of the answer that the data cannot separate from it.
-
-    Parameters
-    ----------
-    found : sequence of Law
-        Laws, best first.
-    criteria : Criteria
-        `equivalence_width` limits the answer; `evidence` is the deviance below which two torques are the same.
-    """
+    """Return laws, best first, each with the other laws of the answer that the data cannot separate from it."""
     answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
     groups: list[list[Law]] = []
     for law in answer:

@@ -208,25 +208,7 @@ def next_run(
 ) -> NextRun | None:
     """Return the run within some bounds that best separates rivals, or without rivals best lowers detection limits.
 
-    Parameters
-    ----------
-    information : Information
-        Of the present recordings.
-    rivals : sequence of Rival
-        Explanations, or none.
-    criteria : Criteria
-        `equivalence_width` and `experiment_sigma`.
-    bounds : Bounds
-        Possible runs.
-    evaluations : int
-        Largest number of simulated runs.
-    progress : callable, optional
-        Called with (runs simulated, all).
-
-    Returns
-    -------
-    NextRun or None
-        None if no run can be simulated.
+    At most `evaluations` runs are simulated; None if none can be. `progress` is called with (runs simulated, all).
     """
     search = _RunSearch(information, rivals, criteria, bounds, evaluations, progress)
     search.explore()
@@ -248,14 +230,7 @@ def separating_run(
 ) -> str:
     """Return the run that separates rival explanations, in words; empty with fewer than two.
 
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    explanations : sequence of (str, sequence of Effect, mapping)
-        Name, terms, and the parameters of the terms by ``<effect>.<symbol>``, of each rival.
-    criteria : Criteria
-        `experiment_sigma`.
+    An explanation is its name, its terms, and their parameters by ``<effect>.<symbol>``.
     """
     smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:

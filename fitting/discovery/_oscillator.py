@@ -47,40 +47,23 @@ class Strength:
 
 @dataclass(frozen=True)
 class OscillatorLaws:
-    """The laws of an oscillator.
+    """The laws of an oscillator."""
 
-    Attributes
-    ----------
-    restoring, damping : tuple of str
-        Names of the effects of the smallest set that the data do not separate from that of the lowest BIC.
-    restoring_classes, damping_classes : tuple of tuple of str
-        All sets of restoring torques, and of damping torques, that the data do not separate, by BIC.
-    parameters : dict of str to Strength
-        Strengths of the chosen set.
-    phase_error, amplitude_error : float
-        Rms residuals [rad].
-    """
-
+    # names of the effects of the smallest set that the data do not separate from that of the lowest BIC
     restoring: Names
     damping: Names
+    # all sets of restoring torques, and of damping torques, that the data do not separate, by BIC
     restoring_classes: tuple[Names, ...]
     damping_classes: tuple[Names, ...]
-    parameters: dict[str, Strength]
+    parameters: dict[str, Strength]  # strengths of the chosen set
+    # rms residuals [rad]
     phase_error: float
     amplitude_error: float
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
 
-        Parameters
-        ----------
-        fit : Fit
-            The fit of the same recording to which a search led.
-
-        Returns
-        -------
-        OscillatorLaws, str
-            And a sentence if the restoring torques of the fit are none of these sets, else "".
+        The sentence says that the restoring torques of the fit are none of these sets; else it is empty.
         """
         names = {e.name for e in fit.model.effects}
         exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]
@@ -101,19 +84,10 @@ class OscillatorLaws:
 
 
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
-    """Return the laws of an oscillator.
+    """Return the laws of an oscillator from the recording of a single body.
 
-    Parameters
-    ----------
-    data : CaseData
-        The recording of a single body.
-    criteria : Criteria
-        `equivalence_width` is the difference of BIC of sets of laws that the data separate.
-
-    Returns
-    -------
-    OscillatorLaws or None
-        None if the body does not oscillate through enough periods, or if no set of laws describes its phase.
+    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. The data
+    separate sets whose BIC differ by `criteria.equivalence_width`.
     """
     general = averaged_fit(Model.of(_GENERAL), [data])
     if general is None:
@@ -147,18 +121,9 @@ def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorL
 def possible_restoring(
     model: Model, effects: Sequence[Effect], data: Sequence[CaseData], criteria: Criteria
 ) -> set[str] | None:
-    """Return the names of the restoring torques with which a model may describe an oscillation; None without an answer.
+    """Return the names of the restoring torques with which a model, which has none, may describe an oscillation.
 
-    Parameters
-    ----------
-    model : Model
-        One without a restoring torque.
-    effects : sequence of Effect
-        Restoring torques.
-    data : sequence of CaseData
-        The cases.
-    criteria : Criteria
-        `equivalence_width`.
+    None if the averaged equations give no answer.
     """
     if len(data) > 1:
         return None

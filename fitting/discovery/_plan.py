@@ -2,28 +2,276 @@
 
     recordings (a fit of them, or their description) -> power of the search -> rivals -> the next run
 
-The recordings are present, with the fit of a model to them, or they are described in a file
-(`fitting.discovery._planned_recordings`) and simulated.
+The recordings are present, with the fit of a model to them, or they are described in a TOML file and simulated::
+
+    model = "reduced"
+
+    [inertia]                      # kg m2
+    rotor = 5.54e-5
+    casing = 2.06e-5
+
+    [parameters]                   # SI, every parameter of the model
+    "rotor.air.quadratic.a2" = 1.0e-10
+    ...
+
+    [noise]
+    angle = 1e-3                   # rad, of each frame
+    torque = 1e-7                  # N m rms, random torque; 0 for none
+    torque_time = 1.0              # s, its correlation time
+
+    [[run]]
+    omega_rotor = 900.0            # rad/s at the start
+    omega_casing = 5.0
+    duration = 200.0               # s
+    casing_fps = 260.0             # frames per second
+    rotor_fps = 1000.0
+    windows = [5.0, 70.0, 150.0]   # s, start of each film of the rotor
+    window_length = 3.0            # s
+
+    [bounds]                       # optional: runs that are possible, pairs of smallest and largest
+    omega_rotor = [300.0, 900.0]
+
+No value has a default, because detection limits depend on all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import EstimationError
+from fitting._errors import EstimationError, FittingError
 from fitting._workers import single_blas_thread
 from fitting.discovery._information import Information, rivals
 from fitting.discovery._next_run import Bounds, NextRun, next_run
-from fitting.discovery._planned_recordings import read_planned
 from fitting.discovery._power import EffectLimits, Search
+from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit as fit_model
 from fitting.inference._process_noise import ProcessNoise
+from fitting.inference._record import Record
 from fitting.inference._result import Fit
+from fitting.inference._simulation import Experiment, simulate
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Pair = tuple[Finite, Finite]
+
+_SEED = 1
+_LARGEST = 1_000_000
+_EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False)
+
+
+class _Inertia(_Table):
+    rotor: Positive
+    casing: Positive
+
+
+class _NoiseTable(_Table):
+    angle: Positive
+    torque: NotNegative
+    torque_time: Positive
+
+
+class _RunTable(_Table):
+    omega_rotor: Finite
+    omega_casing: Finite
+    duration: Positive
+    casing_fps: Positive
+    rotor_fps: Positive
+    windows: Annotated[list[NotNegative], Field(min_length=1)]
+    window_length: Positive
+
+
+class _BoundsTable(_Table):
+    omega_rotor: Pair | None = None
+    omega_casing: Pair | None = None
+    duration: Pair | None = None
+    inertia_casing: Pair | None = None
+    touchpoint: Pair | None = None
+    reversible: bool | None = None
+
+
+class _PlanTable(_Table):
+    model: str | list[str]
+    inertia: _Inertia
+    parameters: dict[str, Finite]
+    noise: _NoiseTable
+    run: Annotated[list[_RunTable], Field(min_length=1)]
+    bounds: _BoundsTable = _BoundsTable()
+
+
+@dataclass(frozen=True)
+class PlannedRecordings:
+    """Planned recordings of an apparatus."""
+
+    model: Model  # its friction
+    numbers: dict[str, float]  # every parameter [SI]
+    inertias: tuple[float, float]  # of rotor and casing [kg m2]
+    experiments: tuple[Experiment, ...]  # the runs
+    given: dict[str, Any]  # bounds of the next run that the file states
+
+    def fit(self, simulation: int = 0) -> Fit:
+        """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""
+        records = self._records(simulation)
+        start = {k: self.numbers[k] for k in self.model.free} if len(records) == 1 else {}
+        return fit_model(self.model, records, start=start)
+
+    def process_noise(self, simulation: int) -> tuple[ProcessNoise, ...]:
+        """Simulate the recordings, and return the estimate of the process noise of each."""
+        return tuple(CaseData.of(r).process_noise for r in self._records(simulation))
+
+    def _records(self, simulation: int) -> list[Record]:
+        return [
+            simulate(
+                self.model,
+                self.numbers,
+                e,
+                inertia_rotor=self.inertias[0],
+                inertia_casing=self.inertias[1],
+                seed=_SEED + i + 1000 * simulation,
+                label=f"run {i + 1}",
+            )
+            for i, e in enumerate(self.experiments)
+        ]
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the next run: those of the file, the others according to its runs."""
+        rotor = max(abs(e.omega_rotor) for e in self.experiments)
+        longest = max(e.duration for e in self.experiments)
+        casing = max(abs(e.omega_casing) for e in self.experiments)
+        hand = max(casing, 0.15 * rotor)
+        usual = Bounds((rotor / 3, rotor), (-hand, hand), (0.5 * longest, 2.0 * longest))
+        return replace(usual, **self.given)
+
+
+def read_planned(path: str | Path) -> PlannedRecordings:
+    """Read the description of recordings in a TOML file; see the module's docstring.
+
+    An EstimationError says which key is missing, unknown or out of range, or which window lies outside its recording.
+    """
+    name = Path(path).name
+    try:
+        text = Path(path).read_bytes()
+        if len(text) > _LARGEST:
+            raise EstimationError(f"{name} is larger than 1 MB and is not a plan.", _EXAMPLE)
+        table = _PlanTable.model_validate(tomllib.loads(text.decode("utf-8")))
+    except (OSError, UnicodeDecodeError) as fault:
+        reason = fault.strerror if isinstance(fault, OSError) else "it is not UTF-8 text"
+        raise EstimationError(f"{name} cannot be read: {reason}.", "Give a plan in TOML.") from None
+    except tomllib.TOMLDecodeError as fault:
+        raise EstimationError(f"{name} is not valid TOML: {fault}.", _EXAMPLE) from None
+    except ValidationError as fault:
+        raise EstimationError(f"{name}: {_first_error(fault)}.", _EXAMPLE) from None
+    model = _model(table.model, name)
+    _check_parameters(model, table.parameters, name)
+    experiments = []
+    for i, run in enumerate(table.run, 1):
+        late = [w for w in run.windows if w + run.window_length > run.duration]
+        if late:
+            raise EstimationError(
+                f"{name}: run {i}: the window from {late[0]:g} s to {late[0] + run.window_length:g} s ends after the "
+                f"recording ({run.duration:g} s).",
+                "Move the window or record for longer.",
+            )
+        if run.duration * run.casing_fps < 60 or run.window_length * run.rotor_fps < 8:
+            raise EstimationError(
+                f"{name}: run {i} has too few frames.",
+                "A recording needs 60 frames of the casing and 8 of the rotor in each window.",
+            )
+        if run.duration * max(run.casing_fps, run.rotor_fps) > 1e7:
+            raise EstimationError(
+                f"{name}: run {i} has more than 10 million frames.", "Check duration and frame rates."
+            )
+        if run.omega_rotor == 0 and run.omega_casing == 0:
+            raise EstimationError(
+                f"{name}: in run {i} both initial speeds are zero.", "Give omega_rotor or omega_casing."
+            )
+        experiments.append(
+            Experiment(
+                **run.model_dump(exclude={"windows"}),
+                windows=tuple(run.windows),
+                sigma=table.noise.angle,
+                torque_noise=table.noise.torque,
+                torque_time=table.noise.torque_time,
+            )
+        )
+    given = {k: v for k, v in table.bounds.model_dump().items() if v is not None}
+    for key, pair in given.items():
+        if isinstance(pair, tuple) and pair[0] > pair[1]:
+            raise EstimationError(
+                f"{name}: bounds.{key}: {pair[0]:g} is larger than {pair[1]:g}.", "Give (smallest, largest)."
+            )
+        if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
+            raise EstimationError(f"{name}: bounds.{key} is not positive.", "Give (smallest, largest).")
+    return PlannedRecordings(
+        model,
+        dict(table.parameters),
+        (table.inertia.rotor, table.inertia.casing),
+        tuple(experiments),
+        given,
+    )
+
+
+def _model(names: str | list[str], file: str) -> Model:
+    try:
+        model = Model.of(names)
+    except FittingError as fault:
+        raise EstimationError(f"{file}: model: {fault.message}", fault.hint) from None
+    if model.measurement:
+        raise EstimationError(
+            f"{file}: {model.measurement[0].name} is an effect of the measurement.",
+            "A planned model is mechanical.",
+        )
+    return model
+
+
+def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> None:
+    missing = [k for k in model.free if k not in given]
+    if missing:
+        raise EstimationError(
+            f"{file}: parameters: no value of {', '.join(missing)}.",
+            "Give every parameter of the model, in SI units.",
+        )
+    unknown = [k for k in given if k not in model.free]
+    if unknown:
+        raise EstimationError(
+            f"{file}: parameters: {unknown[0]!r} is not a parameter of the model.",
+            f"It has: {', '.join(model.free)}.",
+        )
+    for key, value in given.items():
+        p = model.parameters[key]
+        if not p.lower <= value <= p.upper or math.isnan(value):
+            raise EstimationError(
+                f"{file}: parameters: {key} = {value:g} is outside {p.lower:g} to {p.upper:g}.", ""
+            )
+
+
+def _first_error(fault: ValidationError) -> str:
+    error = fault.errors()[0]
+    # tables of a list are counted from 1
+    place = ".".join(str(p + 1) if isinstance(p, int) else str(p) for p in error["loc"])
+    if error["type"] == "missing":
+        return f"{place} is missing"
+    if error["type"] == "extra_forbidden":
+        return f"{place} is an unknown key"
+    message = str(error["msg"])
+    return f"{place}: {message[0].lower()}{message[1:]}"
+
 
 Progress = Callable[[int, int | None], None]
 
@@ -109,12 +357,12 @@ def plan(
     if isinstance(recordings, Fit):
         if recordings.problem.data[0].oscillation is not None:
             raise EstimationError(
-                "a plan is made for runs that begin at given speeds, and this body oscillates about an equilibrium",
+                "a plan needs runs that start at given speeds, but this body oscillates about an equilibrium",
                 "release it from a larger angle, or record it for longer: both separate restoring torques better",
             )
         if recordings.model.rigid_contact is not None:
             raise EstimationError(
-                "a plan is made for runs whose initial speeds are independent, and these bodies roll on each other",
+                "a plan needs independent initial speeds, but these bodies roll on each other",
                 "plan the run of each body alone, from its own study",
             )
         fit, fits = recordings, [recordings]

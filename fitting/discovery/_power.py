@@ -169,18 +169,10 @@ class UpperLimit:
 
 @dataclass(frozen=True)
 class _Responses:
-    """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns.
+    """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns."""
 
-    Attributes
-    ----------
-    basis : ndarray, shape (rows, groups * width)
-        Zero for groups that the base absorbs.
-    root : ndarray, shape (groups,)
-        Noncentrality of a unit strength (rms over the phases).
-    """
-
-    basis: Array
-    root: Array
+    basis: Array  # shape (rows, groups * width); zero for groups that the base absorbs
+    root: Array  # shape (groups,); noncentrality of a unit strength (rms over the phases)
     width: int
     one_sided: bool
 
@@ -212,20 +204,15 @@ class _Responses:
 
 @dataclass(frozen=True)
 class _Test:
-    """The score test of one candidate in null data.
+    """The score test of one candidate in null data."""
 
-    Attributes
-    ----------
-    parts : tuple of _Responses
-        One, or one for each case where each has its own strength: scores of the best shapes add up.
-    null : ndarray, shape (rows of all bases, data sets)
-        Projections of the null data on the bases, of all parts one below the other.
-    thresholds : ndarray, shape (estimates of the noise,)
-        Score from which the candidate is found, for each possible estimate of the process noise.
-    """
-
+    # one, or one for each case where each has its own strength: scores of the best shapes add up
     parts: tuple[_Responses, ...]
+    # shape (rows of all bases, data sets); projections of the null data on the bases, of all parts one below the
+    # other
     null: Array
+    # shape (estimates of the noise,); score from which the candidate is found, for each possible estimate of the
+    # process noise
     thresholds: Array
 
     @property
@@ -254,23 +241,12 @@ class ShiftedToBound:
     A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter that would
     pass its bound, and the part of the effect that it would have absorbed beyond the bound contributes to the score. Of
     several such parameters, the one furthest beyond its bound, in standard errors, is held.
-
-    Attributes
-    ----------
-    free : ndarray, shape (rows, columns)
-        Whitened derivatives by the parameters, first, and nuisance columns.
-    inverse : ndarray, shape (parameters, rows)
-        From data to changes of the parameters.
-    noise : ndarray, shape (parameters, data sets)
-        Their changes in null data.
-    distance : ndarray, shape (2, parameters)
-        Distance to the lower (negative) and to the upper bound.
     """
 
-    free: Array
-    inverse: Array
-    noise: Array
-    distance: Array
+    free: Array  # shape (rows, columns); whitened derivatives by the parameters, first, and nuisance columns
+    inverse: Array  # shape (parameters, rows); from data to changes of the parameters
+    noise: Array  # shape (parameters, data sets); their changes in null data
+    distance: Array  # shape (2, parameters); distance to the lower (negative) and to the upper bound
 
     @classmethod
     def of(
@@ -319,17 +295,6 @@ class ShiftedToBound:
             min_b |r - F b - k s|^2,   b within the bounds,
 
         exceeds its minimum over k by 1.64^2. The search ends at the limit without bounds.
-
-        Parameters
-        ----------
-        response : ndarray, shape (rows,)
-            Whitened response of a unit strength.
-        data : ndarray, shape (rows,)
-            Whitened residuals of the fit.
-        limit : float
-            The limit without bounds.
-        one_sided : bool
-            The strength is not negative.
         """
         count = self.distance.shape[1]
         change = self.inverse @ response
@@ -362,20 +327,8 @@ class SearchScore(NamedTuple):
 class Search:
     """The search for a missing effect in the recordings of a fit, as a test whose power is computed.
 
-    Parameters
-    ----------
-    fit : Fit
-        The model with which the search begins.
-    extra : sequence of Effect
-        Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds.
-    draws : int
-        Number of null data sets.
-    truth : mapping of str to float, optional
-        Parameters by key where they are known, for simulated recordings.
-    process : sequence of tuple of ProcessNoise, optional
-        Estimates of the process noise of each case in further simulations of the same recordings.
+    `draws` null data sets are simulated. `truth` are the parameters by key where they are known (simulated recordings),
+    `process` estimates of the process noise of each case in further simulations of the same recordings.
     """
 
     def __init__(
@@ -525,19 +478,11 @@ class Search:
         planned: bool = False,
         others: Sequence[Search] = (),
     ) -> EffectLimits:
-        """Return detection limit, upper limit and power for an effect.
+        """Return detection limit, upper limit and power for one of `effects`.
 
-        Parameters
-        ----------
-        effect : Effect
-            One of `effects`.
-        size : float, optional
-            Rms torque of the effect [N m] for which power and runs are computed; by default 1 % of the rms torque of
-            the bearing (for a single body, of the net torque).
-        planned : bool
-            The data are simulated: upper limits are expected ones.
-        others : sequence of Search
-            In other simulations of the same recordings, whose noise is estimated anew: the power is their mean.
+        `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
+        bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
+        are other simulations of the same recordings, whose noise is estimated anew: the power is their mean.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -675,17 +620,6 @@ def largest_hidden(
     """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
 
     A limit above the torque of the bearing, or on a single body, contains no information and is left out.
-
-    Parameters
-    ----------
-    fit : Fit
-        An adequate fit.
-    extra : sequence of Effect
-        Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds.
-    most : int
-        How many.
     """
     search = Search(fit, extra, criteria, draws=1)
     found = [search.limits(e) for e in search.effects if e.kind == "physical"]
@@ -753,12 +687,8 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
 def upper_limit(projections: Array, *, one_sided: bool) -> float:
     """Return the 95 % upper limit of the noncentrality from projections on an orthonormal basis.
 
-    Parameters
-    ----------
-    projections : ndarray, shape (1,) or (2,)
-        Estimate over its standard error; for an amplitude with a phase, of sine and cosine.
-    one_sided : bool
-        The strength is not negative.
+    A projection is the estimate over its standard error; an amplitude with a phase has two, of sine and cosine. A
+    strength that cannot be negative is `one_sided`.
     """
     if len(projections) == 1:
         p = float(projections[0])

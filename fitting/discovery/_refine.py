@@ -87,19 +87,7 @@ def restarted_from(found: Fit, other: Fit) -> Fit:
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
     """Return the parameters of a fit with the changepoint of cases with a residual torque searched in the whole record.
 
-    Parameters
-    ----------
-    fit : Fit
-        A fit with the effect.
-    effect : Effect
-        One with a changepoint.
-    criteria : Criteria
-        `changepoint_score`.
-
-    Returns
-    -------
-    dict
-        Values by name; empty if no other time is better.
+    Values by name; empty if no other time is better.
     """
     layout = fit.problem.layout
     strength = next(p.symbol for p in effect.parameters if p.role == "amplitude")
@@ -119,17 +107,7 @@ def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[s
 def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
     """Return the parameters of a fit with each changepoint at the most likely time of its neighbourhood.
 
-    Parameters
-    ----------
-    fit : Fit
-        A fit with the effect.
-    effect : Effect
-        One with a changepoint.
-
-    Returns
-    -------
-    dict
-        Values by name; empty if no other time is better.
+    Values by name; empty if no other time is better.
     """
     layout, key = fit.problem.layout, f"{effect.name}.{effect.breakpoint}"
     theta = fit.theta.copy()
@@ -173,14 +151,21 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none.
 
-    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways.
+    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways: with the
+    process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong shape, of
+    the law that describes the data.
     """
     if score.effect.restoring and not base.model.restoring:
         # the motion of the base does not oscillate: its optimum is no initial value for a model that does
         return _fit_from_scratch(base, score.effect)
+
+    def falls_short(refitted: Fit) -> bool:
+        return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
+
     found = fit_together(base, score)
-    if thorough and found is not None:
-        found = _repeated_if_short(base, score, found, criteria)
+    if thorough and found is not None and has_model_noise(base) and falls_short(found):
+        found = _better(found, fit_together(base, score, hold_strength=True))
+        found = at_lowest_noise(found, criteria) if falls_short(found) else found
     if not score.effect.breakpoint or found is None:
         return found
     for _ in range(_SEARCHES):
@@ -209,22 +194,6 @@ def _fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
 
 def _better(found: Fit, other: Fit | None) -> Fit:
     return other if other is not None and other.deviance < found.deviance else found
-
-
-def _repeated_if_short(base: Fit, score: Score, found: Fit, criteria: Criteria) -> Fit:
-    """Return a refit, or the best of several if its fall of the deviance is less than its score.
-
-    With the process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong
-    shape, of the law that describes the data.
-    """
-
-    def falls_short(refitted: Fit) -> bool:
-        return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
-
-    if not has_model_noise(base) or not falls_short(found):
-        return found
-    found = _better(found, fit_together(base, score, hold_strength=True))
-    return at_lowest_noise(found, criteria) if falls_short(found) else found
 
 
 def fit_together(
@@ -355,17 +324,7 @@ def with_shape_parameter(effect: Effect) -> Effect | None:
 
 
 def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
-    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it.
-
-    Parameters
-    ----------
-    found : Fit
-        A refined fit with the effect.
-    effect : Effect
-        The effect.
-    criteria : Criteria
-        `shape_evidence`.
-    """
+    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it."""
     general = with_shape_parameter(effect)
     if general is None:
         return None

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting._numbers import percentage, rounded
-from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
     HarmonicTest,
@@ -33,6 +32,7 @@ from fitting.discovery._lack_of_fit import (
     harmonic_test,
     smooth_test,
 )
+from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Candidate, Selection
@@ -89,16 +89,9 @@ class Nuisance:
 
 
 class Torques:
-    """Net torques of several fits of the same data along the motion of one of them.
+    """Net torques of several fits of the same data along the motion of the most complete one, `end`.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit in question.
-    end : Fit
-        The most complete one, whose motion counts.
-    residual : bool
-        Add the unmodelled torque of `end`: it has a significant lack of fit.
+    With `residual` the unmodelled torque of `end` is added: it has a significant lack of fit.
     """
 
     def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
@@ -270,21 +263,9 @@ def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high
 
 
 def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criteria) -> str:
-    """Return the speed of which a smooth law describes the data better than an effect of another speed.
+    """Return the speed of which a smooth law describes the data better than an effect of another speed; "" if none.
 
-    Parameters
-    ----------
-    base, named, end : Fit
-        Without the effect, with it, and the most complete fit.
-    effect : Effect
-        The named effect.
-    criteria : Criteria
-        `evidence`, `equivalence_width`.
-
-    Returns
-    -------
-    str
-        Empty if there is none.
+    The fits are without the effect, with it, and the most complete one.
     """
     bic, speed = min(
         ((f.bic, speed) for f, speed in _with_smooth_laws(base, effect, base.noise)), default=(np.inf, "")
@@ -333,18 +314,7 @@ def grade(
 ) -> Grade:
     """Return how much of the unmodelled torque the chosen effect explains and what remains.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit in question.
-    selection : Selection
-        The chosen effect and the most complete fit.
-    doubt : SmoothTest, PeriodogramPeak or HarmonicTest, optional
-        The test that contradicts the most complete fit.
-    criteria : Criteria
-        `explained`.
-    misfit : bool
-        The most complete fit has a significant lack of fit.
+    `doubt` is the test that contradicts the most complete fit; `misfit` that this has a significant lack of fit.
     """
     chosen, end = selection.chosen, selection.final
     if chosen is None or chosen.fit is None:

@@ -41,18 +41,10 @@ _POWERS = 4
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Ljung-Box test of the casing's whitened residuals, block by block.
+    """Ljung-Box test of the casing's whitened residuals, block by block."""
 
-    Attributes
-    ----------
-    label : str
-        Case.
-    p_value : float
-        Of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978)).
-    """
-
-    label: str
-    p_value: float
+    label: str  # case
+    p_value: float  # of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978))
 
 
 def whiteness(fit: Fit) -> list[Whiteness]:
@@ -169,21 +161,11 @@ _RANK = 1e-6
 
 @dataclass(frozen=True)
 class AngleHarmonics:
-    """Harmonics of the unmodelled torque in the angle of the casing of one case.
+    """Harmonics of the unmodelled torque in the angle of the casing of one case."""
 
-    Attributes
-    ----------
-    label : str
-        Case.
-    gamma : ndarray, shape (4,)
-        Amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m].
-    covariance : ndarray, shape (4, 4)
-        Their covariance [N2 m2].
-    """
-
-    label: str
-    gamma: Array
-    covariance: Array
+    label: str  # case
+    gamma: Array  # shape (4,); amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m]
+    covariance: Array  # shape (4, 4); their covariance [N2 m2]
 
     @property
     def angle(self) -> Array:
@@ -214,11 +196,11 @@ class AngleHarmonics:
 
 
 def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit; none where speeds were measured, or the body does not turn round."""
+    """Return the harmonics of each case of a fit; none where speeds do not determine it, or the body oscillates."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
-        if not case.data.is_angle or case.data.oscillation is not None:
+        if case.data.measured_angle is None or case.data.oscillation is not None:
             continue
         numbers = fit.problem.layout.numbers(fit.theta, index)
         columns = [
@@ -336,17 +318,6 @@ def find_failures(
 
     A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
     has harmonics in the turns in which the casing is slow.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fitted model.
-    curves : sequence of ResidualTorque
-        Its unmodelled torques.
-    harmonics : sequence of AngleHarmonics
-        Their harmonics in the angle.
-    criteria : Criteria
-        `failure_sigma`, `harmonic_sigma`.
     """
     found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}

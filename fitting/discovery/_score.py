@@ -63,20 +63,9 @@ class Level(NamedTuple):
 class ScoreContext:
     """Whitened residuals, free columns and null data of a fit at several levels of process noise.
 
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    draws : int
-        Number of null data sets.
-    without : sequence of str
-        Effects of the fit whose parameters are not free: their torque is part of the residual.
-    torque_rows : ndarray, shape (rows,), optional
-        Response of the rows to the torque of these effects.
-    release : bool
-        Whether parameters at a bound are free as well.
-    shared : str
-        A parameter of which each case has its own value in the fit, and which counts as one parameter here.
+    The parameters of the effects `without` are not free: their torque, to which the rows respond by `torque_rows`
+    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. Of the parameter `shared`
+    each case has its own value in the fit, and it counts as one parameter here.
     """
 
     def __init__(
@@ -203,15 +192,7 @@ class Trial:
 
 
 class CaseColumns:
-    """The columns of candidates in the rows of one case of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    index : int
-        Which of its cases.
-    """
+    """The columns of candidates in the rows of one case of a fit."""
 
     def __init__(self, fit: Fit, index: int) -> None:
         self.case: CaseModel = fit.problem.cases[index]
@@ -403,48 +384,23 @@ Group = tuple[tuple[dict[str, float], ...], Array]
 
 @dataclass(frozen=True)
 class Score:
-    """A candidate's best trial.
+    """A candidate's best trial."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The candidate.
-    score : float
-        Predicted fall of the deviance.
-    gamma : ndarray
-        Strength of each column (sine and cosine; one per case where a case has its own).
-    shape : tuple of dict
-        Shape constants, for each case.
-    columns : int
-        Degrees of freedom of its strengths.
-    trials : int
-        How many choices of its shape constants were tried.
-    absorbed : bool
-        The base absorbs it completely.
-    direction : ndarray
-        Its whitened, projected column at the fitted strength, of unit length (for cosines).
-    null : ndarray
-        Scores of the null data.
-    shares : tuple of float
-        Share of the process noise of each case in the variance of its response.
-    noise : tuple of Noise
-        Of each case.
-    own_phase : bool
-        Each case has its own strength and phase, but not its own shape.
-    """
-
-    effect: Effect
-    score: float
+    effect: Effect  # the candidate
+    score: float  # predicted fall of the deviance
+    # strength of each column (sine and cosine; one per case where a case has its own)
     gamma: Array = field(repr=False)
-    shape: tuple[dict[str, float], ...]
-    columns: int
-    trials: int
-    absorbed: bool
+    shape: tuple[dict[str, float], ...]  # shape constants, for each case
+    columns: int  # degrees of freedom of its strengths
+    trials: int  # how many choices of its shape constants were tried
+    absorbed: bool  # the base absorbs it completely
+    # its whitened, projected column at the fitted strength, of unit length (for cosines)
     direction: Array = field(repr=False)
-    null: Array = field(repr=False)
+    null: Array = field(repr=False)  # scores of the null data
+    # share of the process noise of each case in the variance of its response
     shares: tuple[float, ...] = field(default=(), repr=False)
-    noise: tuple[Noise, ...] = field(default=(), repr=False)
-    own_phase: bool = False
+    noise: tuple[Noise, ...] = field(default=(), repr=False)  # of each case
+    own_phase: bool = False  # each case has its own strength and phase, but not its own shape
 
 
 def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:
@@ -550,10 +506,7 @@ class NullDistribution:
     correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
     levels.
 
-    Attributes
-    ----------
-    weights : ndarray, shape (levels,)
-        Probability of each level.
+    `weights` (levels,) are the probabilities of the levels.
     """
 
     def __init__(self, score: Score) -> None:
@@ -597,12 +550,7 @@ def _number_of_trials(single: float, share: float) -> float:
 def over_many_tests(p: float, smallest: Array) -> float:
     """Return the family-wise p-value of the smallest p of many correlated tests of the same data.
 
-    Parameters
-    ----------
-    p : float
-        The smallest p-value.
-    smallest : ndarray
-        The smallest p-value in each of many null data sets.
+    `smallest` holds the smallest p-value in each of many null data sets.
     """
     return float(_any_of(_independent_tests(smallest), np.array(p)))
 
@@ -640,27 +588,10 @@ def score(
     draws: int = 1500,
     context: ScoreContext | None = None,
 ) -> list[Score]:
-    """Score all candidates on a fit.
+    """Score all candidates, which are not in the base, on a fit; the results have the order of the effects.
 
-    Parameters
-    ----------
-    fit : Fit
-        The base.
-    effects : sequence of Effect
-        Candidates that are not in the base.
-    cases : sequence of CaseColumns
-        One for each case of the fit.
-    criteria : Criteria
-        Thresholds of the search.
-    draws : int
-        Number of null data sets.
-    context : ScoreContext, optional
-        The linearised data, if not those of the fit with all its effects.
-
-    Returns
-    -------
-    list of Score
-        In the order of the effects.
+    `cases` are the columns of each case of the fit; `context` is the linearised data, if not those of the fit with all
+    its effects.
     """
     context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}

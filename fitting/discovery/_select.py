@@ -119,20 +119,9 @@ def rank(
     refitting: bool = True,
     workers: WorkerPool | None = None,
 ) -> list[Candidate]:
-    """Return all candidates for a fit, best first.
+    """Return all candidates for a fit, best first; without `refitting` the score test alone ranks.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit that may lack an effect.
-    extra : sequence of Effect
-        Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds.
-    refitting : bool
-        Refit the promising candidates (otherwise the score test alone ranks).
-    workers : WorkerPool, optional
-        Processes that run some of the refits.
+    `extra` are effects of the user, in addition to the library; `workers` run some of the refits.
     """
     data = base.problem.data
     # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
@@ -333,18 +322,7 @@ def ranked_at_noise(
 ) -> list[Candidate]:
     """Return the candidates in their order, with one and its equivalence class refitted at another noise.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit without them.
-    candidates : sequence of Candidate
-        As they were ranked at the noise of the base.
-    chosen : Candidate
-        One of them.
-    noise : sequence of Noise
-        Measured about its refined fit.
-    criteria : Criteria
-        Thresholds.
+    `noise` was measured about the refined fit of `chosen`.
     """
     try:
         without = refitted_at(base, noise)
@@ -389,10 +367,7 @@ class Step:
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
-    Attributes
-    ----------
-    stopped : str
-        Why the search ended before its criteria did: the message of a fit that failed; "" if none did.
+    `stopped` is the message of the fit that failed, if the search ended before its criteria did.
     """
 
     stopped: str = ""
@@ -406,18 +381,7 @@ class History(list[Step]):
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw how the error falls from step to step (matplotlib).
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Where to draw the rms residual alone; by default a new figure shows the cross-validation error, too.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The new figure, or that of `ax`.
-        """
+        """Draw how the error falls from step to step, in a new figure with the cross-validation error, or in `ax`."""
         changes = [s.change or "base" for s in self]
         body = self[0].fit.problem.data[0].record.body
         rms, name = [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]"
@@ -455,27 +419,14 @@ class History(list[Step]):
 
 
 class Selection(NamedTuple):
-    """The outcome of `select`.
+    """The outcome of `select`."""
 
-    Attributes
-    ----------
-    candidates : list of Candidate
-        In their final order.
-    chosen : Candidate or None
-        The effect to add.
-    named : Fit
-        The refined fit with this effect alone; the base if there is none.
-    final : Fit
-        The refined fit with all that was added, a free shape constant or a second effect; the base if nothing was.
-    history : History
-        Steps of the forward selection; empty where one effect was enough.
-    """
-
-    candidates: list[Candidate]
-    chosen: Candidate | None
-    named: Fit
+    candidates: list[Candidate]  # in their final order
+    chosen: Candidate | None  # the effect to add
+    named: Fit  # the refined fit with this effect alone; the base if there is none
+    # the refined fit with all that was added, a free shape constant or a second effect; the base if nothing was
     final: Fit
-    history: History
+    history: History  # steps of the forward selection; empty where one effect was enough
 
 
 def select(
@@ -488,16 +439,8 @@ def select(
 ) -> Selection:
     """Return the effect to add to a fit, and the fit with it and with what else it needs.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit that may lack an effect.
-    candidates : sequence of Candidate
-        Its ranking.
-    extra, criteria, workers
-        As for `rank`.
-    known : sequence of Step
-        The history of an earlier `improve` of the same fit: its first steps are taken over if it added the same effect.
+    `known` is the history of an earlier `improve` of the same fit: its first steps are taken over if it added the same
+    effect.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -731,21 +674,9 @@ def needs_search(effect: Effect) -> bool:
 
 
 def found_starts(base: Fit, effects: Sequence[Effect], criteria: Criteria = DEFAULT) -> dict[str, float]:
-    """Return initial values of the parameters of effects that are added to a fitted model.
+    """Return initial values of the parameters of effects that are added to a fitted model, by their names in a fit.
 
-    Parameters
-    ----------
-    base : Fit
-        The model without them, fitted.
-    effects : sequence of Effect
-        What is added.
-    criteria : Criteria
-        Thresholds of the search.
-
-    Returns
-    -------
-    dict of str to float
-        Values by the names that the parameters have in a fit; none for an effect that the base absorbs.
+    There are none for an effect that the base absorbs.
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     values: dict[str, float] = {}

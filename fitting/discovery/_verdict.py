@@ -27,8 +27,6 @@ from fitting._display import (
 from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
-from fitting.discovery._form import FormTest
-from fitting.discovery._inertia import inertia_within_uncertainty, reselected, with_free_inertia
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAWS,
@@ -38,6 +36,12 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
     significant_peak,
+)
+from fitting.discovery._named_effect import (
+    FormTest,
+    inertia_within_uncertainty,
+    reselected,
+    with_free_inertia,
 )
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._power import UpperLimit, largest_hidden

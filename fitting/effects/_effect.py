@@ -37,10 +37,7 @@ _TOLERANCE = 1e-9
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit such as ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    Raises
-    ------
-    ExpressionError
-        If a part of the unit is not one of kg, m, s, K, N, J, rad, px, 1 with an exponent.
+    An ExpressionError names a part that is not one of kg, m, s, K, N, J, rad, px, 1 with an exponent.
     """
     result = NONE
     for token in unit.split():
@@ -72,21 +69,9 @@ def format_unit(dimension: Dimension) -> str:
 
 
 def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, float]) -> Dimension:
-    """Return the dimension of an expression.
+    """Return the dimension of an expression from those of its symbols; `exponents` are values of symbols in exponents.
 
-    Parameters
-    ----------
-    e : Expr
-        The expression.
-    units : mapping of str to Dimension
-        The dimension of each symbol.
-    exponents : mapping of str to float
-        Values of symbols in exponents.
-
-    Raises
-    ------
-    ExpressionError
-        If unlike quantities are added, or a function is taken of a quantity that has a unit.
+    An ExpressionError is raised if unlike quantities are added, or a function is taken of a quantity that has a unit.
     """
     if e.op == "num":
         return NONE
@@ -108,7 +93,7 @@ def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, f
     if e.op == "sqrt":
         return _to_power(parts[0], 0.5)
     if e.op not in {"sign", "heaviside"} and not _same(parts[0], NONE):
-        raise ExpressionError(f"{e.op} is taken of a quantity with the unit {format_unit(parts[0])}")
+        raise ExpressionError(f"the argument of {e.op} has the unit {format_unit(parts[0])}")
     return NONE
 
 
@@ -382,5 +367,5 @@ class Effect:
         expected = parse_unit(_RESULT[self.joint])
         if any(abs(a - b) > 1e-9 for a, b in zip(result, expected, strict=True)):
             raise EffectError(
-                f"the law of {self.name!r} comes out in {format_unit(result)}, not in {_RESULT[self.joint]}"
+                f"the law of {self.name!r} has the unit {format_unit(result)}, not {_RESULT[self.joint]}"
             )

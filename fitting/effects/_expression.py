@@ -185,22 +185,9 @@ _ALLOWED = "numbers, the names listed, + - * / ** and " + ", ".join(FUNCTIONS)
 
 
 def parse(text: str) -> Expr:
-    """Parse a formula such as ``-k*omega_c*abs(omega_c)``.
+    """Parse a formula such as ``-k*omega_c*abs(omega_c)``; every name but ``pi`` and functions becomes a symbol.
 
-    Parameters
-    ----------
-    text : str
-        The formula. Every name but ``pi`` that is not a function becomes a symbol.
-
-    Returns
-    -------
-    Expr
-        The tree.
-
-    Raises
-    ------
-    ExpressionError
-        If the text is not a formula of the allowed kind; the message names the part that is not allowed.
+    An ExpressionError names the part of the text that is not allowed.
     """
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the formula has {len(text)} characters; {MAX_LENGTH} are allowed")
@@ -214,7 +201,9 @@ def parse(text: str) -> Expr:
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ExpressionError(f"{text[:60]!r} is not a formula", f"a formula has {_ALLOWED}") from None
+        raise ExpressionError(
+            f"{text[:60]!r} is not a formula", f"a formula may contain {_ALLOWED}"
+        ) from None
     return _convert(tree, 0)
 
 
@@ -246,7 +235,7 @@ def _convert(node: ast.expr, depth: int) -> Expr:
         case _:
             pass
     what = _WORDS.get(type(node), type(node).__name__)
-    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula has {_ALLOWED}")
+    raise ExpressionError(f"{what} is not allowed in a formula", f"a formula may contain {_ALLOWED}")
 
 
 def _combine(op: type[ast.operator], left: Expr, right: Expr) -> Expr:
@@ -285,20 +274,7 @@ _OUTER: dict[str, Callable[[Expr], Expr]] = {
 
 
 def derivative(e: Expr, name: str) -> Expr:
-    """Return the partial derivative of an expression with respect to a symbol.
-
-    Parameters
-    ----------
-    e : Expr
-        The expression.
-    name : str
-        The symbol.
-
-    Returns
-    -------
-    Expr
-        d e / d name; zero where the symbol does not occur.
-    """
+    """Return the partial derivative of an expression with respect to a symbol; zero where the symbol does not occur."""
     slopes: dict[int, Expr] = {}
     for node in nodes(e):
         slopes[id(node)] = _slope(node, name, [slopes[id(a)] for a in node.args])
@@ -368,13 +344,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 class Tape:
-    """A list of elementary operations that evaluates several expressions, common subexpressions once.
-
-    Parameters
-    ----------
-    outputs : sequence of Expr
-        The expressions to evaluate.
-    """
+    """A list of elementary operations that evaluates several expressions, common subexpressions once."""
 
     def __init__(self, outputs: Sequence[Expr]) -> None:
         self._slots: dict[Expr, int] = {}
@@ -404,18 +374,7 @@ class Tape:
         return {name for _, name in self._inputs}
 
     def __call__(self, values: Mapping[str, Any]) -> list[Any]:
-        """Evaluate all outputs.
-
-        Parameters
-        ----------
-        values : mapping of str to float or ndarray
-            A value for each symbol; arrays broadcast against each other.
-
-        Returns
-        -------
-        list of float or ndarray
-            One value per output; an output without symbols is a plain float.
-        """
+        """Evaluate all outputs for a value of each symbol; arrays broadcast. An output without symbols is a float."""
         registers: list[Any] = [None] * len(self._slots)
         for slot, number in self._constants:
             registers[slot] = number

@@ -27,7 +27,7 @@ AIR = (
         "rotor",
         "-a1*omega_r",
         (Parameter("a1", "N m s", meaning="viscous drag on the rotor"),),
-        signature="the rotor slows by a constant share a second",
+        signature="the speed of the rotor falls exponentially",
         confused_with=("rotor.air.quadratic", "rotor.air.disk"),
         source="Stokes drag; term a1 of the paper",
     ),
@@ -36,7 +36,7 @@ AIR = (
         "rotor",
         "-a2*omega_r*abs(omega_r)",
         (Parameter("a2", "N m s2", meaning="pressure drag on the rotor"),),
-        signature="the rotor slows most while it is fast",
+        signature="the rotor decelerates most at high speed",
         confused_with=("rotor.air.disk", "rotor.air.turbulent"),
         source="term a2 of the paper",
     ),
@@ -45,7 +45,7 @@ AIR = (
         "rotor",
         "-k*sign(omega_r)",
         (Parameter("k", "N m", meaning="dry friction of the rotor's own bearings"),),
-        signature="a rotor that does not turn in the casing slows at a constant rate",
+        signature="constant deceleration of a rotor that does not turn in the casing",
         confused_with=("rotor.air.linear",),
         source="Coulomb friction in bearings that are fixed to the laboratory",
         searched=False,
@@ -83,16 +83,16 @@ AIR = (
         "casing",
         "-k*omega_c*abs(omega_c)",
         (Parameter("k", "N m s2", meaning="pressure drag on the casing"),),
-        signature="the casing loses torque near its peak speed and almost none in the tail",
+        signature="a braking torque near the peak speed of the casing, and almost none in the tail",
         confused_with=("casing.air.laminar",),
-        source="drag of a bluff body; named and dropped in the paper",
+        source="drag of a bluff body; mentioned but not fitted in the paper",
     ),
     Effect(
         "casing.air.laminar",
         "casing",
         "-k*abs(omega_c)**1.5*sign(omega_c)",
         (Parameter("k", "N m s1.5", meaning="laminar drag of the casing as a disc"),),
-        signature="as quadratic drag of the casing, gentler",
+        signature="like quadratic drag of the casing, with a weaker dependence on the speed",
         confused_with=("casing.air.quadratic", "casing.air.linear"),
         source=_DISC,
     ),
@@ -113,7 +113,7 @@ AIR = (
                 meaning="critical speed, of the largest torque",
             ),
         ),
-        signature="linear at low speed, and a loss that falls again above the critical speed",
+        signature="linear at low speed; the torque decreases above the critical speed",
         confused_with=("casing.air.linear",),
         source="W. R. Smythe, Trans. AIEE 61, 681 (1942); J. H. Wouterse, IEE Proc. B 138, 153 (1991)",
     ),
@@ -121,10 +121,10 @@ AIR = (
         "casing.windage",
         "casing",
         "k*omega_r*abs(omega_r)",
-        (Parameter("k", "N m s2", meaning="air carried round by the rotor drives the casing"),),
-        signature="the casing is driven early, long before its peak",
+        (Parameter("k", "N m s2", meaning="air set in rotation by the rotor drives the casing"),),
+        signature="a driving torque on the casing early in the run, long before its peak speed",
         confused_with=("bearing.load",),
-        source="momentum of the air that the rotor throws against the casing",
+        source="momentum of the air that the rotor accelerates towards the casing",
         equivalent=("bearing.load",),
     ),
 )
@@ -138,7 +138,7 @@ BEARING = (
         "bearing",
         "c*sign(delta)",
         (Parameter("c", "N m", meaning="dry friction of the bearing"),),
-        signature="drives the casing evenly at every speed",
+        signature="a driving torque on the casing that does not depend on the speed",
         confused_with=("touchpoint.constant", "external.constant"),
         source="Coulomb friction; term c of the paper",
     ),
@@ -177,7 +177,7 @@ BEARING = (
         "factor",
         "exp(-k*temperature)",
         (
-            Parameter("k", "K-1", lower=_ANY, meaning="share by which the friction falls with each kelvin"),
+            Parameter("k", "K-1", lower=_ANY, meaning="relative decrease of the friction per kelvin"),
             Parameter("C", "J K-1", "fixed", start=1.0, meaning="heat capacity; only k/C is observable"),
             Parameter(
                 "tau_T",
@@ -191,7 +191,7 @@ BEARING = (
                 meaning="cooling time",
             ),
         ),
-        signature="the bearing loosens with the heat put into it, and remembers it",
+        signature="the friction falls as the bearing warms; it depends on the history of the speeds",
         confused_with=("bearing.drift",),
         source="viscosity of a lubricant against temperature",
         state=State("temperature", "tau*delta/C - temperature/tau_T"),
@@ -200,7 +200,7 @@ BEARING = (
         "bearing.load",
         "bearing",
         "k*omega_r**2",
-        (Parameter("k", "N m s2", meaning="an unbalanced rotor loads the bearing"),),
+        (Parameter("k", "N m s2", meaning="load of an unbalanced rotor on the bearing"),),
         signature="drives the casing early, with the square of the rotor's speed",
         confused_with=("casing.windage",),
         source="Coulomb friction under a centrifugal load",
@@ -211,7 +211,7 @@ BEARING = (
         "bearing",
         "k*delta*omega_r**2",
         (Parameter("k", "N m s3", meaning="viscous friction under a centrifugal load"),),
-        signature="steep at the start",
+        signature="decreases steeply at the start of the run",
         confused_with=("bearing.quadratic", "bearing.load"),
         source="viscous friction under a centrifugal load",
     ),
@@ -219,8 +219,8 @@ BEARING = (
         "bearing.drift",
         "factor",
         "1 + k*t",
-        (Parameter("k", "s-1", lower=_ANY, meaning="share by which the friction changes each second"),),
-        signature="the bearing changes with time, at any speed",
+        (Parameter("k", "s-1", lower=_ANY, meaning="relative change of the friction per second"),),
+        signature="the friction of the bearing changes with time, at any speed",
         confused_with=("bearing.heating", "touchpoint.drift"),
         source="running-in or ageing, first order in time",
     ),
@@ -233,7 +233,7 @@ TOUCHPOINT = (
         "casing",
         "-b1*sign(omega_c)",
         (Parameter("b1", "N m", meaning="dry friction at the touch point"),),
-        signature="the end of the tail falls in a straight line",
+        signature="the speed of the casing falls linearly at the end",
         confused_with=("external.constant",),
         source="Coulomb friction; term b1 of the paper",
         per_case=True,
@@ -257,7 +257,7 @@ TOUCHPOINT = (
                 meaning="speed at which it has fallen to 1/e",
             ),
         ),
-        signature="extra loss while the casing is slow: the first seconds and the end",
+        signature="additional friction while the casing is slow: in the first seconds and at the end",
         confused_with=("touchpoint.constant",),
         source="R. Stribeck, Z. VDI 46 (1902)",
         per_case=True,
@@ -267,8 +267,8 @@ TOUCHPOINT = (
         "touchpoint.drift",
         "casing",
         "-k*t*sign(omega_c)",
-        (Parameter("k", "N m s-1", lower=_ANY, meaning="growth of the friction each second"),),
-        signature="a loss that grows with time: wear of tip or surface",
+        (Parameter("k", "N m s-1", lower=_ANY, meaning="increase of the friction per second"),),
+        signature="friction that increases with time: wear of tip or surface",
         confused_with=("bearing.drift", "bearing.heating"),
         source="wear, first order in time",
         per_case=True,
@@ -278,8 +278,8 @@ TOUCHPOINT = (
         "touchpoint.load",
         "casing",
         "-k*omega_r**2*sign(omega_c)",
-        (Parameter("k", "N m s2", meaning="wobble of the rotor loads the touch point"),),
-        signature="a loss of the casing early on; windage with the other sign",
+        (Parameter("k", "N m s2", meaning="load of a wobbling rotor on the touch point"),),
+        signature="a braking torque on the casing early in the run: windage with the opposite sign",
         confused_with=("casing.windage",),
         source="Coulomb friction under a load that grows with the rotor's speed",
         per_case=True,
@@ -297,12 +297,12 @@ TOUCHPOINT = (
                 "shape",
                 grid=MOMENTS,
                 relative=True,
-                meaning="when it jumps",
+                meaning="time of the jump",
             ),
         ),
         signature="a kink in the casing's speed at one moment",
         confused_with=("touchpoint.drift",),
-        source="the tip walks onto another patch of the surface",
+        source="the tip moves to another part of the surface",
         breakpoint="t0",
         per_case=True,
         per_surface=True,
@@ -334,7 +334,7 @@ TOUCHPOINT = (
         "casing",
         "-k*(1 - exp(-t/tau_T))*sign(omega_c)",
         (
-            Parameter("k", "N m", meaning="friction that a warm seal gains until it is cold"),
+            Parameter("k", "N m", meaning="increase of the friction while a warm seal cools"),
             Parameter(
                 "tau_T",
                 "s",
@@ -347,9 +347,9 @@ TOUCHPOINT = (
                 meaning="cooling time",
             ),
         ),
-        signature="a loss that grows from the start and levels off, at any speed",
+        signature="friction that increases from the start to a constant value, at any speed",
         confused_with=("touchpoint.drift", "touchpoint.stribeck"),
-        source="viscosity and grip of a lip seal against temperature; Newton's law of cooling",
+        source="viscosity and contact pressure of a lip seal as functions of temperature; Newton's law of cooling",
     ),
 )
 
@@ -402,10 +402,10 @@ CASING = (
         "external.constant",
         "casing",
         "k",
-        (Parameter("k", "N m", lower=_ANY, meaning="a steady draught"),),
-        signature="the same as dry friction while the casing keeps its sense",
+        (Parameter("k", "N m", lower=_ANY, meaning="constant torque, for example of a steady draught"),),
+        signature="the same as dry friction while the casing keeps its sense of rotation",
         confused_with=("touchpoint.constant",),
-        source="a constant outer torque",
+        source="a constant external torque",
         equivalent=("touchpoint.constant",),
     ),
 )
@@ -449,11 +449,15 @@ CAMERA = (
         "eps*t*omega",
         (
             Parameter(
-                "eps", "1", lower=-0.2, upper=0.2, meaning="share by which the rotor camera's clock is off"
+                "eps",
+                "1",
+                lower=-0.2,
+                upper=0.2,
+                meaning="relative error of the rate of the rotor camera's clock",
             ),
         ),
         kind="measurement",
-        signature="all speeds of one camera are off by the same share",
+        signature="all speeds of one camera have the same relative error",
         confused_with=(),
         source="first order of psi(t (1 + eps)), t from the start of the clip",
     ),
@@ -461,9 +465,9 @@ CAMERA = (
         "camera.offset",
         "camera.rotor",
         "dt*omega",
-        (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="how late the clips start"),),
+        (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="delay of the start of the clips"),),
         kind="measurement",
-        signature="the speeds of the rotor clips are shifted in time against the curve",
+        signature="the speeds of the rotor clips are shifted in time with respect to the modelled curve",
         confused_with=(),
         source="first order of psi(t + dt)",
     ),
@@ -497,7 +501,7 @@ CAMERA = (
         kind="measurement",
         signature="a first harmonic that grows with the speed",
         confused_with=("camera.centre",),
-        source="rolling shutter: the lag depends on the position of the marker",
+        source="rolling shutter: the delay depends on the position of the marker",
         nuisance=True,
     ),
 )
@@ -509,13 +513,17 @@ SETUP = (
         "1/(1 + eps)",
         (
             Parameter(
-                "eps", "1", lower=-0.3, upper=0.3, meaning="share by which the casing's inertia is too small"
+                "eps",
+                "1",
+                lower=-0.3,
+                upper=0.3,
+                meaning="relative amount by which the casing's inertia is too small",
             ),
         ),
         kind="measurement",
-        signature="rotor and casing disagree on the torque between them, all the time by the same share",
+        signature="the torques between the bodies inferred from rotor and casing differ by a constant factor",
         confused_with=("touchpoint.load", "bearing.heating"),
-        source="only ratios of torque to inertia are seen; the bearing's torque is seen on both bodies",
+        source="only ratios of torque to inertia are observable; the bearing torque acts on both bodies",
     ),
 )
 
@@ -537,12 +545,10 @@ CONTACT = (
         "torque_held*(1 - c*inertia_slip*abs(omega_r)/T) - inertia_slip*slip/T",
         (
             _RATIO,
-            Parameter(
-                "c", "N-1 m-1", meaning="creep: relative slip for a unit torque that the contact passes on"
-            ),
-            Parameter("T", "s", "fixed", 1e-3, math.inf, 0.1, meaning="time in which the slip settles"),
+            Parameter("c", "N-1 m-1", meaning="creep: relative slip per unit of transmitted torque"),
+            Parameter("T", "s", "fixed", 1e-3, math.inf, 0.1, meaning="relaxation time of the slip"),
         ),
-        signature="both bodies keep a fixed ratio of speeds",
+        signature="a constant ratio of the speeds of both bodies",
         source="the constraint omega_r = n omega_c, stabilised as by J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1, "
         "1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
         searched=False,
@@ -576,13 +582,7 @@ GENERAL = (*REDUCED, "rotor.air.linear", "bearing.constant", "bearing.quadratic"
 
 
 def find(name: str) -> Effect:
-    """Return the effect of this name.
-
-    Raises
-    ------
-    EffectError
-        If there is none; the closest names are offered.
-    """
+    """Return the effect of this name; an EffectError offers the closest names if there is none."""
     if name in LIBRARY:
         return LIBRARY[name]
     close = difflib.get_close_matches(name, LIBRARY, n=3, cutoff=0.4)
@@ -628,16 +628,8 @@ def typical_values(
 ) -> dict[str, float]:
     """Return values of an effect's parameters with which it has a given share of the torque budget.
 
-    Parameters
-    ----------
-    effect : Effect
-        The effect.
-    share : float
-        Its largest torque over the budget of 1e-4 N m, at typical speeds.
-    duration : float
-        Length of the recording [s], for time constants.
-    speeds : mapping
-        Typical omega_r and omega_c [rad/s].
+    `share` is the largest torque over the budget of 1e-4 N m at the typical `speeds` omega_r and omega_c [rad/s]; the
+    `duration` of the recording [s] sets time constants.
     """
     values: dict[str, float] = {}
     for p in effect.parameters:
@@ -691,12 +683,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's where it has one, typical ones elsewhere.
 
-    Parameters
-    ----------
-    effects : iterable of Effect
-        The effects of the model.
-    share, duration, speeds
-        As for `typical_values`.
+    The other arguments are those of `typical_values`.
     """
     values: dict[str, float] = {}
     for effect in effects:

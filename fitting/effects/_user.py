@@ -70,10 +70,8 @@ def formula(
 
     With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate.
 
-    Raises
-    ------
-    EffectError, ExpressionError
-        If the law is not understood, has no strength to fit, or does not come out in its unit.
+    An EffectError or ExpressionError says that the law is not understood, has no strength to fit, or does not come out
+    in its unit.
     """
     if body not in _BODIES:
         raise EffectError(
@@ -152,7 +150,7 @@ def _check(effect: Effect) -> None:
     shapes = [p.symbol for p in effect.parameters if p.role == "shape"]
     if effect.depends_on_angle and shapes:
         raise EffectError(
-            f"{shapes[0]!r} shapes a law that follows an angle, which can have a strength and a phase only",
+            f"{shapes[0]!r} is a shape constant, but a law of an angle can have only a strength and a phase",
             f"write a number for {shapes[0]}",
         )
     if all(p.unit != UNKNOWN_UNIT for p in effect.parameters):
@@ -216,19 +214,20 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
     """Return the first parameter to which the law is proportional."""
     if not candidates:
         raise EffectError(
-            f"every parameter of the law {law!r} is declared a shape", "leave out shape for its strength"
+            f"every parameter of the law {law!r} is declared as a shape constant",
+            "declare its strength without shape",
         )
     linear = [c for c in candidates if c not in symbols(derivative(expression, c))]
     if not linear:
         raise EffectError(
-            f"the law {law!r} is linear in none of {', '.join(candidates)}", "put a strength k in front of it"
+            f"the law {law!r} is linear in none of {', '.join(candidates)}", "multiply it by a strength k"
         )
     for symbol in linear:
         if substitute(expression, {symbol: ZERO}) == ZERO:
             return symbol
     raise EffectError(
         f"the law {law!r} does not vanish with any one of {', '.join(linear)}",
-        "write a sum of laws as several effects, or put one strength in front of it",
+        "write a sum of laws as several effects, or multiply it by one strength",
     )
 
 
@@ -329,13 +328,7 @@ def read_effects(path: Path) -> list[Effect]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    EffectError
-        If it cannot be read or is not TOML.
-    """
+    """Read a TOML file; an EffectError says that it cannot be read or is not TOML."""
     try:
         with path.open("rb") as file:
             return tomllib.load(file)

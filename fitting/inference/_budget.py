@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from fitting._errors import EstimationError
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import NUISANCE
-from fitting.inference._case_data import CAMERA_COLUMNS, CaseData
+from fitting.inference._case_data import CAMERA_COLUMNS, INERTIA_RATIO, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._fit import fit as refit
@@ -167,6 +167,11 @@ def combined_uncertainties(fit: Fit) -> dict[str, float]:
     variance += (linear.sensitivity([_clock_rows(c.data, p) for c, p in cases]) * CRYSTAL) ** 2
     for _, body, value, u in _inertias(fit):
         rows = [_inertia_rows(c, p, fit.theta, body, value) for c, p in cases]
+        if body == "rotor" and _ratio_has_prior(fit):
+            rows = [
+                x + _inertia_rows(c, p, fit.theta, "casing", c.data.record.I_casing) * bool(x.any())
+                for x, (c, p) in zip(rows, cases, strict=True)
+            ]
         variance += (linear.sensitivity(rows) * u / value) ** 2
     return dict(zip(fit.problem.layout.names, np.sqrt(variance).tolist(), strict=True))
 
@@ -252,15 +257,26 @@ class _Linearised:
 
 
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
-    """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2]."""
+    """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2].
+
+    If their ratio is a parameter with a prior, its uncertainty is part of the standard errors; that of the rotor is
+    then one of both.
+    """
     records = fit.problem.layout.records
-    for body in ("casing",) if records[0].single else ("rotor", "casing"):
+    bodies = (
+        ("casing",) if records[0].single else ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
+    )
+    for body in bodies:
         known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
         several = len(set(known)) > 1
         for value, u in dict.fromkeys(known):
             if math.isfinite(u) and u > 0:
                 label = f"@{records[known.index((value, u))].label}" if several else ""
                 yield f"inertia.{body}{label}", body, value, u
+
+
+def _ratio_has_prior(fit: Fit) -> bool:
+    return any(d.prior is not None and INERTIA_RATIO in d.prior.names for d in fit.problem.data)
 
 
 def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
@@ -321,6 +337,8 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
         rotor, casing = (
             moved.get((body, x), x) for body, x in (("rotor", r.I_rotor), ("casing", r.I_casing))
         )
+        if _ratio_has_prior(fit):
+            casing = r.I_casing * rotor / r.I_rotor
         data.append(replace(d, record=replace(r, I_rotor=rotor, I_casing=casing)))
     share, per_case = layout.choices
     start = {n: float(x) for n, x in zip(layout.names, fit.theta, strict=True)}

@@ -107,6 +107,8 @@ def acceleration(samples: Samples, *, angle: bool) -> float:
 
 Array = NDArray[np.float64]
 
+# relative error of I_casing/I_rotor, a parameter of the library
+INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
 # smallest number of rows of a rotor window with which correlated noise is estimated
 _WINDOW_ROWS = 8
@@ -150,6 +152,8 @@ class CaseData:
     """A record, projected once and used for every model.
 
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
+    `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
+    stated uncertainties.
     """
 
     record: Record
@@ -157,6 +161,7 @@ class CaseData:
     rotor: tuple[Compressed, ...]
     oscillation: Oscillation | None = None
     noiseless: bool = False
+    free_inertia: bool = False
 
     @classmethod
     def of(cls, record: Record) -> CaseData:
@@ -167,7 +172,7 @@ class CaseData:
             casing = compress(
                 record.casing,
                 degree=CASING_DEGREE,
-                harmonics=angle,
+                angle=_turning_angle(record),
                 blocks=BLOCKS if angle else SPEED_BLOCKS,
             )
         else:
@@ -179,7 +184,6 @@ class CaseData:
             casing = compress(
                 record.casing,
                 degree=min(degree, max(3, most)),
-                harmonics=False,
                 blocks=blocks,
                 samples_per_block=_PERIOD_SAMPLES,
                 first_noise_row=min(first_noise_row, most),
@@ -188,7 +192,6 @@ class CaseData:
             compress(
                 w,
                 degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
-                harmonics=False,
                 blocks=_GENERATED_BLOCKS
                 if record.generated
                 else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
@@ -203,10 +206,47 @@ class CaseData:
         """Return the same data with this prior."""
         return self if prior == self.record.prior else replace(self, record=replace(self.record, prior=prior))
 
+    @cached_property
+    def prior(self) -> Prior | None:
+        """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
+        record, given = self.record, self.record.prior
+        known = (record.I_casing_u / record.I_casing, record.I_rotor_u / record.I_rotor)
+        u = math.hypot(*(x for x in known if math.isfinite(x)))
+        if not self.free_inertia or record.single or u == 0 or (given and INERTIA_RATIO in given.names):
+            return given
+        stated = Prior((INERTIA_RATIO,), (0.0,), ((u**2,),), "moments of inertia")
+        return stated if given is None else given.joined(stated)
+
     @property
     def is_angle(self) -> bool:
         """Whether angles were measured (and not speeds)."""
         return self.record.quantity == "angle"
+
+    @cached_property
+    def measured_angle(self) -> Array | None:
+        """The angle of the casing [rad], measured or by integration of its speeds; None if these do not determine it.
+
+        The error of an integral is a random walk, far smaller than the difference from the angle of a model with a lack
+        of fit.
+        """
+        return None if self.oscillation is not None and not self.is_angle else _turning_angle(self.record)
+
+    @cached_property
+    def harmonic_responses(self) -> Array:
+        """Rows of the speeds that torques of the first two harmonics of the angle cause, (rows, columns).
+
+        A torque that is periodic in the angle is not random: these functions are free where a level of process noise
+        is estimated. Of angles, the camera's nuisance functions are similar.
+        """
+        return self.casing_rows(self._harmonic_functions)
+
+    @property
+    def _harmonic_functions(self) -> Array:
+        """The same functions at the samples, (samples, columns)."""
+        psi = None if self.is_angle else self.measured_angle
+        if psi is None:
+            return np.zeros((len(self.record.casing), 0))
+        return _responses_to_harmonics(self.record.casing, psi)
 
     @cached_property
     def node_times(self) -> Array:
@@ -223,7 +263,7 @@ class CaseData:
     @property
     def prior_rows(self) -> int:
         """Number of rows of the prior, the last ones; their measured values are zero."""
-        prior = self.record.prior
+        prior = self.prior
         return 0 if prior is None else len(prior.names)
 
     @cached_property
@@ -295,6 +335,9 @@ class CaseData:
                 bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
                 motion = np.concatenate([motion, bias], axis=1)
             free = np.concatenate([free, FLAT_PRIOR_SIGMA * motion], axis=1)
+        else:
+            harmonic = self.casing.at_samples(self._harmonic_functions)[0]
+            free = np.concatenate([free, FLAT_PRIOR_SIGMA * harmonic], axis=1)
         # the acceleration of an oscillation is mainly that of its restoring torque
         known = self.is_angle and self.oscillation is None
         typical = mean_acceleration(self.casing) if known else math.inf
@@ -528,6 +571,12 @@ def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData,
     return tuple(d.with_prior(prior) for d in data)
 
 
+def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[CaseData]:
+    """Return the cases for a model with effects of these names, with the prior of a free ratio of inertia."""
+    free = INERTIA_RATIO.rpartition(".")[0] in names
+    return [d if d.free_inertia == free else replace(d, free_inertia=free) for d in data]
+
+
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
     """Return the spectral density of all angle noise at low frequencies over that of the white noise alone."""
     samples = run.samples
@@ -540,10 +589,30 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
     )
 
 
+def _turning_angle(record: Record) -> Array | None:
+    """Return the angle whose harmonics are distinguished: measured, or by integration of frequently measured speeds."""
+    if record.quantity == "angle":
+        return record.casing.value
+    psi = _integrated(record.casing)
+    resolved = float(np.median(np.abs(np.diff(psi)))) < _LONGEST_STEP
+    return psi if resolved and not record.gradients else None
+
+
+def _integrated(speeds: Samples) -> Array:
+    steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _responses_to_harmonics(speeds: Samples, psi: Array) -> Array:
+    """Return the speeds by torques of the first two harmonics of the angle, sin(m psi) / omega, (samples, 4)."""
+    omega = np.abs(speeds.value)
+    slow = np.maximum(omega, _SLOWEST * omega.max())
+    return np.stack([wave(m * psi) / slow for m in (1, 2) for wave in (np.cos, np.sin)], axis=1)
+
+
 def _gradients(speeds: Samples) -> Array:
     """Return the time derivatives of `camera_columns`, with the angle by integration of the speeds."""
-    steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
-    angle = Samples(speeds.time, np.concatenate([[0.0], np.cumsum(steps)]), speeds.sigma)
+    angle = Samples(speeds.time, _integrated(speeds), speeds.sigma)
     return np.asarray(np.gradient(camera_columns(angle), speeds.time, axis=0))
 
 
@@ -552,6 +621,10 @@ CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
 # standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
 _CENTRE, _TILT = 0.15, 0.05
+# longest step of the integral of speeds from sample to sample [rad]
+_LONGEST_STEP = 1.0
+# smallest speed, over the largest, down to which the response to a harmonic torque increases
+_SLOWEST = 0.02
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
 

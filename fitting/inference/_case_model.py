@@ -1,8 +1,8 @@
 """One case under one model: predicted rows and their derivatives.
 
 A torque periodic in the angle would, with the measured angle as argument, be random by the noise of the angle. So its
-argument is the angle of the model plus the smoothed deviation of the measured angle: cubics in the number of pieces of
-the smallest
+argument is the angle of the model, with the response to the torque itself, plus the smoothed deviation of the measured
+angle (of measured speeds: of their integral): cubics in the number of pieces of the smallest
 
     BIC(pieces) = N log(residual sum of squares) + 4 pieces log(N)
 
@@ -11,7 +11,7 @@ the smallest
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -36,10 +36,17 @@ _GAUSS = 3
 _PIECES = (480, 240, 120, 60, 30, 15)
 _MIN_PIECE = 12
 _CUBIC = 4
+# parts of the error of an integrated angle: seven eighths of the variance are in the first two
+_ERRORS = 6
 
 
 def angle_dependent_rows(
-    data: CaseData, effect: Effect, path: Path, motion: LinearMotion, numbers: Mapping[str, float]
+    data: CaseData,
+    effect: Effect,
+    path: Path,
+    motion: LinearMotion,
+    numbers: Mapping[str, float],
+    error: Callable[[Array], Array] | None = None,
 ) -> tuple[Array, Array]:
     """Return the response of the rows to a law of strength 1, at phase 0 and at a quarter period.
 
@@ -56,6 +63,8 @@ def angle_dependent_rows(
     numbers : mapping of str to float
         Parameters by key. The law changes the angle that is its argument, which gives a mean torque of second order in
         its strength.
+    error : callable, optional
+        An error of the angle of the casing [rad] as a function of time, to compute its effect.
     """
     record = data.record
     t = record.casing.time
@@ -65,13 +74,22 @@ def angle_dependent_rows(
     known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
     known["delta"] = known["omega_r"] - known["omega_c"]
     known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-    known["psi_c"] = sampler.integral(*path.angle("omega_c"))
+    known["psi_c"] = psi = sampler.integral(*path.angle("omega_c"))
     known["t"] = inner
-    pieces = 0
-    if data.is_angle:
-        deviation = record.casing.value - Sampler(path.mesh, t).integral(*path.angle("omega_c"))
-        pieces = pieces_needed(t, deviation)
-        known["psi_c"] = known["psi_c"] + np.interp(inner, t, smoothed(t, deviation, pieces))
+    measured, model = data.measured_angle, Sampler(path.mesh, t)
+    if measured is not None:
+        start = 0.0 if data.is_angle else model.integral(*path.angle("omega_c"))[0]
+        deviation = start + measured - model.integral(*path.angle("omega_c"))
+        of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
+
+    def measured_angle(own_angle: Array, own_speed: Array) -> Array:
+        """Return the angle of the model, with the response to the law, plus the smoothed deviation of the measured."""
+        pieces = pieces_needed(t, of_values - (own_angle if data.is_angle else own_speed))
+        smooth = np.interp(inner, t, smoothed(t, deviation - own_angle, pieces))
+        return np.asarray(psi + hermite(t, own_angle, own_speed, inner) + smooth)
+
+    if measured is not None:
+        known["psi_c"] = measured_angle(np.zeros(len(t)), np.zeros(len(t)))
     tape = Tape([effect.expression])
     on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
     on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
@@ -83,10 +101,11 @@ def angle_dependent_rows(
         return motion.driven(t, np.stack(torque, axis=-1).reshape(len(half), _GAUSS, -1), direction)
 
     speed, angle = driven()
-    if pieces and strength.any():
-        known["psi_c"] = known["psi_c"] + _not_in_smoothed(
-            t, angle[1] @ strength, speed[1] @ strength, inner, pieces
-        )
+    if measured is not None and strength.any():
+        known["psi_c"] = measured_angle(angle[1] @ strength, speed[1] @ strength)
+        speed, angle = driven()
+    if error is not None:
+        known["psi_c"] = known["psi_c"] + error(inner)
         speed, angle = driven()
     rows = data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
     return rows[:, 0], rows[:, 1]
@@ -125,12 +144,6 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
     k = numbers.get(f"{effect.name}.{amplitude}", 0.0) if amplitude else 1.0
     phi = values.get(phase, 0.0)
     return laws, k * np.array([np.cos(phi), np.sin(phi)])
-
-
-def _not_in_smoothed(t: Array, angle: Array, speed: Array, times: Array, pieces: int) -> Array:
-    """Return the part of the response of the angle to the law itself that is not in the smoothed angle."""
-    smooth = np.interp(times, t, smoothed(t, angle, pieces))
-    return hermite(t, angle, speed, times) - smooth
 
 
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
@@ -219,7 +232,7 @@ class CaseModel:
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
-        prior = data.record.prior
+        prior = data.prior
         # the prior of shared parameters counts once, in the first case
         self._prior = (
             None
@@ -366,17 +379,45 @@ class CaseModel:
             rows.append(self._camera(effect, path, values))
         return rows[0], rows[1]
 
+    def integration_errors(self, prediction: Prediction, theta: Array) -> Array:
+        """Return the effect of the error of an integrated angle on the rows, one column for each independent part.
+
+        White noise of measured speeds is a random walk of their integral; over a time T with variance v, its
+        Karhunen-Loeve expansion has the parts sqrt(2 v) sin(w t) / (w T), w = (j - 1/2) pi / T.
+        """
+        run, effects = self.data.casing, self.layout.model.angle_dependent
+        if self.data.is_angle or self.data.measured_angle is None or not effects:
+            return np.zeros((len(prediction.rows), 0))
+        t, numbers = run.samples.time, self.layout.numbers(theta, self.case)
+        length = t[-1] - t[0]
+        walk = run.scale * np.sqrt(np.sum((run.samples.sigma * np.gradient(t)) ** 2))
+
+        def rows(error: Callable[[Array], Array] | None) -> Array:
+            total = np.zeros(len(prediction.rows))
+            for effect in effects:
+                unit = angle_dependent_rows(
+                    self.data, effect, prediction.path, prediction.motion, numbers, error
+                )
+                total += np.stack(unit, axis=1) @ _unit_laws(effect, numbers)[1]
+            return total
+
+        def part(w: float) -> Callable[[Array], Array]:
+            return lambda x: walk * np.sqrt(2) / (w * length) * np.sin(w * (x - t[0]))
+
+        undisturbed = rows(None)
+        rates = (np.arange(_ERRORS) + 0.5) * np.pi / length
+        return np.stack([rows(part(w)) - undisturbed for w in rates], axis=1)
+
     def _camera(self, effect: Effect, path: Path, values: dict[str, float]) -> Array:
         tape = Tape([effect.expression])
 
         def law(compressed: Compressed, state: int, from_start: float) -> Array:
             t = compressed.samples.time
             sampler = Sampler(path.mesh, t)
-            psi = (
-                compressed.samples.value
-                if self.data.is_angle
-                else sampler.integral(*path.angle(path.states[state]))
-            )
+            psi = compressed.samples.value
+            if not self.data.is_angle:
+                integrated = self.data.measured_angle if state else None
+                psi = sampler.integral(*path.angle(path.states[state])) if integrated is None else integrated
             known: dict[str, Any] = {
                 "t": t - from_start,
                 "omega": sampler.value(path.y[..., state]),

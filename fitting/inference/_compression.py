@@ -128,7 +128,7 @@ def compress(
     samples: Samples,
     *,
     degree: int,
-    harmonics: bool,
+    angle: Array | None = None,
     blocks: int = BLOCKS,
     noisy: bool = True,
     noise_rows: int = NOISE_ROWS,
@@ -140,11 +140,12 @@ def compress(
     Parameters
     ----------
     samples : Samples
-        One run; for harmonics its values must be angles.
+        One run.
     degree : int
         Highest power of the polynomials.
-    harmonics : bool
-        Whether to keep the first two harmonics of the measured angle as rows of their own.
+    angle : ndarray, optional
+        The angle at the samples [rad], whose first two harmonics are kept as rows of their own: the values themselves,
+        or the integral of measured speeds.
     blocks : int
         Largest number of blocks.
     noisy : bool
@@ -164,17 +165,10 @@ def compress(
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
-    if harmonics:
-        edges = _cut_where_slow(samples, edges)
+    if angle is not None:
+        edges = _cut_where_slow(samples.time, angle, edges)
     parts = [
-        _block(
-            samples,
-            slice(a, b),
-            degree,
-            noise_rows,
-            max(0, (first_noise_row or 0) - degree - 1),
-            harmonics=harmonics,
-        )
+        _block(samples, slice(a, b), degree, noise_rows, max(0, (first_noise_row or 0) - degree - 1), angle)
         for a, b in pairwise(edges)
     ]
     slow = np.concatenate([p.noise for p in parts])
@@ -187,7 +181,7 @@ def compress(
         scale, correlation, fast = 1.0, 1.0, 1.0
     k = degree + 1
     spread = np.full(parts[0].rows.shape[0], scale)
-    if harmonics:
+    if angle is samples.value:
         spread[k:] *= harmonic_scatter(np.stack([p.rows[k:] @ samples.value[p.where] for p in parts]) / scale)
     operators = tuple((p.where, p.rows / spread[:, None]) for p in parts)
     projected = [rows @ samples.value[where] for where, rows in operators]
@@ -205,17 +199,16 @@ def compress(
     )
 
 
-def _cut_where_slow(samples: Samples, edges: NDArray[np.int_]) -> NDArray[np.int_]:
+def _cut_where_slow(time: Array, angles: Array, edges: NDArray[np.int_]) -> NDArray[np.int_]:
     """Divide blocks in which the speed changes by a large factor.
 
     A torque periodic in the angle changes it by an amplitude proportional to 1 / speed^2: nearly all information about
     it is in the few turns in which the casing is slowest, a small part of a block. The blocks of a record in which the
     casing comes to rest are not divided: there the ratio of speeds diverges within less than a turn.
     """
-    pieces = np.arange(0, len(samples) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
+    pieces = np.arange(0, len(time) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
     last = pieces + _MIN_SAMPLES - 1
-    angle = samples.value[last] - samples.value[pieces]
-    speed = np.abs(angle / (samples.time[last] - samples.time[pieces]))
+    speed = np.abs((angles[last] - angles[pieces]) / (time[last] - time[pieces]))
     if len(pieces) == 0 or speed.min() < _AT_REST:
         return edges
     cuts = list(edges)
@@ -243,7 +236,7 @@ class _Block:
 
 
 def _block(
-    samples: Samples, where: slice, degree: int, noise_rows: int, skipped: int = 0, *, harmonics: bool
+    samples: Samples, where: slice, degree: int, noise_rows: int, skipped: int, angle: Array | None
 ) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
@@ -252,11 +245,14 @@ def _block(
     skipped = min(skipped, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     periodic = np.zeros((len(t), 0))
-    if harmonics:
-        # of the smoothed angle: the noise of the measured one would be correlated with the harmonics, and where these
-        # are nearly polynomials it would enter the rows that measure the noise
-        smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
-        periodic = independent_harmonics(smooth @ (smooth.T @ (y / sigma)) * sigma, powers[:, :k])
+    if angle is not None:
+        psi = angle[where]
+        if angle is samples.value:
+            # smoothed: the noise of the measured angle would be correlated with the harmonics, and where these are
+            # nearly polynomials it would enter the rows that measure the noise
+            smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
+            psi = smooth @ (smooth.T @ (y / sigma)) * sigma
+        periodic = independent_harmonics(psi, powers[:, :k])
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
     design = np.concatenate([powers[:, :k], periodic[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
     q, r = np.linalg.qr(design)
@@ -264,7 +260,7 @@ def _block(
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     q, r = q * sign, r * sign[:, None]
     kept = k + len(chosen)
-    rows = np.zeros((k + HARMONICS * harmonics, len(t)))
+    rows = np.zeros((k + HARMONICS * (angle is not None), len(t)))
     rows[np.concatenate([np.arange(k), k + chosen])] = q[:, :kept].T / sigma
     x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
     lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))

@@ -31,7 +31,7 @@ from fitting._errors import EstimationError, FittingError
 from fitting.dynamics._mesh import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
@@ -409,7 +409,8 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
             "a robust loss goes with neither laws that follow an angle nor effects of a camera",
             "fit without them, or with --loss linear",
         )
-    found = fit(model, cases, **options)
+    known = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
+    found = fit(model, with_free_inertia(known, model.names), **options)
     data = found.problem.data
     for psi in _LOSSES[loss]:
         for _ in range(_ITERATIONS):
@@ -439,7 +440,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
         for s, v in zip((data.record.casing, *data.record.rotor), values, strict=True)
     ]
     made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])))
-    return CaseData(data.record, made.casing, made.rotor)
+    return CaseData(data.record, made.casing, made.rotor, free_inertia=data.free_inertia)
 
 
 def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:

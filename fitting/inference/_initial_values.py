@@ -82,7 +82,7 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
 
 
 def _prior_means(problem: Problem) -> dict[str, float]:
-    priors = [d.record.prior for d in problem.data if d.record.prior is not None]
+    priors = [d.prior for d in problem.data if d.prior is not None]
     return {k: v for p in priors for k, v in zip(p.names, p.mean, strict=True)}
 
 

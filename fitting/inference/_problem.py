@@ -326,7 +326,9 @@ def refine_level(
     moving = ~problem.layout.at_bound(theta) & (not fixed)
     restoring = problem.layout.model.restoring
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
-        columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
+        columns = np.concatenate(
+            [p.columns[:, moving[p.places]], data.nuisance, data.harmonic_responses], axis=1
+        )
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns)
         grossly = restoring and fails_grossly(data, p, n)
         found.append(replace(n.at(n.pure if grossly else level), excess=excess))

@@ -374,11 +374,13 @@ class Fit(FitSummary):
 
     @property
     def undetermined(self) -> list[str]:
-        """Parameters, without phases, whose standard uncertainty exceeds their value a hundredfold."""
+        """Parameters, without phases and those with a prior, whose uncertainty exceeds their value a hundredfold."""
+        known = {k for d in self.problem.data if d.prior is not None for k in d.prior.names}
         return [
             k
             for k in not_determined(self.estimates)
-            if self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
+            if k.partition("@")[0] not in known
+            and self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
             and self.problem.layout.parameter(k).role != "phase"
         ]
 
@@ -621,6 +623,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     if any(n.unresolved > n.level for n in noise):
         j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
     covariance = covariance_of(j, determined)
+    covariance += _by_integration_errors(problem, theta, predictions, covariance)
     # with a significant lack of fit, the noise alone understates the uncertainty
     covariance *= variance_factor(chi2, rows - int((~at_bound).sum()))
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
@@ -640,6 +643,20 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         problem=problem,
         predictions=predictions,
     )
+
+
+def _by_integration_errors(
+    problem: Problem, theta: Array, predictions: Sequence[Prediction], covariance: Array
+) -> Array:
+    """Return the covariance of the variables by the errors of integrated angles, which are arguments of laws."""
+    parts = [np.zeros((len(theta), 0))]
+    for case, project, p in zip(problem.cases, problem.projections, predictions, strict=True):
+        errors = case.integration_errors(p, theta)
+        gradient = np.zeros((len(theta), errors.shape[1]))
+        gradient[p.places] = project.unexplained(p.columns).T @ project(errors)
+        parts.append(gradient)
+    shifts = np.nan_to_num(covariance, posinf=0.0) @ np.concatenate(parts, axis=1)
+    return np.asarray(shifts @ shifts.T)
 
 
 def _with_unresolved(

@@ -187,7 +187,7 @@ def compare(fits: Mapping[str, Fitted]) -> Comparison:
         If there are fewer than two fits.
     """
     if len(fits) < 2:
-        raise EstimationError("A comparison needs two fits at least.", "Give two cases, each with a fit.")
+        raise EstimationError("A comparison needs at least two fits.", "Give two cases, each with a fit.")
     repeats: dict[str, list[Repeat]] = {}
     units: dict[str, str] = {}
     bounds: dict[str, list[str]] = {}

@@ -57,25 +57,13 @@ _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 @dataclass(frozen=True)
 class Entry:
-    """One fit of a ledger.
+    """One fit of a ledger."""
 
-    Attributes
-    ----------
-    document : dict
-        The JSON object, with all keys of the file.
-    """
-
-    document: dict[str, Any]
+    document: dict[str, Any]  # the JSON object, with all keys of the file
 
     @cached_property
     def stored(self) -> EntryDocument:
-        """The same as a validated object.
-
-        Raises
-        ------
-        pydantic.ValidationError
-            If a key is missing or of a wrong type.
-        """
+        """The same as a validated object; a pydantic.ValidationError if a key is missing or of a wrong type."""
         return EntryDocument.model_validate(self.document)
 
     @property
@@ -103,17 +91,10 @@ class Entry:
         return Prior(tuple(stored.names), tuple(stored.mean), covariance, stored.source)
 
     def as_prior(self, source: str) -> Prior:
-        """Return the parameters of the fit with their covariance, as a prior of another study.
+        """Return the parameters of the fit with their covariance, as a prior of a study that calls this one `source`.
 
-        Parameters
-        ----------
-        source : str
-            Name of this study in the other one.
-
-        Raises
-        ------
-        LedgerError, EstimationError
-            The ledger holds no covariance, or the fit determines no parameter that another study could use.
+        A LedgerError or EstimationError says that the ledger holds no covariance, or the fit determines no parameter
+        that another study could use.
         """
         if not self.stored.covariance:
             raise LedgerError(

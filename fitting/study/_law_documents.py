@@ -109,15 +109,7 @@ _UNITS = {"t": "s", "psi_c": "rad"}
 
 
 def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
-    """Return laws under the keys of `laws --json`.
-
-    Parameters
-    ----------
-    found : Laws
-        The answer.
-    fit_id : str
-        Name of the base in its ledger.
-    """
+    """Return laws under the keys of `laws --json`; `fit_id` is the base in its ledger."""
     depends_on = [
         DependenceDocument(
             variable=d.variable,
@@ -158,25 +150,14 @@ def _law(x: Law) -> LawDocument:
 
 
 def check_name(name: str, path: Path, terms: int = 1) -> None:
-    """Raise an error if a law cannot be added to a file under this name.
+    """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
 
-    Parameters
-    ----------
-    name : str
-        The name; a second term is called ``NAME.second``.
-    path : Path
-        A file of effects; it need not exist.
-    terms : int
-        Number of terms of the law.
-
-    Raises
-    ------
-    EffectError
-        The name is malformed, or taken by the library or in the file; or the file is no file of effects.
+    The name is malformed, or taken by the library or in the file, or the file is no file of effects. A second term is
+    called ``NAME.second``.
     """
     if not _NAME.fullmatch(name):
         raise EffectError(
-            f"{name[:60]!r} is not a name of an effect",
+            f"{name[:60]!r} is not a valid name of an effect",
             "a name has letters, digits, dots and underscores, and starts with a letter",
         )
     refuse_special(path)
@@ -192,25 +173,9 @@ def _names(name: str, terms: int) -> list[str]:
 
 
 def save_law(law: Law, name: str, path: Path, source: str) -> None:
-    """Add a law to a TOML file of effects, which is made if it does not exist.
+    """Add a law to a TOML file of effects, which is made if it does not exist; `source` says where it was found.
 
-    Parameters
-    ----------
-    law : Law
-        The law.
-    name : str
-        Its name from now on.
-    path : Path
-        The file.
-    source : str
-        Where it was found.
-
-    Raises
-    ------
-    EffectError
-        As `check_name`.
-    LedgerError
-        The file cannot be written.
+    Errors are those of `check_name`, and a LedgerError if the file cannot be written.
     """
     check_name(name, path, len(law.effects))
     before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""

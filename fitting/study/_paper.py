@@ -28,16 +28,11 @@ _SLOPES = 0.01
 
 
 def with_generated_rotor(record: Record) -> Record:
-    """Return the record with one curve of the rotor's speed in place of its windows.
+    """Return a record of velocities with one curve of the rotor's speed in place of its windows.
 
-    The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and
-    quadratic friction, fitted to speed and slope of each window. Its samples have the same total weight as the measured
-    ones. As the curve of the paper it has no noise: chi-square of the rotor has no meaning.
-
-    Parameters
-    ----------
-    record : Record
-        One of velocities.
+    The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and quadratic
+    friction, fitted to speed and slope of each window. Its samples have the same total weight as the measured ones. As
+    the curve of the paper it has no noise: chi-square of the rotor has no meaning.
     """
     lines = [_line(w) for w in record.rotor]
     start, stop = record.span
@@ -72,12 +67,8 @@ class CurveBias:
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
     """Return the shift of each parameter by a generated rotor curve, from a fit of the same model to the windows.
 
-    The law of the curve is not that of the model. Its values between the windows are not measured.
-
-    Returns
-    -------
-    dict
-        By parameter, the largest shift first; empty if no rotor was generated.
+    The law of the curve is not that of the model. Its values between the windows are not measured. The largest shift is
+    first; none if no rotor was generated.
     """
     layout = found.problem.layout
     if not any(r.generated for r in layout.records):
@@ -99,7 +90,7 @@ def curve_bias(found: Fit) -> dict[str, CurveBias]:
 
 def _calibrated(window: Samples) -> Compressed:
     degree = min(ROTOR_DEGREE, (len(window) - 1) // 2)
-    return compress(window, degree=degree, harmonics=False, blocks=1, noise_rows=SPEED_NOISE_ROWS)
+    return compress(window, degree=degree, blocks=1, noise_rows=SPEED_NOISE_ROWS)
 
 
 def _line(window: Samples) -> tuple[float, float, float]:
@@ -164,32 +155,23 @@ def _decay(lines: Array, grid: Array) -> Array:
 def prepared(record: Record, data: str | None = None, rotor: str = "windows") -> Record:
     """Return a record as it is to be fitted.
 
-    Parameters
-    ----------
-    record : Record
-        The measured record.
-    data : {"angle", "velocity"}, optional
-        The fitted quantity; the measured one by default.
-    rotor : {"windows", "generated"}
-        The rotor's windows as measured, or a generated curve, which is one of velocities.
-
-    Raises
-    ------
-    RecordError
-        If angles are requested and velocities were measured, or a generated curve together with angles.
+    `data` is "angle" or "velocity", by default the measured one; `rotor` is "windows" (as measured) or "generated", a
+    curve of velocities. A RecordError is raised if angles are requested and velocities were measured, or a generated
+    curve together with angles.
     """
     if data not in (None, "angle", "velocity") or rotor not in ("windows", "generated"):
         raise RecordError(
-            f"data {data!r} or rotor {rotor!r} is not known", "angle or velocity; windows or generated"
+            f"unknown data {data!r} or rotor {rotor!r}",
+            "data: angle or velocity; rotor: windows or generated",
         )
     if data == "angle" and record.quantity == "omega":
-        raise RecordError(f"{record.label} holds velocities, no angles", "leave out --data angle")
+        raise RecordError(f"{record.label} contains velocities, not angles", "omit --data angle")
     if rotor == "generated" and data == "angle":
         raise RecordError(
-            "a generated rotor curve is one of velocities", "take --data velocity with --rotor generated"
+            "a generated rotor curve consists of velocities", "use --data velocity with --rotor generated"
         )
     if rotor == "generated" and record.single:
-        raise RecordError(f"{record.label} has no rotor", "leave out --rotor generated")
+        raise RecordError(f"{record.label} contains no rotor", "omit --rotor generated")
     if data == "velocity" or rotor == "generated":
         record = as_velocities(record)
     return with_generated_rotor(record) if rotor == "generated" else record

@@ -100,22 +100,11 @@ WIDTHS = {
 
 
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
-    """Return ranges about the mean of some fits of the reduced model.
+    """Return ranges about the mean of separate fits of the reduced model, by name.
 
     That the mean is over the separate fits follows from values of the paper: g = 1.05 and f = 0.0795e-7 of its second
-    case are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7.
-
-    Parameters
-    ----------
-    reduced : sequence of Fit
-        Fits of the reduced model.
-    labels : sequence of str
-        Cases of the joint fit in which parameters may have a value for each case.
-
-    Returns
-    -------
-    dict
-        Bounds by name. A parameter that is zero in the reduced fits keeps its declared bounds.
+    case are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have a value
+    for each of the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():
@@ -167,15 +156,7 @@ class Robustness:
 
 
 def robustness(separate: Sequence[Fit], joint: Fit | None) -> tuple[Robustness, ...]:
-    """Return the robustness of each of the paper's parameters.
-
-    Parameters
-    ----------
-    separate : sequence of Fit
-        The same model on each case.
-    joint : Fit or None
-        The model on all these cases together, in the same order.
-    """
+    """Return the robustness of each of the paper's parameters, from fits of one model to each case and jointly."""
     found = []
     for column in COLUMNS.values():
         own = [e for fit in separate for e in _of(fit, column.key)]

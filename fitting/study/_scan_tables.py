@@ -410,12 +410,9 @@ _METRICS = ("r2", "rmse", "reduced_chi2", "held_out")
 def scan_records(scan: Scan) -> list[dict[str, Any]]:
     """Return every fit of a scan as plain numbers in SI units; None where there is none.
 
-    Returns
-    -------
-    list of dict
-        ``table`` (air, bearing, reduced, general), ``fit`` (separate, joint), ``case``, ``terms``; a1 ... g and
-        their ``_stderr``; figures of merit of both bodies; ``held_out_recording`` (joint fits only),
-        ``energy_drift``, ``bic``, ``shade``, ``verdict``, ``fault``.
+    Keys: ``table`` (air, bearing, reduced, general), ``fit`` (separate, joint), ``case``, ``terms``; a1 ... g and their
+    ``_stderr``; figures of merit of both bodies; ``held_out_recording`` (joint fits only), ``energy_drift``, ``bic``,
+    ``shade``, ``verdict``, ``fault``.
     """
     records = []
     for table, blocks in (("air", scan.air), ("bearing", scan.bearing)):
@@ -492,12 +489,9 @@ def _titled(name: str) -> str:
 def scan_document(scan: Scan) -> dict[str, Any]:
     """Return a scan under the keys that other programs rely on.
 
-    Returns
-    -------
-    dict
-        ``cases``; ``tables``: for each case "air" and "bearing" with their ``rows`` (terms, shade, delta_bic within
-        the table, and a fit as `fit` has it); ``models``: "reduced" and "general" with ``separate``, ``joint``,
-        ``predicted`` and ``robustness``.
+    ``cases``; ``tables``: for each case "air" and "bearing" with their ``rows`` (terms, shade, delta_bic within the
+    table, and a fit as `fit` has it); ``models``: "reduced" and "general" with ``separate``, ``joint``, ``predicted``
+    and ``robustness``.
     """
     tables = []
     for name, blocks in (("air", scan.air), ("bearing", scan.bearing)):

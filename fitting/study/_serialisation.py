@@ -55,7 +55,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics, CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
@@ -328,7 +328,7 @@ def load_fit(path: str | Path) -> SavedFit:
         raise LedgerError(f"{path} is damaged: {type(fault).__name__} {fault}"[:200]) from None
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):
-        raise LedgerError(f"{path} is damaged: the covariance has another size than the names")
+        raise LedgerError(f"{path} is damaged: the size of the covariance differs from the number of names")
     return SavedFit(
         model=model,
         estimates=_estimates(stored.estimates),
@@ -398,6 +398,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
     """
     if stored.code != fingerprint():
         return None
+    data = with_free_inertia(data, model.names)
     layout = ParameterLayout(model, tuple(d.record for d in data), tuple(stored.per_case), stored.ranges)
     problem = Problem.of(layout, data)
     theta = np.array(stored.theta, dtype=float)
@@ -444,15 +445,6 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
     """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
     Its candidates have no screening results: it serves display only.
-
-    Parameters
-    ----------
-    stored : StoredDiagnosis
-        As `stored_diagnosis` returned it.
-    fit : Fit
-        The fit that was diagnosed.
-    extra : sequence of Effect
-        Effects of the user.
     """
     if stored.code != fingerprint() or stored.extra != own_effects(extra):
         return None

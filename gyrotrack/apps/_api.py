@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from gyrotrack._inertia import Inertia
 from gyrotrack.io._atomic import refuse_existing
 from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_case
-from gyrotrack.io._records import Case, Recording
+from gyrotrack.io._records import Case, Inertia, Recording
 from gyrotrack.synchronisation._decision import Synchronised, synchronise
 from gyrotrack.tracking._extract import ExtractionJob
 from gyrotrack.tracking._extract import extract as track

@@ -47,34 +47,19 @@ class Value:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The motion of one body.
+    """The motion of one body."""
 
-    Attributes
-    ----------
-    kind : {"spin-down", "oscillation", "steady"}
-        Kind of motion.
-    turns : float
-        Range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured.
-    omega : dict
-        Angular velocity at the "first" and the "last" sample [rad/s].
-    omega_mean : Value
-        Mean angular velocity [rad/s].
-    alpha : Value
-        Angular acceleration at the middle of the record [rad/s2].
-    period, amplitude, decay : Value or None
-        Of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s].
-    quality_factor : Value or None
-        Of a decaying oscillation: pi / (decay rate x period) [1].
-    """
-
-    kind: str
+    kind: str  # kind of motion: "spin-down" or "oscillation" or "steady"
+    # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
-    omega: dict[str, float]
-    omega_mean: Value
-    alpha: Value
+    omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
+    omega_mean: Value  # mean angular velocity [rad/s]
+    alpha: Value  # angular acceleration at the middle of the record [rad/s2]
+    # of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s]
     period: Value | None = None
     amplitude: Value | None = None
     decay: Value | None = None
+    # of a decaying oscillation: pi / (decay rate x period) [1]
     quality_factor: Value | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
@@ -87,15 +72,8 @@ class BodyMotion:
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion.
+    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
 
-    Parameters
-    ----------
-    time, angle, sigma : ndarray, shape (n,)
-        Time [s], unwrapped angle and its standard uncertainty [rad].
-
-    Notes
-    -----
     A rotation is fitted by a polynomial in time (of degree 2 to 6, by the Bayesian information criterion) and the first
     three harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
@@ -103,11 +81,6 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record.
-
-    Raises
-    ------
-    DatasetError
-        There are fewer than 12 samples.
     """
     if len(time) < _MIN_SAMPLES:
         raise DatasetError(
@@ -129,17 +102,10 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
 def motion_of_passages(passages: Passages) -> BodyMotion:
     """Return the period and the decay rate of a pendulum from its passages through light gates.
 
-    Notes
-    -----
     Pairs of neighbouring passages, one in each direction, are averaged: the distance of the gates from the equilibrium
     delays one and advances the other. The times of the pairs, and the logarithms of their durations, which are
     inversely proportional to the amplitude, are polynomials in the number of the passage. Period and decay rate are
-    those at the middle of the record.
-
-    Raises
-    ------
-    DatasetError
-        There are too few passages in immediate succession.
+    those at the middle of the record. A DatasetError is raised if too few passages are in immediate succession.
     """
     t, duration = passages.time, passages.duration
     half = 0.5 * float(np.median(t[2:] - t[:-2]))

@@ -358,15 +358,7 @@ def hide_effect(model: Model, strength: float) -> Hidden:
 
 
 def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: bool = False) -> str:
-    """Write a sealed answer and return its commitment.
-
-    Parameters
-    ----------
-    path : Path
-        The JSON file to write.
-    effect, parameters
-        The hidden effect.
-    """
+    """Write the answer, an effect and its parameters, to a sealed JSON file, and return its commitment."""
     salt = secrets.token_hex(16)
     answer = json.dumps({"effect": effect, "parameters": dict(parameters)}, sort_keys=True)
     commitment = hashlib.sha256(f"{salt}{answer}".encode()).hexdigest()
@@ -382,13 +374,7 @@ def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: boo
 
 
 def unseal(path: Path) -> Seal:
-    """Open a seal.
-
-    Raises
-    ------
-    DatasetError
-        The file is not a seal, or its answer does not match the commitment.
-    """
+    """Open a seal; a DatasetError says that the file is none, or that its answer does not match the commitment."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         sealed = base64.b64decode(document["sealed"], validate=True)
@@ -423,17 +409,7 @@ def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[floa
 
 
 def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:
-    """Grade an answer.
-
-    Parameters
-    ----------
-    truth : Seal
-        Content of the opened seal.
-    named : sequence of str
-        The answer, then the effects indistinguishable from it; empty for "none".
-    found : mapping of str to (value, error)
-        Parameters of the answer by key, with standard errors.
-    """
+    """Grade an answer: the effect and those indistinguishable from it (nothing for "none"), with values and errors."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
     if named and named[0] in equivalent:

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
-from gyrotrack._inertia import Inertia
 from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._motion import (
     TURN,
@@ -27,7 +26,7 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Placement, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
@@ -55,46 +54,25 @@ _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".m
 
 @dataclass(frozen=True)
 class SpindownOptions:
-    """Options of `spindown`.
+    """Options of `spindown`."""
 
-    Attributes
-    ----------
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px].
-    capture_fps : float, optional
-        Frames per second of the camera.
-    inertia : str, optional
-        Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2].
-    pulses_per_turn : float, optional
-        Number of pulses per turn; the table is one column of times of pulses.
-    limits : Limits
-        Times to include and to exclude, and whether to keep drive and rest at the ends of the record.
-    label : str
-        Name of the case.
-    profile : Path, optional
-        Markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers.
-    body : str, optional
-        Body to analyse, "casing" or "rotor", in a film or recording of both.
-    columns : tuple of str
-        Meaning of columns of a table, such as "t=1" and "angle=2".
-    marker, centre : str, optional
-        Point to follow and centre of rotation, in a table or project of points.
-    likelihood : float
-        Minimum likelihood of the points that are used.
-    """
-
-    hub: tuple[float, float] | None = None
-    capture_fps: float | None = None
+    hub: tuple[float, float] | None = None  # centre of rotation (x, y) [px]
+    capture_fps: float | None = None  # frames per second of the camera
+    # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
+    # number of pulses per turn; the table is one column of times of pulses
     pulses_per_turn: float | None = None
+    # times to include and to exclude, and whether to keep drive and rest at the ends of the record
     limits: Limits = field(default_factory=Limits)
-    label: str = ""
+    label: str = ""  # name of the case
+    # markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers
     profile: Path | None = None
-    body: str | None = None
-    columns: tuple[str, ...] = ()
+    body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
+    columns: tuple[str, ...] = ()  # meaning of columns of a table, such as "t=1" and "angle=2"
+    # point to follow and centre of rotation, in a table or project of points
     marker: str | None = None
     centre: str | None = None
-    likelihood: float = 0.6
+    likelihood: float = 0.6  # minimum likelihood of the points that are used
 
 
 def read_source(
@@ -102,12 +80,7 @@ def read_source(
 ) -> tuple[Case, Tracked | None]:
     """Make a case of one body from a film, a recording or a table.
 
-    Raises
-    ------
-    VideoError, TrackingError, DatasetError
-        The source cannot be read, or contains no measurable motion.
-    UsageError
-        Columns, marker or centre of a table are given for a film.
+    A UsageError is raised if columns, marker or centre of a table are given for a film.
     """
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
@@ -177,7 +150,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
         "decay, but no angle: no case and no torque law."
     )
     parts = dict.fromkeys(("case", "report", "picture", "oscillator", "diagnosis"))
-    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note]}
+    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note], "ambiguous": False}
 
 
 def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
@@ -375,27 +348,10 @@ def spindown(
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the motion of one body, fit, diagnose and improve a model, and write a report.
+    """Measure the motion of one body, fit, diagnose and improve a model, and write a report; return the JSON document.
 
-    Parameters
-    ----------
-    source : Path
-        Film, recording or table.
-    target, report : Path
-        The case and the report to write; without a path no report is written.
-    options : SpindownOptions
-        Options.
-    command : str
-        The command line, for the case file.
-    force : bool
-        Replace existing outputs.
-    progress : callable, optional
-        Called with (frames done, frames in total) while a film is tracked.
-
-    Returns
-    -------
-    dict
-        The JSON document of `gyrotrack spindown`.
+    `target` and `report` are the case and the report to write, if given. `progress` is called with (frames done, frames
+    in total) while a film is tracked.
     """
     from fitting._workers import single_blas_thread
 
@@ -507,6 +463,7 @@ def _analysed(
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
+        "ambiguous": tracked is not None and tracked.ambiguous,
     }
 
 

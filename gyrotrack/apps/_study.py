@@ -187,21 +187,11 @@ class Study:
 
 @dataclass
 class Recorder:
-    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none.
+    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none."""
 
-    Attributes
-    ----------
-    ledger : Ledger
-        The history of fits.
-    entries : list of Entry
-        The entries, oldest first.
-    fit : Fit
-        The fit of the latest entry.
-    """
-
-    ledger: Ledger
-    entries: list[Entry]
-    fit: Fit
+    ledger: Ledger  # the history of fits
+    entries: list[Entry]  # the entries, oldest first
+    fit: Fit  # the fit of the latest entry
 
     def __call__(self, step: Step) -> None:
         """Store the next step."""
@@ -309,19 +299,9 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
-    """Return the latest fit of each run, by name of the run.
+    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run.
 
-    Parameters
-    ----------
-    runs : sequence of Path
-        Cases with ledgers next to them, or ledgers.
-
-    Raises
-    ------
-    UsageError
-        A run is given twice.
-    DatasetError
-        A file does not exist, or has no fit.
+    A run that is given twice, does not exist or has no fit is an error.
     """
     from fitting.study._history import Ledger
 

@@ -44,19 +44,10 @@ LOCK_TIMEOUT = 10.0
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path` against other processes within the context.
+    """Hold the lock of `path`, which need not exist and is not changed, against other processes within the context.
 
-    Parameters
-    ----------
-    path : Path
-        The file or folder; it need not exist, and is not changed.
-    timeout : float
-        Longest time to wait [s]; `LOCK_TIMEOUT` by default.
-
-    Raises
-    ------
-    OutputError
-        Another program holds the lock. If the system does not support locks, there is no error.
+    An OutputError is raised if another program holds it for longer than `timeout` [s] (`LOCK_TIMEOUT` by default). A
+    system without locks is no error.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
     with ExitStack() as stack:
@@ -137,11 +128,8 @@ def refuse_existing(path: Path, *, force: bool) -> None:
 def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
     """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error.
 
-    Raises
-    ------
-    OutputError
-        The target exists and `force` is not set, its folder does not exist, another program writes the same output,
-        or the write fails.
+    An OutputError is raised if the target exists and `force` is not set, its folder does not exist, another program
+    writes the same output, or the write fails.
     """
     path = Path(path)
     refuse_existing(path, force=force)
@@ -187,13 +175,7 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
 
 @contextmanager
 def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
-    """Yield a binary stream, and move its content to `path` when the context ends without an error.
-
-    Raises
-    ------
-    OutputError
-        As for `new_path`.
-    """
+    """Yield a binary stream, and move its content to `path` when the context ends without an error, as `new_path`."""
     with new_path(path, force=force) as part, part.open("r+b") as stream:
         yield stream
 
@@ -222,26 +204,11 @@ def checkpoint_path(output: Path) -> Path:
 
 
 class CheckpointFile:
-    """The checkpoint of one run, locked against a second writer while it is open.
+    """The checkpoint of one run, in the folder of its output, locked against a second writer while it is open.
 
-    Parameters
-    ----------
-    output : Path
-        Output of the run; the checkpoint is in the same folder.
-    facts : mapping
-        Identity of the run: film, settings, version.
-    resume : bool
-        Continue from an existing checkpoint if its facts are equal; otherwise start a new one.
-
-    Attributes
-    ----------
-    other : bool
-        Whether a checkpoint of another run was replaced.
-
-    Raises
-    ------
-    OutputError
-        Another program writes the same output, or the write fails.
+    `facts` identify the run: film, settings, version. With `resume` an existing checkpoint of equal facts is continued;
+    otherwise a new one is started, and `other` says whether one of another run was replaced. An OutputError is raised
+    if another program writes the same output, or the write fails.
     """
 
     def __init__(self, output: Path, facts: Mapping[str, Any], *, resume: bool = False) -> None:

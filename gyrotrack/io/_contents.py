@@ -37,45 +37,21 @@ _PROVENANCE = ("format_version", "software_version", "created", "command")
 
 @dataclass(frozen=True)
 class Inspection:
-    """Contents of one file.
-
-    Attributes
-    ----------
-    kind : str
-        "recording" or "case".
-    summary : dict
-        Summary of the contents, serialisable as JSON.
-    problems : tuple of str
-        Inconsistencies; empty for a consistent file.
-    datasets_verified, chunks_verified : int
-        Number of datasets and chunks that were verified.
-    """
+    """Contents of one file."""
 
     path: Path
-    kind: str
+    kind: str  # "recording" or "case"
     provenance: dict[str, Any]
-    summary: dict[str, Any]
-    problems: tuple[str, ...]
+    summary: dict[str, Any]  # summary of the contents, serialisable as JSON
+    problems: tuple[str, ...]  # inconsistencies; empty for a consistent file
+    # number of datasets and chunks that were verified
     datasets_verified: int = 0
     chunks_verified: int = 0
     warnings: tuple[str, ...] = field(default=())
 
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
-    """Read a recording or a case, and return a summary of its contents.
-
-    Parameters
-    ----------
-    path : Path
-        A recording or a case.
-    verify : bool
-        Read every chunk of every dataset and compare it with its checksum.
-
-    Raises
-    ------
-    DatasetError
-        The file has another format, or is damaged.
-    """
+    """Read a recording or a case, and return a summary; `verify` compares every chunk with its checksum."""
     with open_dataset(path) as file:
         kind = attribute(file, "kind", str)
         provenance = {name: attribute(file, name, str, "?") for name in _PROVENANCE}

@@ -44,15 +44,7 @@ MAX_MEMBERS = 64
 class WriteBuffer:
     """A binary file whose writes do not fail: after an error of the disk the data are kept in memory.
 
-    Parameters
-    ----------
-    raw : RawIOBase
-        Unbuffered stream for reading and writing.
-
-    Attributes
-    ----------
-    error : OSError or None
-        First error of the disk.
+    `raw` is an unbuffered stream for reading and writing, `error` the first error of the disk or None.
     """
 
     def __init__(self, raw: RawIOBase) -> None:
@@ -122,13 +114,7 @@ LIBVER = ("v110", "v110")  # the first with checksums of the metadata
 
 @contextmanager
 def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
-    """Yield an empty HDF5 file, and move it to `path` when the context ends without an error.
-
-    Raises
-    ------
-    OutputError
-        As for `_atomic.new_path`.
-    """
+    """Yield an empty HDF5 file, and move it to `path` when the context ends without an error, as `_atomic.new_path`."""
     with new_file(path, force=force) as stream:
         buffer = WriteBuffer(stream.raw)  # type: ignore[attr-defined]
         try:
@@ -317,23 +303,14 @@ _RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
 def read_kind(path: Path) -> str:
     """Return "recording" or "case".
 
-    Raises
-    ------
-    DatasetError
-        The file is missing, not HDF5, damaged, of another format, or newer than this program.
+    A DatasetError says that the file is missing, not HDF5, damaged, of another format, or newer than this program.
     """
     with open_dataset(path) as file:
         return attribute(file, "kind", str)  # type: ignore[no-any-return]
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Return the settings stored in a file.
-
-    Raises
-    ------
-    DatasetError
-        As for `read_kind`.
-    """
+    """Return the settings stored in a file."""
     with open_dataset(path) as file:
         return dict(load_json(file, "settings", {}))
 

@@ -1,13 +1,15 @@
-"""Recordings and cases in memory.
+"""Recordings and cases in memory, and the moments of inertia that belong to them.
 
 A `Recording` is one clip: frames, markers, and the angle of each body. A `Case` is one experiment: casing and rotor as
-`Series` on the clock of the casing camera, with their recordings and the `Placement` of each on that clock. SI units;
-angles in rad, increasing in the sense of rotation; lengths in the image in px. Missing values are NaN.
+`Series` on the clock of the casing camera, with their recordings and the `Placement` of each on that clock. An
+`Inertia` is read from a text with optional unit and standard uncertainty. SI units; angles in rad, increasing in the
+sense of rotation; lengths in the image in px. Missing values are NaN.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -209,14 +211,7 @@ def speed_warnings(casing: Series, rotor: Series, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
     Friction between them can neither accelerate the casing beyond the rotor nor, but at the end of a run, make both
-    turn together: the bodies may be exchanged, or one of them was measured twice.
-
-    Parameters
-    ----------
-    casing, rotor : Series
-        Both on one clock.
-    remedy : str
-        What to do if so.
+    turn together: the bodies may be exchanged, or one of them was measured twice. `remedy` is what to do if so.
     """
     windows, speeds = windows_of(rotor), []
     for k in np.unique(windows):
@@ -324,25 +319,11 @@ _READABLE = {"rad s-1": "rad/s"}
 
 
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
-    """Return a recording or a case as columns of equal length.
+    """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Parameters
-    ----------
-    content : Recording or Case
-        Source of the columns.
-    table : {"motion", "markers", "frames"}
-        Angles and speeds of the bodies; every marker in every frame; the frames of each clip. Several bodies, markers
-        or clips are concatenated and identified by the first columns.
-
-    Returns
-    -------
-    tuple of Column
-        Times in s, angles in rad, speeds in rad s-1, lengths in px; NaN where not measured.
-
-    Raises
-    ------
-    UsageError
-        The table is unknown or empty.
+    Lengths are in px. The table is "motion" (angles and speeds of the bodies), "markers" (every marker in every frame)
+    or "frames" (of each clip). Several bodies, markers or clips are concatenated and identified by the first columns;
+    NaN where not measured. A UsageError says that the table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
@@ -423,3 +404,71 @@ def _schema_columns(table: Table, values: Mapping[str, Any]) -> list[Column]:
                 name = "_".join([f.name, *(str(s) for s in side), "xy"[axis]])
                 made.append(Column(name, f.units, value[(slice(None), *place)]))
     return made
+
+
+_VALUE = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_INERTIA = re.compile(
+    rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
+    re.IGNORECASE,
+)
+_MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
+_INERTIA_EXAMPLE = 'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2"; the uncertainty is optional.'
+
+# limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m
+SMALLEST, LARGEST = 1e-12, 1e5
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """A moment of inertia."""
+
+    value: float  # in kg m2
+    u: float = math.nan  # standard uncertainty [kg m2]; NaN if it is not given
+
+    @classmethod
+    def of(cls, text: str | float | Inertia, body: str = "body") -> Inertia:
+        """Read a moment of inertia: a number in kg m2, or a text with optional uncertainty and unit.
+
+        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2"; masses in kg, g, mg; lengths in m, cm, mm. A
+        UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
+
+        Examples
+        --------
+        >>> Inertia.of("(554 +- 6) g cm2")
+        Inertia(value=5.54e-05, u=6e-07)
+        """
+        if isinstance(text, Inertia):
+            return text
+        found = _INERTIA.fullmatch(str(text).strip())
+        unit = _UNIT.fullmatch((found["unit"] or "kg m2").strip()) if found else None
+        if found is None or unit is None:
+            raise UsageError(
+                f"'{str(text)[:40]}' is not a moment of inertia of the {body}.", _INERTIA_EXAMPLE
+            )
+        factor = _MASS[unit[1]] * _LENGTH[unit[2]] ** 2
+        # rounded, so that 554 g cm2 is exactly 5.54e-5 kg m2
+        value = float(f"{float(found['value']) * factor:.15g}")
+        u = float(f"{float(found['u']) * factor:.15g}") if found["u"] else math.nan
+        if not SMALLEST <= value <= LARGEST:
+            raise UsageError(
+                f"A moment of inertia of {value:g} kg m2 is not possible for the {body}.",
+                "Check number and unit; without a unit it is in kg m2.",
+            )
+        if u >= value:
+            raise UsageError(
+                f"The uncertainty of the moment of inertia of the {body} is not smaller than its value.",
+                _INERTIA_EXAMPLE,
+            )
+        return cls(value, u)
+
+    @classmethod
+    def required(cls, text: str | float | Inertia | None, body: str) -> Inertia:
+        """Read a moment of inertia that has no default; see `of`."""
+        if text is None:
+            raise UsageError(
+                f"The moment of inertia of the {body} is not given; torques follow from it.",
+                f'Give --inertia-{body} "VALUE +- UNCERTAINTY" in kg m2, such as "5.54e-5 +- 0.06e-5".',
+            )
+        return cls.of(text, body)

@@ -39,13 +39,7 @@ KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILT
 
 
 def check_tree(file: Any) -> None:
-    """Check a file for links, external storage and sizes beyond the stored bytes.
-
-    Raises
-    ------
-    DatasetError
-        The check fails; the message contains the path in the file.
-    """
+    """Check a file for links, external storage and sizes beyond the stored bytes; a DatasetError contains the path."""
     seen: set[Any] = set()
     todo: list[tuple[Any, int]] = [(file, 0)]
     count = 0
@@ -83,13 +77,7 @@ def own_member(group: Any, name: str) -> Any:
 
 
 def check_bytes(dataset: Any) -> None:
-    """Raise an error for a dataset with external storage, an unknown filter, or a size beyond its stored bytes.
-
-    Raises
-    ------
-    DatasetError
-        The check fails; the message contains the path in the file.
-    """
+    """Raise a DatasetError for a dataset with external storage, an unknown filter, or more than its stored bytes."""
     if dataset.is_virtual or dataset.external:
         raise DatasetError(
             f"{location(dataset)} stores its data in another file.", "Copy the data into the file."
@@ -196,10 +184,7 @@ CHUNK = 8192  # values along the first dimension: 64 kB per column
 def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -> None:
     """Write the datasets and attributes of `table` into `group`, with units, dimension scales and NXdata attributes.
 
-    Parameters
-    ----------
-    record : object
-        Has an attribute for each dataset and attribute; `extra` contains other datasets.
+    `record` has an attribute for each dataset and attribute; `extra` contains other datasets.
     """
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
@@ -257,23 +242,15 @@ def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -
 
 
 def read_attributes(group: Any, attributes: Sequence[Attribute]) -> dict[str, Any]:
-    """Read attributes by the names of the fields in the record.
-
-    Raises
-    ------
-    DatasetError
-        An attribute is missing and has no default, or has another type.
-    """
+    """Read attributes by the names of the fields in the record; one without a default must exist."""
     return {a.key: attribute(group, a.name, a.kind, a.default) for a in attributes}
 
 
 def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
     """Read the datasets of `table` from `group`; its attributes are read by `read_attributes`.
 
-    Raises
-    ------
-    DatasetError
-        A dataset is missing, of another type, stored in another file, larger than its stored bytes, or damaged.
+    A DatasetError says that one is missing, of another type, stored in another file, larger than its stored bytes, or
+    damaged.
     """
     values: dict[str, npt.NDArray[Any]] = {}
     for f in table.fields:
@@ -340,13 +317,7 @@ def load(dataset: Any) -> npt.NDArray[Any]:
 
 
 def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
-    """Return a scalar attribute as `kind` (int, float or str).
-
-    Raises
-    ------
-    DatasetError
-        It is missing and there is no `default`, or it has another type.
-    """
+    """Return a scalar attribute as `kind` (int, float or str); one without a `default` must exist."""
     if name not in group.attrs:
         if default is not None:
             return default

@@ -53,19 +53,7 @@ _LARGE, _LINEAR = 20.0, 3.0
 def case_dashboard(
     view: CaseView, tracks: Tracks | None, steps: Sequence[str], *, names: Sequence[str] = NAMES
 ) -> Dashboard:
-    """Return all charts of one case.
-
-    Parameters
-    ----------
-    view : CaseView
-        The case with its first and last model.
-    tracks : Tracks or None
-        Tracking quality of its clips.
-    steps : sequence of str
-        Names of the steps of the history of fits.
-    names : sequence of str
-        Names of the first and the last model.
-    """
+    """Return all charts of one case; `steps` names the steps of the history, `names` the first and the last model."""
     bodies = ("casing", "rotor") if view.rotor else ("casing",)
     charts = [speed_chart(view, "casing", names), residual_chart(view, "casing", names)]
     charts.append(torque_speed_chart(view, names))
@@ -277,16 +265,9 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
 def torque_angle_charts(
     harmonics: Sequence[Sequence[AngleHarmonics]], names: Sequence[str], body: str, unit: str
 ) -> list[Chart]:
-    """Return the chart of the angular harmonics of the unmodelled torque of one or two fits.
+    """Return the chart of the angular harmonics of the unmodelled torque of one or two named fits.
 
-    Parameters
-    ----------
-    harmonics : sequence of sequence of AngleHarmonics
-        Harmonics of each fit, of which those of the first case are drawn; empty for a fit without angles.
-    names : sequence of str
-        Names of the fits.
-    body, unit : str
-        The body, and the unit of the torque.
+    Of each fit the harmonics of the first case are drawn; a fit without angles has none.
     """
     curves = [(name, r[0]) for name, r in zip(names, harmonics, strict=False) if r]
     if not curves:

@@ -74,24 +74,12 @@ _SIZE = re.compile(r'<svg ([^>]*?)width="([\d.]+)pt" height="([\d.]+)pt"([^>]*)>
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page.
+    """A figure of the page."""
 
-    Attributes
-    ----------
-    name : str
-        Identifier, unique on a page.
-    svg : str
-        Markup by matplotlib, with text as outlines.
-    caption : str
-        Explanation of the figure; plain text.
-    finding : str
-        Main result, also the text alternative; plain text.
-    """
-
-    name: str
-    svg: str
-    caption: str
-    finding: str
+    name: str  # identifier, unique on a page
+    svg: str  # markup by matplotlib, with text as outlines
+    caption: str  # explanation of the figure; plain text
+    finding: str  # main result, also the text alternative; plain text
 
 
 @contextmanager
@@ -111,6 +99,19 @@ def canvas(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
+
+
+def picture_file(figure: Figure, kind: str, *, dpi: int = 150, title: str | None = None) -> bytes:
+    """Return a figure as a file of the kind "png", "svg" or "pdf", without date and program."""
+    fixed: dict[str, dict[str, Any]] = {
+        "pdf": {"CreationDate": None, "Title": title},
+        "svg": {"Date": None, "Creator": None},
+        "png": {"Software": None},
+    }
+    stream = io.BytesIO()
+    metadata: Any = fixed[kind]
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=metadata)
+    return stream.getvalue()
 
 
 def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> str:
@@ -155,6 +156,19 @@ def legend(axes: Axes, **changes: Any) -> None:
     axes.legend(**{**place, **changes}, fontsize=9)
 
 
+def beside(axes: Axes, text: str, at: tuple[float, float], offset: float = 4, **changes: Any) -> None:
+    """Write a text to the right of a point, at a distance [pt]."""
+    axes.annotate(text, at, xytext=(offset, 0), textcoords="offset points", va="center", **changes)
+
+
+def as_rows(axes: Axes, labels: Sequence[str], **changes: Any) -> None:
+    """Label the rows of a bar chart, the first on top, without ticks and grid lines."""
+    axes.set_yticks(range(len(labels)), labels, **changes)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.invert_yaxis()
+
+
 # colours that a page replaces by those of its theme
 _THEMED = {
     "#000000": "ink",
@@ -193,69 +207,36 @@ _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 @dataclass(frozen=True)
 class Trace:
-    """One curve.
+    """One curve."""
 
-    Parameters
-    ----------
-    label : str
-        Name in the legend.
-    x, value : ndarray, shape (n,)
-        Increasing abscissa, and value; NaN interrupts the curve.
-    colour : str
-        Colour for CSS and matplotlib.
-    sigma : ndarray, shape (n,), optional
-        Standard uncertainty; a band of plus and minus two of them is drawn.
-    kind : {"line", "points", "band"}
-        A line, points joined by a line, or the band alone.
-    width : float
-        Width of the line [px].
-    dash : tuple of float
-        Lengths of dashes and gaps [px]; empty for a solid line.
-    scale : {"normal", "reference", "none"}
-        Influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale by
-        at most its height on either side; a trace with "none" never does.
-    """
-
-    label: str
+    label: str  # name in the legend
+    # shape (n,); increasing abscissa, and value; NaN interrupts the curve
     x: Array
     value: Array
-    colour: str
+    colour: str  # colour for CSS and matplotlib
+    # shape (n,); standard uncertainty; a band of plus and minus two of them is drawn
     sigma: Array | None = None
-    kind: Literal["line", "points", "band"] = "line"
-    width: float = 1.5
-    dash: tuple[float, ...] = ()
+    kind: Literal["line", "points", "band"] = "line"  # a line, points joined by a line, or the band alone
+    width: float = 1.5  # width of the line [px]
+    dash: tuple[float, ...] = ()  # lengths of dashes and gaps [px]; empty for a solid line
+    # influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale
+    # by at most its height on either side; a trace with "none" never does
     scale: Literal["normal", "reference", "none"] = "normal"
 
 
 @dataclass(frozen=True)
 class Chart:
-    """One pair of axes.
+    """One pair of axes."""
 
-    Parameters
-    ----------
-    name : str
-        Identifier, unique on a page.
-    title, unit : str
-        The quantity on the vertical axis and its unit.
-    traces : tuple of Trace
-        The curves. Bands that are too wide are removed on construction.
-    finding : str
-        Main result in one sentence (text alternative).
-    x_label : str
-        Label of the horizontal axis; charts against time share zoom and cursor.
-    caption : str
-        Explanation of the chart.
-    linear_within : float
-        If positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond.
-    """
-
-    name: str
+    name: str  # identifier, unique on a page
+    # the quantity on the vertical axis and its unit
     title: str
     unit: str
-    traces: tuple[Trace, ...]
-    finding: str
-    x_label: str = TIME
-    caption: str = ""
+    traces: tuple[Trace, ...]  # the curves. Bands that are too wide are removed on construction
+    finding: str  # main result in one sentence (text alternative)
+    x_label: str = TIME  # label of the horizontal axis; charts against time share zoom and cursor
+    caption: str = ""  # explanation of the chart
+    # if positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond
     linear_within: float = 0.0
 
     def __post_init__(self) -> None:
@@ -300,13 +281,7 @@ def _span(traces: Sequence[Trace]) -> float:
 
 
 def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
-    """Return traces without those parts of bands that are wider than the chart.
-
-    Parameters
-    ----------
-    traces : sequence of Trace
-        The curves of one chart. Traces of the kind "band" are not changed.
-    """
+    """Return the traces of a chart without those parts of bands of +-2 sigma that are wider than the chart."""
     span = _span(traces)
     found = []
     for t in traces:
@@ -342,15 +317,7 @@ def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
 
 
 def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost.
-
-    Parameters
-    ----------
-    x, value : ndarray, shape (n,)
-        The curve.
-    most : int
-        Largest number of points.
-    """
+    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost."""
     if len(x) <= most:
         return x, value
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
@@ -387,22 +354,10 @@ def draw(
     limits: tuple[float, float] | None = None,
     most: int = 1200,
 ) -> None:
-    """Draw a chart with matplotlib.
+    """Draw a chart with matplotlib; labels and limits of the axes are set, but no legend is drawn.
 
-    Parameters
-    ----------
-    ax : Axes
-        Axes; labels and limits are set, but no legend is drawn.
-    chart : Chart
-        The chart.
-    intervals : sequence of Interval
-        Shaded intervals [s].
-    window : (float, float), optional
-        Limits of the horizontal axis.
-    limits : (float, float), optional
-        Vertical limits instead of those of the chart.
-    most : int
-        Largest number of points of a curve.
+    `intervals` [s] are shaded, `window` are horizontal limits, `limits` vertical ones instead of those of the chart; a
+    curve has at most `most` points.
     """
     from matplotlib.ticker import NullLocator
 
@@ -465,19 +420,7 @@ def chart_picture(
     name: str = "",
     size: tuple[float, float] = (9.2, 3.3),
 ) -> Picture:
-    """Draw a chart as SVG for a page.
-
-    Parameters
-    ----------
-    chart : Chart
-        The chart.
-    intervals : sequence of Interval
-        Shaded intervals [s], for a chart against time.
-    name : str
-        Identifier of the figure; by default that of the chart.
-    size : (float, float)
-        Width and height [inch].
-    """
+    """Draw a chart as SVG for a page, with shaded intervals [s]; the size is width and height [inch]."""
     with style():
         figure = canvas(*size)
         ax = figure.subplots()
@@ -578,15 +521,7 @@ def as_data(document: Any) -> str:
 
 
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
-    """Return a content security policy that allows these scripts only.
-
-    Parameters
-    ----------
-    scripts : sequence of str
-        The exact text of each inline script.
-    connect : bool
-        Whether the page may connect to its own server.
-    """
+    """Return a content security policy that allows these inline scripts only, and optionally its own server."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
     parts = [

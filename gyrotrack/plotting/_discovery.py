@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,9 +27,12 @@ from gyrotrack.plotting._charts import (
     SKY,
     WIDTH,
     Picture,
+    as_rows,
+    beside,
     canvas,
     draw,
     markup,
+    picture_file,
     plain,
     style,
 )
@@ -78,12 +80,8 @@ def candidates_picture(candidates: tuple[Candidate, ...], name: str = "candidate
             if np.isfinite(c.delta_bic):
                 text += rf"   $\Delta$BIC {short(c.delta_bic)}"
             text += "" if c.significant else "   not significant"
-            place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
-            ax.annotate(text, (roots[i], i), fontsize=9, **place)
-        ax.set_yticks(range(len(shown)), [plain(c.effect.name) for c in shown])
-        ax.grid(visible=False, axis="y")
-        ax.tick_params(axis="y", length=0)
-        ax.invert_yaxis()
+            beside(ax, text, (roots[i], i), fontsize=9)
+        as_rows(ax, [plain(c.effect.name) for c in shown])
         ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [σ]")
         _brackets(ax, shown, letters)
         caption = (
@@ -195,16 +193,7 @@ def figures_of_merit(
 ) -> None:
     """Draw one horizontal bar per fit, from zero or, on a logarithmic axis, from the noise limit.
 
-    Parameters
-    ----------
-    ax : Axes
-        Axes.
-    values : ndarray, shape (n,)
-        Figure of merit of each fit.
-    limit : float or None
-        Noise limit, if it is known.
-    texts : list of str
-        Text at the end of each bar; if empty, the number.
+    `texts` stand at the ends of the bars; if empty, the numbers.
     """
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
@@ -229,8 +218,7 @@ def figures_of_merit(
     if limit is not None:
         ax.axvline(limit, color="#000000", linewidth=1, linestyle=(0, (4, 2)))
     for i, value in enumerate(values):
-        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center"}
-        ax.annotate(texts[i] or short(float(value)), (float(ends[i]), i), fontsize=9.5, **place)
+        beside(ax, texts[i] or short(float(value)), (float(ends[i]), i), fontsize=9.5)
     ax.grid(visible=False, axis="y")
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_color(GREY)
@@ -268,9 +256,6 @@ def _change_phrase(view: StudyView) -> str:
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
-_DPI = 150
-
-
 def story_picture(
     history: Sequence[Step],
     diagnosis: Diagnosis | None,
@@ -281,21 +266,8 @@ def story_picture(
 ) -> Path:
     """Draw the summary figure of the first case: speed, residuals, and the figure of merit that decreased most.
 
-    Parameters
-    ----------
-    history, diagnosis
-        As for `write_report`.
-    path : Path
-        A ``.png`` or ``.svg`` file.
-    frame : ndarray of uint8, shape (height, width, 3), optional
-        A frame of the film (red, green, blue), as an inset of the first panel.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputError
-        The suffix is not supported, the file exists and `force` is not set, or it cannot be written.
+    `history` and `diagnosis` are those of `write_report`, the path ends in ``.png`` or ``.svg``; `frame` (height,
+    width, 3), red, green, blue, is an inset of the first panel.
     """
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
@@ -320,11 +292,9 @@ def story_picture(
         middle.legend(loc="best")
         middle.set_title("2  residual")
         _merit(right, view)
-        stream = io.BytesIO()
-        metadata: dict[str, Any] = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
+        content = picture_file(figure, kind)
     with new_file(path, force=force) as out:
-        out.write(stream.getvalue())
+        out.write(content)
     return path
 
 
@@ -351,18 +321,9 @@ _FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|
 
 
 def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:
-    """Return a formula as an ``svg`` element with its LaTeX as text alternative; empty if it cannot be typeset.
+    """Return a formula (LaTeX, without dollar signs) as an ``svg`` element with the LaTeX as text alternative.
 
-    Parameters
-    ----------
-    latex : str
-        Formula without dollar signs.
-    name : str
-        Prefix of the ids in the SVG.
-    size : float
-        Font size [pt].
-    colour : str
-        Colour.
+    `name` is the prefix of the ids in the SVG, `size` in pt; empty if the formula cannot be typeset.
     """
     changes = {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
     # mathtext omits the space before functions and draws \left| too small

@@ -120,15 +120,7 @@ def _is_film_of(path: Path, recording: Recording) -> bool:
 
 
 class Film:
-    """Random access to the frames of a film, with the detections of its recording.
-
-    Parameters
-    ----------
-    path : Path
-        The film.
-    recording : Recording, optional
-        Recording of the film; without it, no detections are with_detections.
-    """
+    """Random access to the frames of a film, with the detections of its recording, if one is given."""
 
     def __init__(self, path: Path, recording: Recording | None = None) -> None:
         self.recording = recording
@@ -199,30 +191,14 @@ _LINE, _INK, _GREY = 17, (30, 30, 30), (120, 120, 120)
 
 
 def check_contact_sheet(path: Path, *, force: bool) -> None:
-    """Check that a contact sheet can be written.
-
-    Raises
-    ------
-    UsageError
-        The name does not end in .png.
-    OutputError
-        The file exists and `force` is not set.
-    """
+    """Check that a contact sheet can be written: its name ends in .png, and it does not exist or `force` is set."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"Unknown format of a contact sheet: {path.name}.", "Use a name that ends in .png.")
     refuse_existing(path, force=force)
 
 
 def write_contact_sheet(path: Path, video: Path, recording: Recording, *, force: bool = False) -> None:
-    """Draw twelve frames, evenly distributed over a film, with corners, rays, centre, status, angle and uncertainty.
-
-    Parameters
-    ----------
-    path : Path
-        The PNG file to write.
-    video : Path
-        The film of the recording.
-    """
+    """Draw twelve frames, evenly distributed over a film, with corners, rays, centre, status, angle and uncertainty."""
     check_contact_sheet(path, force=force)
     tiles = [_tile(picture, k, recording) for k, picture in _selected_frames(video, recording)]
     if not tiles:
@@ -294,15 +270,7 @@ def _write(picture: Picture, text: str, place: tuple[int, int], colour: tuple[in
 
 
 def check_overlay(path: Path, *, force: bool) -> None:
-    """Check that an overlay can be written.
-
-    Raises
-    ------
-    UsageError
-        The suffix is neither .mp4 (film) nor .png (contact sheet).
-    OutputError
-        The file exists and `force` is not set.
-    """
+    """Check that an overlay can be written: .mp4 (film) or .png (contact sheet), and new unless `force` is set."""
     if path.suffix.lower() not in (".mp4", ".png"):
         raise UsageError(
             f"Unknown format of an overlay: {path.name}.", "Use a name that ends in .mp4 or .png."
@@ -313,15 +281,7 @@ def check_overlay(path: Path, *, force: bool) -> None:
 def write_overlay(
     path: Path, video: Path, recording: Recording, *, force: bool = False, progress: Progress | None = None
 ) -> None:
-    """Write a film or contact sheet with the detections of a recording.
-
-    Parameters
-    ----------
-    path : Path
-        ``.png``: a contact sheet. ``.mp4``: the film, at the rate of its container.
-    video : Path
-        The film of the recording.
-    """
+    """Write the detections of a recording as a contact sheet (.png) or as a film (.mp4) at the container's rate."""
     check_overlay(path, force=force)
     if path.suffix.lower() == ".png":
         write_contact_sheet(path, video, recording, force=force)

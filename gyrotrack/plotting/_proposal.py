@@ -35,21 +35,7 @@ def write_picture(
 ) -> None:
     """Write a PNG of the frame that shows most markers, with all that was chosen, and a swatch of each colour.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    proposal : Proposal
-        The markers.
-    body : tuple of Film and Tracked, optional
-        Another reading of the film, drawn below: the picture of a body that turns about a hub.
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputError
-        The file exists and `force` is not set, or cannot be written.
+    `body` is another reading of the film, drawn below: the picture of a body that turns about a hub.
     """
     index = int(np.argmax(np.sum([m.clear for m in proposal.markers], axis=0)))
     frame = proposal.samples.frames[index]
@@ -77,13 +63,7 @@ def write_picture(
 
 
 def write_body_picture(path: Path, film: Film, tracked: Tracked, *, force: bool = False) -> None:
-    """Write a PNG of four frames with hub, ring and angle of a body, and its learnt polar picture below.
-
-    Raises
-    ------
-    OutputError
-        The file exists and `force` is not set, or cannot be written.
-    """
+    """Write a PNG of four frames with hub, ring and angle of a body, and its learnt polar picture below."""
     _, encoded = cv2.imencode(".png", np.vstack(_body_rows(film, tracked, 1600)))
     with new_file(path, force=force) as stream:
         stream.write(encoded.tobytes())

@@ -6,7 +6,7 @@ limits, power curves, next run. `compare`: each parameter in each run, as a diff
 
 from __future__ import annotations
 
-import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +24,11 @@ from gyrotrack.plotting._charts import (
     SKY,
     VERMILLION,
     WIDTH,
+    as_rows,
+    beside,
     canvas,
     legend,
+    picture_file,
     plain,
     style,
 )
@@ -67,10 +70,12 @@ _WIDE = 60
 
 def write_laws_picture(found: Laws, path: Path, *, force: bool = False) -> None:
     """Write the figure of `laws` as PNG, SVG or PDF, by the suffix of `path`."""
-    kind = path.suffix.lower().lstrip(".")
+    _write(_figure, found, path, force=force)
+
+
+def _write(figure_of: Callable[[Any], Figure], found: object, path: Path, *, force: bool) -> None:
     with style(), new_file(path, force=force) as stream:
-        metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-        _figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
+        stream.write(picture_file(figure_of(found), path.suffix.lower().lstrip(".")))
 
 
 def _shown(found: Laws) -> Dependence | None:
@@ -148,15 +153,16 @@ def _draw_shares(ax: Axes, found: Laws) -> None:
     for i, d in enumerate(shown):
         text = f"{100 * d.explained:.1f} %" + ("" if d.p_value < 0.05 else f", p = {d.p_value:.2g}")
         inside = 100 * d.explained > _WIDE
-        ax.annotate(
-            text, (100 * d.explained, i), xytext=(-4 if inside else 4, 0), textcoords="offset points",
-            ha="right" if inside else "left", va="center", fontsize=9,
-        )  # fmt: skip
-    ax.set_yticks(range(len(shown)), labels, fontsize=9)
+        beside(
+            ax,
+            text,
+            (100 * d.explained, i),
+            -4 if inside else 4,
+            ha="right" if inside else "left",
+            fontsize=9,
+        )
+    as_rows(ax, labels, fontsize=9)
     ax.set_xlim(0, 100)
-    ax.invert_yaxis()
-    ax.grid(visible=False, axis="y")
-    ax.tick_params(axis="y", length=0)
     ax.set_xlabel("explained lack of fit [%]")
 
 
@@ -172,14 +178,7 @@ def _draw_ranking(ax: Axes, found: Laws) -> None:
     ax.barh(np.arange(len(shown)), np.maximum(width, 0.03), color=colours, height=0.66)
     for i, x in enumerate(shown):
         text = ("best: " if i == 0 else f"+{worse[i]:.0f}  ") + plain(x.formula, 36)
-        ax.annotate(
-            text,
-            (max(width[i], 0.03), i),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8.5,
-        )
+        beside(ax, text, (max(width[i], 0.03), i), fontsize=8.5)
     ax.set_yticks([])
     ax.set_xlim(0, 2.6 * max(float(width.max()), 0.5) + 0.8)
     powers = range(int(np.ceil(float(width.max()))) + 1)
@@ -192,31 +191,12 @@ def _draw_ranking(ax: Axes, found: Laws) -> None:
     ax.set_xlabel("BIC + description length above the best")
 
 
-_DPI = 150
 _CURVES = (*_COLOURS, SKY)
 
 
-def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> Path:
-    """Write the figure of `plan`.
-
-    Parameters
-    ----------
-    found : Plan
-        Result of `fitting.plan`.
-    path : Path
-        A ``.png`` or ``.svg`` file.
-    force : bool
-        Replace an existing file.
-    """
-    stream = io.BytesIO()
-    with style():
-        figure = plan_figure(found)
-        kind = path.suffix.lower().removeprefix(".")
-        metadata = {"Date": None} if kind == "svg" else None
-        figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
-    with new_file(path, force=force) as file:
-        file.write(stream.getvalue())
-    return path
+def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> None:
+    """Write the figure of `plan` as PNG or SVG, by the suffix of `path`."""
+    _write(plan_figure, found, path, force=force)
 
 
 def plan_figure(found: Plan) -> Figure:
@@ -243,19 +223,10 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None
     upper = np.array([e.upper_torque for e in shown])
     ax.plot(upper, rows, "<", color=VERMILLION, label="upper limit, 95 %")
     for i in rows[np.isnan(upper)]:
-        ax.annotate(
-            "found",
-            (shown[i].detection_torque, i),
-            xytext=(8, 0),
-            textcoords="offset points",
-            va="center",
-            color=GREEN,
-        )
+        beside(ax, "found", (shown[i].detection_torque, i), 8, color=GREEN)
     ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} {unit}")
     ax.set_xscale("log")
-    ax.set_yticks(rows, [plain(e.effect.name) for e in shown])
-    ax.grid(visible=False, axis="y")
-    ax.invert_yaxis()
+    as_rows(ax, [plain(e.effect.name) for e in shown])
     ax.set_xlabel(f"rms torque along the motion [{unit}]")
     ax.legend(
         loc="lower left",
@@ -316,21 +287,8 @@ _MAX_PARAMETERS = 14
 
 
 def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
-    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`.
-
-    Parameters
-    ----------
-    found : Comparison
-        Result of `fitting.compare`.
-    path : Path
-        A ``.png``, ``.svg`` or ``.pdf`` file.
-    force : bool
-        Replace an existing file.
-    """
-    kind = path.suffix.lower().lstrip(".")
-    with style(), new_file(path, force=force) as stream:
-        metadata: dict[str, Any] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-        comparison_figure(found).savefig(stream, format=kind, dpi=150, metadata=metadata)
+    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`."""
+    _write(comparison_figure, found, path, force=force)
 
 
 def comparison_figure(found: Comparison) -> Figure:

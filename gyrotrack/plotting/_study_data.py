@@ -76,63 +76,33 @@ class AddedTorque:
 
 @dataclass(frozen=True)
 class CaseModel:
-    """One case with one model.
+    """One case with one model."""
 
-    Attributes
-    ----------
-    casing : Curve
-        Modelled speed [rad/s] with its standard uncertainty due to the parameters.
-    rotor : tuple of Curve
-        The same in each window.
-    casing_residual, rotor_residual : Residual, tuple of Residual
-        Measured minus modelled speed.
-    torques : dict of str to ResidualTorque
-        Unmodelled torque on each body.
-    """
-
-    casing: Curve
-    rotor: tuple[Curve, ...]
+    casing: Curve  # modelled speed [rad/s] with its standard uncertainty due to the parameters
+    rotor: tuple[Curve, ...]  # the same in each window
+    # measured minus modelled speed
     casing_residual: Residual
     rotor_residual: tuple[Residual, ...]
-    torques: dict[str, ResidualTorque]
+    torques: dict[str, ResidualTorque]  # unmodelled torque on each body
 
 
 @dataclass(frozen=True)
 class CaseView:
-    """One case with the first and the last model of a history of fits.
-
-    Attributes
-    ----------
-    body : str
-        Name of the filmed body: "casing", or "body" if only one was recorded.
-    torque_unit : str
-        "N m", or "rad/s²" for torques per unit of inertia.
-    casing, rotor : Curve, tuple of Curve
-        Measured speed, smoothed as in the paper [rad/s].
-    models : tuple of CaseModel
-        The base model and, if it differs, the final model.
-    added : AddedTorque or None
-        Torque of the final model minus that of the base model.
-    alternatives : tuple of AddedTorque
-        The same for the best other candidate effects, each after a refit.
-    energy : tuple of Energy
-        Energy balance of each step.
-    failures : tuple of Failure
-        Intervals with significant lack of fit of the base model.
-    """
+    """One case with the first and the last model of a history of fits."""
 
     label: str
     surface: str
     quantity: str
-    body: str
-    torque_unit: str
+    body: str  # name of the filmed body: "casing", or "body" if only one was recorded
+    torque_unit: str  # "N m", or "rad/s²" for torques per unit of inertia
+    # measured speed, smoothed as in the paper [rad/s]
     casing: Curve
     rotor: tuple[Curve, ...]
-    models: tuple[CaseModel, ...]
-    added: AddedTorque | None
-    alternatives: tuple[AddedTorque, ...]
-    energy: tuple[Energy, ...]
-    failures: tuple[Failure, ...]
+    models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
+    added: AddedTorque | None  # torque of the final model minus that of the base model
+    alternatives: tuple[AddedTorque, ...]  # the same for the best other candidate effects, each after a refit
+    energy: tuple[Energy, ...]  # energy balance of each step
+    failures: tuple[Failure, ...]  # intervals with significant lack of fit of the base model
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
@@ -140,17 +110,10 @@ class CaseView:
         return self.failing(self.failures, self.models[0])
 
     def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
-        """Return the intervals with lack of fit of a model, for the charts.
+        """Return the intervals with lack of fit of one of `models`, for the charts.
 
-        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed
-        is outside of its band: an unmodelled torque changes the speed also at later times.
-
-        Parameters
-        ----------
-        failures : sequence of Failure
-            Intervals of unmodelled torque.
-        model : CaseModel
-            The model, one of `models`.
+        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed is
+        outside of its band: an unmodelled torque changes the speed also at later times.
         """
         found = [
             Interval(
@@ -202,19 +165,7 @@ def case_view(
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
 ) -> CaseView:
-    """Return one case with the first and the last model of a history.
-
-    Parameters
-    ----------
-    history : sequence of FitStep
-        The history of fits, base first.
-    diagnosis : Diagnosis or None
-        Diagnosis of the base model.
-    torques : sequence
-        Unmodelled torques of the first and the last model.
-    index : int
-        Index of the case.
-    """
+    """Return one case with the first and the last model of a history, whose unmodelled torques are given."""
     from fitting.inference._record import speeds
 
     base, final = history[0].fit, history[-1].fit
@@ -369,15 +320,7 @@ class StudyView:
 
 
 def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
-    """Compute the data of a study.
-
-    Parameters
-    ----------
-    history : sequence of FitStep
-        The history of fits, base first.
-    diagnosis : Diagnosis or None
-        Diagnosis of the base model.
-    """
+    """Compute the data of a study from its history of fits, base first, and the diagnosis of the base."""
     from fitting.discovery._residuals import whiteness
     from fitting.study._serialisation import history_verdict
 

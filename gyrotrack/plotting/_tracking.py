@@ -227,17 +227,9 @@ class Sheet:
 def contact_sheets(
     case: Case, folders: Sequence[Path], intervals: Iterable[tuple[float, float]] = ()
 ) -> list[Sheet]:
-    """Return frames of the clips of a case whose films are found.
+    """Return frames of the clips of a case whose films are found in some folders.
 
-    Parameters
-    ----------
-    case : Case
-        The case with its recordings.
-    folders : sequence of Path
-        Folders that may contain the films.
-    intervals : iterable of (float, float)
-        Intervals of interest on the clock of the case [s], such as those with lack of fit; the frame at the middle of
-        each is included.
+    The frame at the middle of each interval [s] on the clock of the case, such as those with lack of fit, is included.
     """
     wanted = list(intervals)
     sheets = []

@@ -89,25 +89,10 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Determine start, rate and direction of every clip on the clock of the casing camera.
+    """Determine start, rate and direction of every clip on the clock of the casing camera, from the casing's angle.
 
-    Parameters
-    ----------
-    casing : Curve
-        Angle of the casing in its own recording.
-    clips : sequence of Curve
-        Angle of the casing in each rotor clip.
-    names : sequence of str
-        Names of the clips for messages.
-    cameras : sequence
-        Clips with equal entries are from the same camera.
-    progress : callable, optional
-        Called with (clips done, clips in total).
-
-    Raises
-    ------
-    SyncError
-        A clip does not match this casing recording.
+    Clips with equal entries in `cameras` are from the same camera; `progress` is called with (clips done, clips in
+    total). A SyncError says that a clip does not match this casing recording.
     """
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
@@ -268,27 +253,9 @@ def synchronise(
 ) -> Synchronised:
     """Synchronise the rotor clips of one experiment with the casing camera.
 
-    Parameters
-    ----------
-    casing : Recording
-        The recording of the casing through the whole run.
-    rotors : sequence of Recording
-        Recordings that show the rotor and the casing.
-    names : sequence of str
-        Names of the recordings for messages, that of the casing first.
-    label, surface : str
-        Name of the case, and the surface on which the casing turned.
-    I_rotor, I_casing : float
-        Moments of inertia [kg m2].
-    progress : callable, optional
-        Called with (clips done, clips in total).
-
-    Raises
-    ------
-    SyncError
-        A clip does not belong to this run, is given twice, or does not show both bodies.
-    UsageError
-        A moment of inertia is not positive, or there is no clip.
+    The names, for messages, begin with that of the casing; moments of inertia are in kg m2; `progress` is called with
+    (clips done, clips in total). A SyncError says that a clip does not belong to this run, is given twice, or does not
+    show both bodies; a UsageError that a moment of inertia is not positive, or there is no clip.
     """
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")

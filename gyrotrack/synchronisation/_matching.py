@@ -112,13 +112,7 @@ class Curve:
 
 
 def casing_curve(recording: Recording, name: str) -> Curve:
-    """Return the angle of the casing in a recording.
-
-    Raises
-    ------
-    SyncError
-        The recording does not show the casing, or in too few frames.
-    """
+    """Return the angle of the casing in a recording; a SyncError says that it is shown in too few frames."""
     body = recording.bodies.get("casing")
     if body is None:
         raise SyncError(
@@ -150,17 +144,7 @@ def without_outliers(curve: Curve) -> Curve:
 
 
 def harmonics(angle: Floats) -> Floats:
-    """Return the first and second harmonics of an angle, which centre offset and tilt add to it: sin, cos.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Measured angles [rad].
-
-    Returns
-    -------
-    ndarray, shape (n, 4)
-    """
+    """Return the first and second harmonics of an angle, which centre offset and tilt add to it: sin, cos; (n, 4)."""
     return np.column_stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)])
 
 
@@ -173,37 +157,18 @@ HARMONICS = 4
 
 @dataclass(frozen=True)
 class CasingFit:
-    """Fit of spline and harmonics to the casing in a window.
+    """Fit of spline and harmonics to the casing in a window."""
 
-    Attributes
-    ----------
-    knots : ndarray
-        Knots of the quintic spline over the window.
-    reference : Polynomial
-        A quartic in time, to which the spline is added.
-    best : ndarray, shape (n + 4,)
-        Coefficients of spline and harmonics.
-    information : ndarray, shape (n + 4, n + 4)
-        Inverse covariance of `best`.
-    rows, residual : ndarray
-        Design matrix and residuals of the samples, in units of sigma.
-    """
-
-    knots: Floats
-    reference: np.polynomial.Polynomial
-    best: Floats
-    information: Floats
+    knots: Floats  # knots of the quintic spline over the window
+    reference: np.polynomial.Polynomial  # a quartic in time, to which the spline is added
+    best: Floats  # shape (n + 4,); coefficients of spline and harmonics
+    information: Floats  # shape (n + 4, n + 4); inverse covariance of `best`
+    # design matrix and residuals of the samples, in units of sigma
     rows: Floats
     residual: Floats
 
     def design(self, time: Floats) -> Floats:
-        """Return the values of the spline basis, shape (len(time), n).
-
-        Raises
-        ------
-        LinAlgError
-            A time is outside the window.
-        """
+        """Return the values of the spline basis, shape (len(time), n); a LinAlgError for a time outside the window."""
         if time[0] < self.knots[0] or time[-1] > self.knots[-1]:
             raise np.linalg.LinAlgError("the clip is outside of the window")
         matrix: Floats = BSpline.design_matrix(time, self.knots, DEGREE).toarray()
@@ -222,13 +187,7 @@ def window(first: float, last: float) -> tuple[float, float]:
 
 
 def fit_casing(casing: Curve, edges: tuple[float, float], intervals: int) -> CasingFit:
-    """Fit spline and harmonics to the casing in a window.
-
-    Raises
-    ------
-    LinAlgError
-        There are too few samples.
-    """
+    """Fit spline and harmonics to the casing in a window; a LinAlgError says that there are too few samples."""
     record = casing.between(*edges)
     if len(record.time) < 2 * DEGREE:
         raise np.linalg.LinAlgError("too few samples of the casing")
@@ -298,26 +257,13 @@ class Normal:
 
 @dataclass(frozen=True)
 class Solution:
-    """Joint solution for the starts of several clips.
+    """Joint solution for the starts of several clips."""
 
-    Attributes
-    ----------
-    starts : tuple of Start
-        Start of each clip.
-    covariance : ndarray, shape (3 k, 3 k)
-        Covariance of (offset, eps, angle) of all clips.
-    chi2 : float
-        Minimum of chi2 of the clips, including the priors.
-    converged : bool
-        Whether the iteration has converged.
-    windows : tuple of Start
-        The starts at which the windows are centred; chi2 of solutions with equal windows can be compared.
-    """
-
-    starts: tuple[Start, ...]
-    covariance: Floats
-    chi2: float
-    converged: bool
+    starts: tuple[Start, ...]  # start of each clip
+    covariance: Floats  # shape (3 k, 3 k); covariance of (offset, eps, angle) of all clips
+    chi2: float  # minimum of chi2 of the clips, including the priors
+    converged: bool  # whether the iteration has converged
+    # the starts at which the windows are centred; chi2 of solutions with equal windows can be compared
     windows: tuple[Start, ...]
 
     def sigma(self, clip: int) -> Floats:
@@ -335,10 +281,7 @@ def casing_around(pair: Pair, start: Start) -> CasingFit:
 def normal(clip: Curve, start: Start, casing: CasingFit) -> Normal:
     """Return the normal equations of one clip at `start`, after elimination of spline and harmonics.
 
-    Raises
-    ------
-    LinAlgError
-        The clip is not within the window of `casing`.
+    A LinAlgError says that the clip is not within the window of `casing`.
     """
     moment = start.casing_times(clip.time)
     design = casing.design(moment)
@@ -371,26 +314,12 @@ def solve(
     turns: Sequence[int | None] | None = None,
     windows: Sequence[Start] | None = None,
 ) -> Solution:
-    """Solve for the starts of several clips.
+    """Solve for the starts of several clips, from initial values.
 
-    Parameters
-    ----------
-    pairs, starts : sequences of the same length
-        The clips, and initial values.
-    rate_sigma : float
-        Prior standard deviation of the clock rate about 1.
-    common_rate : bool
-        Whether all clips have the same rate.
-    turns : sequence of int or None
-        Clips with a number have a common direction, except for this number of turns; those with None have individual
-        directions.
-    windows : sequence of Start, or None
-        The starts at which the windows are centred; by default `starts`.
-
-    Raises
-    ------
-    LinAlgError
-        A clip is not within its window, or a parameter is not determined.
+    `rate_sigma` is the prior standard deviation of the clock rate about 1, which all clips have in common if
+    `common_rate` is set. Clips with a number in `turns` have a common direction, except for this number of turns; those
+    with None have individual directions. `windows` are the starts at which the windows are centred, by default
+    `starts`. A LinAlgError says that a clip is not within its window, or a parameter is not determined.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = link_matrix(common_rate=common_rate, shared_angle=shared)

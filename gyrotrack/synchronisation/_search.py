@@ -151,12 +151,9 @@ class Prepared:
 
 
 def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
-    """Find the possible starts of a clip; `record` is the survey of the casing.
+    """Find the possible starts of a clip in the record of the casing, of which `record` is the survey.
 
-    Raises
-    ------
-    SyncError
-        No part of the record of the casing matches the clip.
+    A SyncError says that no part of it matches the clip.
     """
     starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])

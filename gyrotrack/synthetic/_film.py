@@ -51,30 +51,15 @@ BT709, LIMITED = 1, 1  # codes in H.264: matrix, primaries and transfer function
 
 @dataclass(frozen=True)
 class Film:
-    """Options of the encoder.
+    """Options of the encoder."""
 
-    Attributes
-    ----------
-    crf : int
-        Constant rate factor of x264: 0 lossless, 18 very good, 23 default, 28 poor.
-    preset : str
-        Preset of x264, "ultrafast" to "veryslow".
-    keyframe : int
-        Largest number of frames between key frames.
-    bframes : int
-        Largest number of consecutive B-frames; most cameras write none.
-    tag_capture_fps : bool
-        Write the capture rate to the metadata, as some phones do (``com.android.capture.fps``).
-    threads : int
-        Threads of the encoder.
-    """
-
-    crf: int = 20
-    preset: str = "veryfast"
-    keyframe: int = 250
-    bframes: int = 0
+    crf: int = 20  # constant rate factor of x264: 0 lossless, 18 very good, 23 default, 28 poor
+    preset: str = "veryfast"  # preset of x264, "ultrafast" to "veryslow"
+    keyframe: int = 250  # largest number of frames between key frames
+    bframes: int = 0  # largest number of consecutive B-frames; most cameras write none
+    # write the capture rate to the metadata, as some phones do (``com.android.capture.fps``)
     tag_capture_fps: bool = False
-    threads: int = 1
+    threads: int = 1  # threads of the encoder
 
 
 def write_film(
@@ -88,23 +73,9 @@ def write_film(
     film: Film | None = None,
     force: bool = False,
 ) -> int:
-    """Encode frames (height, width, 3) red, green, blue, and return their number.
+    """Encode frames (height, width, 3) red, green, blue in an mp4 file, atomically, and return their number.
 
-    Parameters
-    ----------
-    path : Path
-        The mp4 file, which is written atomically.
-    frames : iterable of arrays
-        The frames.
-    fps, container_fps : float
-        Capture rate, and rate in the container (None: the same) [1/s].
-    force : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputError
-        The file exists or cannot be written.
+    The rates are the capture rate and that in the container, by default the same [1/s].
     """
     film = film or Film()
     path = Path(path)
@@ -155,40 +126,26 @@ COVER_RADII = 96
 
 @dataclass(frozen=True)
 class Truth:
-    """The exact quantities in a film of n frames.
+    """The exact quantities in a film of n frames."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        True time of the middle of each exposure in s.
-    clip_time : (n,) array
-        The same on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``.
-    clock_offset, clock_rate : float
-        True time of frame 0 in s, and true seconds per second of the camera.
-    angle, omega : dict of (n,) arrays
-        For "rotor" and "casing": unwrapped angle in rad, increasing in the sense of rotation, and speed in rad/s.
-    centre : (n, 2) array
-        Position of the axis in the image in px.
-    corners : dict of (n, 4, 2) arrays
-        For each marker the corners in px at the middle of the exposure: inner, inner, outer, outer, in cyclic order;
-        the first one has the smaller angle in the sense of rotation.
-    visible : dict of (n,) arrays
-        For each marker the visible fraction of its area, 0 to 1, neither occluded by the casing (mean over the
-        exposure) nor outside of the image.
-    sense : int
-        +1 if the bodies turn counter-clockwise in the image, -1 if clockwise.
-    """
-
-    time: Array
+    time: Array  # shape (n,); true time of the middle of each exposure in s
+    # shape (n,); the same on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``
     clip_time: Array
+    # true time of frame 0 in s, and true seconds per second of the camera
     clock_offset: float
     clock_rate: float
+    # shape (n,); for "rotor" and "casing": unwrapped angle in rad, increasing in the sense of rotation, and speed
+    # in rad/s
     angle: Mapping[str, Array]
     omega: Mapping[str, Array]
-    centre: Array
+    centre: Array  # shape (n, 2); position of the axis in the image in px
+    # shape (n, 4, 2); for each marker the corners in px at the middle of the exposure: inner, inner, outer, outer,
+    # in cyclic order; the first one has the smaller angle in the sense of rotation
     corners: Mapping[str, Array]
+    # shape (n,); for each marker the visible fraction of its area, 0 to 1, neither occluded by the casing (mean
+    # over the exposure) nor outside of the image
     visible: Mapping[str, Array]
-    sense: int
+    sense: int  # +1 if the bodies turn counter-clockwise in the image, -1 if clockwise
 
     def save(self, path: Path) -> None:
         """Write the truth as .npz (no pickled objects) or, by the suffix, as .json."""
@@ -335,31 +292,9 @@ def render_clip(
 ) -> Truth:
     """Render a film of a scene with a known motion, and return its exact angles and corners.
 
-    Parameters
-    ----------
-    path : Path
-        The mp4 file to write.
-    scene, motion, camera, light
-        What is rendered.
-    frames : int
-        Number of frames; ``camera.start`` is the true time of the first one.
-    film : Film, optional
-        Options of the encoder.
-    seed : int
-        Random seed.
-    truth : Path, optional
-        File (.npz or .json) to which the truth is written.
-    force : bool
-        Replace existing files.
-    progress : callable, optional
-        Called with (frames rendered, frames in total).
-
-    Raises
-    ------
-    OutputError
-        A file already exists, or cannot be written.
-    ValueError
-        The motion is not known for the whole film.
+    ``camera.start`` is the true time of the first of the frames. `truth` is a file (.npz or .json) to which the truth
+    is written; `progress` is called with (frames rendered, frames in total). A ValueError says that the motion is not
+    known for the whole film.
 
     Examples
     --------

@@ -32,19 +32,12 @@ WIDTH_STEP = 0.25  # rounding of the width of the blur [columns], about 0.1 px
 
 @dataclass(frozen=True)
 class PolarPicture:
-    """Picture of a body in its polar coordinates, in linear intensity.
+    """Picture of a body in its polar coordinates, in linear intensity."""
 
-    Attributes
-    ----------
-    pixels : (rows, columns, channels) array of uint16
-        Row i is the radius ``i / per_mm``, column j the angle ``2 pi j / columns``; the intensity 1 is stored as
-        ``FULL``.
-    per_mm : float
-        Rows per mm.
-    """
-
+    # row i is the radius ``i / per_mm``, column j the angle ``2 pi j / columns``; the intensity 1 is stored as
+    # ``FULL``
     pixels: Paint
-    per_mm: float
+    per_mm: float  # rows per mm
     _blurred: dict[float, Paint] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
@@ -142,33 +135,20 @@ LAMPS = (
 
 @dataclass(frozen=True)
 class Window:
-    """The part of the image with the gyroscope, and maps of it, (h, w) each.
+    """The part of the image with the gyroscope, and maps of it, (h, w) each."""
 
-    Attributes
-    ----------
-    rows, columns : slice
-        Rows and columns in the image.
-    u, v : array
-        Point of the table at each pixel [mm].
-    table : (3, h, w) array
-        Intensity of the table, zero where the rotor covers it.
-    lamps, lamps_inside : array
-        Constant illumination per stored unit of a polar picture; the second is zero outside of the rotor.
-    glint : array
-        Intensity of reflections on bare metal, per stored unit.
-    papers : array of bool
-        Region that the markers of the rotor sweep.
-    """
-
+    # rows and columns in the image
     rows: slice
     columns: slice
+    # point of the table at each pixel [mm]
     u: Picture
     v: Picture
-    table: Picture
+    table: Picture  # intensity of the table, zero where the rotor covers it
+    # constant illumination per stored unit of a polar picture; the second is zero outside of the rotor
     lamps: Picture
     lamps_inside: Picture
-    glint: Picture
-    papers: NDArray[np.bool_]
+    glint: Picture  # intensity of reflections on bare metal, per stored unit
+    papers: NDArray[np.bool_]  # region that the markers of the rotor sweep
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -356,14 +336,7 @@ MARGIN = 96  # margin of a bank [px], for 9216 different crops
 class Noise:
     """Gaussian noise in grey levels, rounded to integers, independent in every pixel and colour.
 
-    Parameters
-    ----------
-    height, width : int
-        Size of the frames in px.
-    deviation : float
-        Standard deviation in grey levels; rounding adds a variance of 1/12.
-    rng : numpy.random.Generator
-        Random generator.
+    Rounding adds a variance of 1/12 to that of the `deviation`.
     """
 
     def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
@@ -385,15 +358,7 @@ class Noise:
 
 
 class Renderer:
-    """Renders frames of a scene with given motion, camera and light.
-
-    Parameters
-    ----------
-    scene, motion, camera, light
-        What is rendered.
-    seed : int
-        Random seed of grain and noise.
-    """
+    """Renders frames of a scene with given motion, camera and light; the seed is that of grain and noise."""
 
     def __init__(
         self, scene: Scene, motion: Motion, camera: Camera, light: Light | None = None, *, seed: int = 0
@@ -411,10 +376,7 @@ class Renderer:
     def frames(self, count: int) -> Iterator[Frame]:
         """Yield ``count`` frames, (height, width, 3) red, green, blue, 8 bits, one at a time.
 
-        Raises
-        ------
-        ValueError
-            The motion is not known for the whole film.
+        A ValueError says that the motion is not known for the whole film.
         """
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)

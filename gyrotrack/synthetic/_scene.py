@@ -25,63 +25,37 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera: image, clock, position, imperfections.
+    """One camera: image, clock, position, imperfections."""
 
-    Attributes
-    ----------
-    width, height : int
-        Size of the image in px; both even.
-    fps : float
-        Capture rate on the clock of the camera in 1/s.
-    container_fps : float or None
-        Rate in the container, for slow motion (1000 captured, 25 stored). None: the capture rate.
-    exposure : float
-        Exposure time in s.
-    scale : float
-        Magnification in px per mm.
-    centre : tuple of float or None
-        Image of the mean position of the axis, (x, y) in px. None: the middle of the image.
-    tilt, tilt_azimuth : float
-        Angle in rad between the optical axis and the normal of the table, and its azimuth (rad, counter-clockwise from
-        right). A circle becomes an ellipse with the axis ratio cos(tilt) and the minor axis along the azimuth.
-    roll : float
-        Rotation in rad of the camera about its axis: a body at the angle ``psi`` appears at ``psi + sense * roll``.
-    perspective : float
-        Inverse distance of the camera in 1/mm; 0 is orthographic.
-    start, rate : float
-        True time of frame 0 in s, and true seconds per second of the camera clock:
-        ``t = start + rate * k / fps`` is the middle of the exposure of frame k.
-    readout : float
-        True time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is that
-        of the row of ``rest``.
-    sense : {-1, 1}
-        -1: the bodies turn clockwise in the image, as in the paper.
-    psf : float
-        Standard deviation in px of the point spread function (lens and pixel).
-    noise : float
-        Standard deviation of the sensor noise in grey levels (of 255), independent in the three colours.
-    gamma : float
-        Grey level = 255 * intensity**(1 / gamma). 2 resembles a camera; 1 is linear.
-    """
-
+    # size of the image in px; both even
     width: int = 640
     height: int = 360
-    fps: float = 260.0
+    fps: float = 260.0  # capture rate on the clock of the camera in 1/s
+    # rate in the container, for slow motion (1000 captured, 25 stored). None: the capture rate
     container_fps: float | None = None
-    exposure: float = 1.0e-3
-    scale: float = 4.4
+    exposure: float = 1.0e-3  # exposure time in s
+    scale: float = 4.4  # magnification in px per mm
+    # image of the mean position of the axis, (x, y) in px. None: the middle of the image
     centre: tuple[float, float] | None = None
+    # angle in rad between the optical axis and the normal of the table, and its azimuth (rad, counter-clockwise
+    # from right). A circle becomes an ellipse with the axis ratio cos(tilt) and the minor axis along the azimuth
     tilt: float = 0.0
     tilt_azimuth: float = 1.1
+    # rotation in rad of the camera about its axis: a body at the angle ``psi`` appears at ``psi + sense * roll``
     roll: float = 0.0
-    perspective: float = 0.0
+    perspective: float = 0.0  # inverse distance of the camera in 1/mm; 0 is orthographic
+    # true time of frame 0 in s, and true seconds per second of the camera clock: ``t = start + rate * k / fps`` is
+    # the middle of the exposure of frame k
     start: float = 0.0
     rate: float = 1.0
+    # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is
+    # that of the row of ``rest``
     readout: float = 0.0
-    sense: int = -1
-    psf: float = 0.6
+    sense: int = -1  # -1: the bodies turn clockwise in the image, as in the paper
+    psf: float = 0.6  # standard deviation in px of the point spread function (lens and pixel)
+    # standard deviation of the sensor noise in grey levels (of 255), independent in the three colours
     noise: float = 2.0
-    gamma: float = 2.0
+    gamma: float = 2.0  # grey level = 255 * intensity**(1 / gamma). 2 resembles a camera; 1 is linear
 
     def __post_init__(self) -> None:
         if self.sense not in (-1, 1):
@@ -140,35 +114,19 @@ def _rotate(x: Array, y: Array, angle: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Light:
-    """Illumination: level, non-uniformity, flicker, reflections and shadows.
+    """Illumination: level, non-uniformity, flicker, reflections and shadows."""
 
-    Attributes
-    ----------
-    level : float
-        Brightness at the centre; 1 reproduces the colours.
-    gradient : tuple of float
-        Relative change of brightness per image width to the right, and per image height downwards.
-    vignette : float
-        Relative loss of brightness in the corners.
-    flicker, flicker_hz, flicker_phase : float
-        Relative amplitude, frequency in Hz and phase in rad of the brightness in true time.
-    glint : float
-        Brightness of lamp reflections on the metal, which are fixed in space.
-    shadow : float
-        Depth, 0 to 1, of the shadows on the table and of the bar on the rotor.
-    shadow_offset : tuple of float
-        Displacement of the shadow of the bar, (u, v) in mm.
-    """
-
-    level: float = 1.0
+    level: float = 1.0  # brightness at the centre; 1 reproduces the colours
+    # relative change of brightness per image width to the right, and per image height downwards
     gradient: tuple[float, float] = (0.0, 0.0)
-    vignette: float = 0.0
+    vignette: float = 0.0  # relative loss of brightness in the corners
+    # relative amplitude, frequency in Hz and phase in rad of the brightness in true time
     flicker: float = 0.0
     flicker_hz: float = 100.0
     flicker_phase: float = 0.0
-    glint: float = 0.0
-    shadow: float = 0.0
-    shadow_offset: tuple[float, float] = (0.8, -1.2)
+    glint: float = 0.0  # brightness of lamp reflections on the metal, which are fixed in space
+    shadow: float = 0.0  # depth, 0 to 1, of the shadows on the table and of the bar on the rotor
+    shadow_offset: tuple[float, float] = (0.8, -1.2)  # displacement of the shadow of the bar, (u, v) in mm
 
     def field(self, camera: Camera) -> Array:
         """Return the constant brightness of every pixel, (height, width)."""
@@ -199,30 +157,18 @@ WHITE: Colour = (0.86, 0.86, 0.84)
 
 @dataclass(frozen=True)
 class Marker:
-    """A rectangular marker of coloured paper on a body.
+    """A rectangular marker of coloured paper on a body."""
 
-    Attributes
-    ----------
-    name, body : str
-        Name in the results; "rotor" or "casing".
-    colour : tuple of float
-        Linear red, green, blue.
-    mount : float
-        Angle of the middle of its inner base on the body in rad.
-    near, length, base : float
-        Distance of the inner base from the axis, length along the radius, length of the inner base in mm.
-    skew : float
-        Rotation about the middle of the inner base in rad.
-    """
-
+    # name in the results; "rotor" or "casing"
     name: str
     body: Literal["rotor", "casing"]
-    colour: Colour
-    mount: float
+    colour: Colour  # linear red, green, blue
+    mount: float  # angle of the middle of its inner base on the body in rad
+    # distance of the inner base from the axis, length along the radius, length of the inner base in mm
     near: float
     length: float
     base: float
-    skew: float = 0.0
+    skew: float = 0.0  # rotation about the middle of the inner base in rad
 
     def corners(self) -> Array:
         """Return the four corners in the frame of the body, (4, 2) in mm: inner -, inner +, outer +, outer -."""
@@ -269,40 +215,25 @@ PAPERS: tuple[Marker, ...] = (
 
 @dataclass(frozen=True)
 class Scene:
-    """The gyroscope on a table.
+    """The gyroscope on a table."""
 
-    Attributes
-    ----------
-    markers : tuple of Marker
-        The markers on both bodies.
-    rotor_radius, ring_inner, ring_outer : float
-        Radii in mm of the rotor and of the ring of the casing; the gap between them is dark.
-    bar_width, hub_radius, circle_radius : float
-        Width in mm of the bar of the casing across the rotor (0: no bar), radii of its hub and of the red disc at the
-        centre.
-    metal, ring_metal : float
-        Linear brightness of the metal of rotor and casing.
-    structure : float
-        Relative amplitude of the texture of the metal.
-    table : {"grey", "white", "wood"}
-        Kind of table.
-    wobble : Wobble
-        Circular motion of the axis.
-    """
-
-    markers: tuple[Marker, ...] = PAPERS
+    markers: tuple[Marker, ...] = PAPERS  # the markers on both bodies
+    # radii in mm of the rotor and of the ring of the casing; the gap between them is dark
     rotor_radius: float = 26.0
     ring_inner: float = 27.5
     ring_outer: float = 31.5
+    # width in mm of the bar of the casing across the rotor (0: no bar), radii of its hub and of the red disc at the
+    # centre
     bar_width: float = 7.0
     hub_radius: float = 5.0
     circle_radius: float = 3.4
     circle_colour: Colour = RED
+    # linear brightness of the metal of rotor and casing
     metal: float = 0.20
     ring_metal: float = 0.30
-    structure: float = 0.06
-    table: Table = "grey"
-    wobble: Wobble = Wobble()
+    structure: float = 0.06  # relative amplitude of the texture of the metal
+    table: Table = "grey"  # kind of table
+    wobble: Wobble = Wobble()  # circular motion of the axis
 
     def on(self, body: str) -> tuple[Marker, ...]:
         """Return the markers of one body."""
@@ -326,22 +257,15 @@ Torque = Callable[[float, float, float, float, float], float]
 
 @dataclass(frozen=True)
 class Motion:
-    """The angles and speeds of both bodies as functions of the true time.
+    """The angles and speeds of both bodies as functions of the true time."""
 
-    Attributes
-    ----------
-    psi_rotor, psi_casing : callable
-        Angle in rad, unwrapped, at times in s (scalar or array).
-    omega_rotor, omega_casing : callable
-        Angular velocity in rad/s.
-    start, stop : float
-        Limits of the time in which the motion is known [s].
-    """
-
+    # angle in rad, unwrapped, at times in s (scalar or array)
     psi_rotor: Curve
     psi_casing: Curve
+    # angular velocity in rad/s
     omega_rotor: Curve
     omega_casing: Curve
+    # limits of the time in which the motion is known [s]
     start: float = -np.inf
     stop: float = np.inf
 
@@ -374,16 +298,9 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles from speeds: a cubic spline through omega(t), integrated exactly.
+        """Angles from at least four speeds [rad/s]: a cubic spline through omega(t), integrated exactly.
 
-        Parameters
-        ----------
-        time : (n,) array
-            Increasing times in s, n >= 4.
-        omega_rotor, omega_casing : (n,) array
-            Speeds in rad/s.
-        psi_rotor, psi_casing : float
-            Angles in rad at ``time[0]``.
+        The angles at ``time[0]`` are `psi_rotor` and `psi_casing` [rad].
         """
         from scipy.interpolate import CubicSpline
 

@@ -491,7 +491,9 @@ def _measure(
         if progress is not None:
             progress(k + 1, len(usable))
     tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle)
-    return tracked if alias.warning is None else replace(tracked, warnings=(*tracked.warnings, alias.warning))
+    if alias.warning is None:
+        return tracked
+    return replace(tracked, warnings=(*tracked.warnings, alias.warning), ambiguous=True)
 
 
 def _settle(polars: StoredPictures, angle: Floats, allowed: Bools, ring: Ring, *, separate: bool) -> Floats:

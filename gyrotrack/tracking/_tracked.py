@@ -44,6 +44,8 @@ class Tracked:
         Correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method.
     warnings : tuple of str
         Warnings for the user.
+    ambiguous : bool
+        Whether another rotation describes the film as well (temporal aliasing).
     """
 
     frame: npt.NDArray[np.int64]
@@ -58,6 +60,7 @@ class Tracked:
     halves: Floats
     correlated: float
     warnings: tuple[str, ...]
+    ambiguous: bool = False
 
     @property
     def hub_leverage(self) -> float:

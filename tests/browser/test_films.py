@@ -126,7 +126,7 @@ def test_hub_and_markers_by_hand_are_followed_and_saved(open_page, tmp_path):
 
 def _places():
     """Return centre and markers in the first frame of the first rotor film [px], as the program measures them."""
-    from gyrotrack.apps.workbench._preview import preview
+    from gyrotrack.apps.workbench._films import preview
 
     film = CLIPS / "rotor_1.mp4"
     found = preview(film, profile=None, hub=None, single=False, points=[], frames=120)

@@ -7,9 +7,9 @@ import h5py
 import pytest
 
 from gyrotrack import UsageError
-from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import Clip, Experiment, with_inertias
 from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._records import Inertia
 
 
 @pytest.mark.parametrize(

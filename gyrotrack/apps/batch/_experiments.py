@@ -46,8 +46,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from gyrotrack._errors import ConfigurationError, UsageError
-from gyrotrack._inertia import Inertia
 from gyrotrack._toml import check, read_document, read_text
+from gyrotrack.io._records import Inertia
 
 Body = Literal["casing", "rotor", ""]
 
@@ -80,7 +80,7 @@ class Experiment:
     surface : str
         Surface on which the casing turns.
     inertia_rotor, inertia_casing : str or None
-        Moments of inertia as `gyrotrack._inertia.Inertia` reads them.
+        Moments of inertia as `gyrotrack.io._records.Inertia` reads them.
     folder : str
         Unique name of its folder of results.
     """
@@ -102,10 +102,8 @@ class Experiment:
 def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
     """Assign a unique folder name to each experiment, and check the experiments.
 
-    Raises
-    ------
-    ConfigurationError
-        There is no experiment, two have the same label, or one lacks a film of the casing or of the rotor.
+    A ConfigurationError is raised if there is none, two have the same label, or one lacks a film of the casing or of
+    the rotor.
     """
     found, folders = [], set[str]()
     labels: set[str] = set()
@@ -150,21 +148,10 @@ def folder_name(label: str) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set the moments of inertia of experiments that do not specify them.
+    """Set the moments of inertia, `given` by body, of experiments that do not specify them.
 
-    Parameters
-    ----------
-    experiments : iterable of Experiment
-        The experiments.
-    given : mapping
-        Values of the options, by body.
-    skip : collection of str
-        Options (``--inertia-rotor``) that are set by the settings of the command `sync`.
-
-    Raises
-    ------
-    UsageError
-        A case made from films lacks the moment of inertia of a body.
+    A UsageError is raised if a case made from films lacks one that is not set by an option in `skip`
+    (``--inertia-rotor``) of the settings of the command `sync`.
     """
     made = []
     for e in experiments:
@@ -226,13 +213,7 @@ class Study(BaseModel):
 
 
 def read_study(path: Path) -> Experiment:
-    """Read a study file; the paths of its films are relative to its folder.
-
-    Raises
-    ------
-    ConfigurationError
-        The file is invalid; line and key of every error are reported.
-    """
+    """Read a study file; the paths of its films are relative to its folder."""
     study = read_document(path, Study, what="study")
     root = path.resolve().parent
     clips = tuple(
@@ -255,21 +236,9 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments below a folder.
+    """Find the experiments below a folder; hidden folders, links to folders and the results (`skip`) are left out.
 
-    Parameters
-    ----------
-    root : Path
-        The folder; hidden folders and links to folders are skipped.
-    casing_fps, rotor_fps : float, optional
-        Capture rates of films whose names do not contain it [1/s].
-    skip : Path, optional
-        The folder of the results, if it is inside `root`.
-
-    Raises
-    ------
-    ConfigurationError
-        It contains no film.
+    The capture rates [1/s] are those of films whose names do not contain one.
     """
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
@@ -388,11 +357,7 @@ class _Row(_Strict):
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
     """Read a manifest in TOML or, with the suffix ``.csv``, in CSV.
 
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read, or is invalid; line and key are reported. Films are checked only when they are opened,
-        so that a missing film does not stop the others.
+    Films are checked only when they are opened, so that a missing film does not stop the others.
     """
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)

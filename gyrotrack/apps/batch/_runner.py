@@ -46,22 +46,9 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps.
+    """One execution of all steps, each after those that it needs.
 
-    Parameters
-    ----------
-    steps : sequence of Step
-        The steps, each after those that it needs.
-    results : Path
-        Folder of the results.
-    journal : Journal
-        Record of completed steps.
-    timeout : float, optional
-        Time limit of one step [s].
-    report : callable, optional
-        Called with (step, outcome) when a step has ended.
-    progress : callable, optional
-        Called with (steps ended, steps in total).
+    `report` is called with (step, outcome) when a step has ended, `progress` with (steps ended, steps in total).
     """
 
     def __init__(
@@ -226,41 +213,26 @@ def _error(answer: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Row:
-    """One case.
-
-    Attributes
-    ----------
-    state : str
-        "done", "partly" (a film failed, the others were processed) or "failed".
-    films, tracked, frames : int
-        Number of films, of tracked films, and of their frames.
-    fit, missing, diagnosis : str
-        Verdict of the fit, effects found by the diagnosis or improvement, verdict of the diagnosis.
-    rmse_casing, reduced_chi2 : float or None
-        Figures of merit of the fit [rad/s, 1].
-    trusted : bool
-        Whether every step returned a trusted result (exit code 0).
-    seconds : float
-        Total duration of its steps, in this run or an earlier one [s].
-    problem : str
-        First failure, with its step.
-    """
+    """One case."""
 
     label: str
     folder: str
-    state: str
+    state: str  # "done", "partly" (a film failed, the others were processed) or "failed"
+    # number of films, of tracked films, and of their frames
     films: int
     tracked: int
     frames: int
+    # verdict of the fit, effects found by the diagnosis or improvement, verdict of the diagnosis
     fit: str
+    # figures of merit of the fit [rad/s, 1]
     rmse_casing: float | None
     reduced_chi2: float | None
     diagnosis: str
     missing: str
-    trusted: bool
+    trusted: bool  # whether every step returned a trusted result (exit code 0)
     warnings: int
-    seconds: float
-    problem: str
+    seconds: float  # total duration of its steps, in this run or an earlier one [s]
+    problem: str  # first failure, with its step
 
 
 def summarise(
@@ -361,24 +333,12 @@ _JOURNAL = "batch.jsonl"
 
 @dataclass(frozen=True)
 class BatchResult:
-    """Result of a batch.
+    """Result of a batch."""
 
-    Attributes
-    ----------
-    rows : sequence of Row
-        One row per case.
-    steps : dict of str to int
-        Number of steps by state.
-    seconds : float
-        Duration [s].
-    summary : sequence of Path
-        Files of the summary.
-    """
-
-    rows: Sequence[Row]
-    steps: dict[str, int]
-    seconds: float
-    summary: Sequence[Path]
+    rows: Sequence[Row]  # one row per case
+    steps: dict[str, int]  # number of steps by state
+    seconds: float  # duration [s]
+    summary: Sequence[Path]  # files of the summary
 
 
 def preview(steps: Sequence[Step], output: Path) -> dict[str, str]:
@@ -401,31 +361,9 @@ def run_batch(
 ) -> BatchResult:
     """Run the steps of a batch that are not complete.
 
-    Parameters
-    ----------
-    cases, steps
-        The cases, and their steps from `plan`.
-    output : Path
-        Folder for the results.
-    command : str
-        Command line, for the summary.
-    workers : int, optional
-        Processes on this machine; by default one per core.
-    scheduler : str, optional
-        Address of a Dask cluster, instead of local processes.
-    certificates : Certificates, optional
-        TLS files for that cluster.
-    timeout : float
-        Time limit of one step [s].
-    report : callable
-        Called with (step, outcome) when a step has ended.
-    bar : callable
-        Returns a context manager whose value is called with (done, total).
-
-    Raises
-    ------
-    OutputError
-        Another run uses the folder, or it contains other files.
+    They run in processes on this machine, by default one per core, or on the Dask cluster of a scheduler. `report` is
+    called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called with (done,
+    total). An OutputError is raised if another run uses the folder, or it contains other files.
     """
     began = perf_counter()
     with locked_folder(output):

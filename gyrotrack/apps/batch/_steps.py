@@ -26,24 +26,13 @@ FIT = "{fit}"
 
 @dataclass(frozen=True)
 class Request:
-    """Steps to run for every case.
+    """Steps to run for every case."""
 
-    Attributes
-    ----------
-    until : str
-        The last command.
-    extra : mapping
-        Further options of each command, from a settings file; those of a manifest override them.
-    model : str
-        The model to fit.
-    improve : bool
-        Also add effects until the residuals are consistent with noise.
-    """
-
-    until: str = "report"
+    until: str = "report"  # the last command
+    # further options of each command, from a settings file; those of a manifest override them
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    model: str = "reduced"
-    improve: bool = False
+    model: str = "reduced"  # the model to fit
+    improve: bool = False  # also add effects until the residuals are consistent with noise
 
     def includes(self, verb: str) -> bool:
         """Return whether a command is among the steps."""
@@ -52,31 +41,17 @@ class Request:
 
 @dataclass(frozen=True)
 class Step:
-    """One command of one case.
+    """One command of one case."""
 
-    Attributes
-    ----------
-    name : str
-        Unique name: folder of the case, command, and film.
-    folder, verb : str
-        Folder of the case, and command.
-    words : tuple of str
-        Arguments of the command; ``{fit}`` is the latest fit of the case.
-    files : tuple of Path
-        Source files that no step makes: films, profiles, data.
-    output : Path
-        Output file.
-    needs, needs_any : tuple of str
-        Steps that must all have succeeded, and steps that must have ended, at least one of them successfully; the
-        outputs of those that failed are not used.
-    """
-
-    name: str
+    name: str  # unique name: folder of the case, command, and film
+    # folder of the case, and command
     folder: str
     verb: str
-    words: tuple[str, ...]
-    output: Path
-    files: tuple[Path, ...] = ()
+    words: tuple[str, ...]  # arguments of the command; ``{fit}`` is the latest fit of the case
+    output: Path  # output file
+    files: tuple[Path, ...] = ()  # source files that no step makes: films, profiles, data
+    # steps that must all have succeeded, and steps that must have ended, at least one of them successfully; the
+    # outputs of those that failed are not used
     needs: tuple[str, ...] = ()
     needs_any: tuple[str, ...] = ()
 
@@ -201,18 +176,7 @@ HEADER = {"format": "gyrotrack batch", "version": 1}
 
 
 class Journal:
-    """The journal of one folder of results.
-
-    Parameters
-    ----------
-    path : Path
-        The file; it need not exist yet.
-
-    Raises
-    ------
-    OutputError
-        A file with this name exists and is not a journal.
-    """
+    """The journal of one folder of results; an existing file with its name must be a journal."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -333,10 +297,7 @@ def _parsed(text: str) -> Any:
 def locked_folder(results: Path) -> Iterator[None]:
     """Create the folder if necessary, and lock it against other batches within the context.
 
-    Raises
-    ------
-    OutputError
-        Another batch uses the folder, it cannot be created, or it contains other files.
+    An OutputError says that another batch uses it, it cannot be created, or it contains other files.
     """
     with _lock_file(results), locked(results):
         yield

@@ -42,20 +42,10 @@ class Child:
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
-        """Run one command.
+        """Run one command and return its exit code ``code`` and JSON output ``document``.
 
-        Parameters
-        ----------
-        words : sequence of str
-            The command and its arguments.
-        timeout : float, optional
-            Time limit [s].
-
-        Returns
-        -------
-        dict
-            Exit code ``code`` and JSON output ``document``. If the process crashed, exceeded the time limit or could
-            not be started, the document is an error with the code "crash", "timeout" or "processes".
+        If the process crashed, exceeded the time limit [s] or could not be started, the document is an error with the
+        code "crash", "timeout" or "processes".
         """
         late = threading.Event()
         timer: threading.Timer | None = None
@@ -201,13 +191,7 @@ class Workers(Protocol):
 
 
 class LocalWorkers:
-    """Processes on this machine, each of which runs one command after another.
-
-    Parameters
-    ----------
-    count : int
-        Number of processes.
-    """
+    """A number of processes on this machine, each of which runs one command after another."""
 
     def __init__(self, count: int) -> None:
         self._own = threading.local()
@@ -253,10 +237,7 @@ class Certificates:
     def security(self, address: str) -> Any:
         """Return distributed's `Security` for an address, or None for one without TLS.
 
-        Raises
-        ------
-        UsageError
-            Certificates for a tls:// address are missing, or are given for another address.
+        A UsageError is raised if certificates for a tls:// address are missing, or given for another address.
         """
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
@@ -289,22 +270,8 @@ class ClusterWorkers:
 
     Each command runs in a separate process on a worker, so that a crash does not end the worker; if a worker is lost,
     the scheduler reassigns its commands. The name of a function and arguments are sent, JSON is returned. The messages
-    of Dask are pickled, so the scheduler must be trusted: its address is never read from the folder of the data, and
-    with TLS both sides authenticate themselves.
-
-    Parameters
-    ----------
-    address : str
-        The scheduler's address, ``tls://host:port`` or ``tcp://host:port``.
-    certificates : Certificates, optional
-        Files for TLS.
-
-    Raises
-    ------
-    UsageError
-        Dask is not installed, or the certificates do not match the address.
-    GyrotrackError
-        The scheduler does not answer.
+    of Dask are pickled, so the scheduler must be trusted: its address (``tls://host:port`` or ``tcp://host:port``) is
+    never read from the folder of the data, and with TLS both sides authenticate themselves.
     """
 
     def __init__(self, address: str, certificates: Certificates | None = None) -> None:

@@ -24,7 +24,15 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack._versions import __version__
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, NOT_TRUSTED, TERMINATED, Output, command_line
-from gyrotrack.apps.cli._settings import InertiaCasing, InertiaRotor, Json, Quiet, Verbose, function_of
+from gyrotrack.apps.cli._settings import (
+    InertiaCasing,
+    InertiaRotor,
+    Json,
+    Quiet,
+    Verbose,
+    function_of,
+    option,
+)
 
 if TYPE_CHECKING:
     from gyrotrack.apps.batch._experiments import Experiment
@@ -47,58 +55,41 @@ def batch_command(
         Path, typer.Argument(metavar="MANIFEST|DIR", help="Manifest (TOML or CSV), or folder of films.")
     ],
     *,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
-    ] = Path("gyrotrack_batch"),
+    output: Annotated[Path, option("-o --output DIR", "Folder for the results.")] = Path("gyrotrack_batch"),
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", min=1, help="Worker processes; by default one per core."),
+        int | None, option("--workers N", "Worker processes; by default one per core.", min=1)
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
+        option(
+            "--scheduler ADDRESS",
+            "Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
             envvar="GYROTRACK_SCHEDULER",
-            help="Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
         ),
     ] = None,
     tls_ca: Annotated[
         Path | None,
-        typer.Option(
-            "--tls-ca",
-            metavar="FILE",
-            envvar="GYROTRACK_TLS_CA",
-            help="Certificate authority of the cluster (PEM).",
-        ),
+        option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
     ] = None,
     tls_cert: Annotated[
-        Path | None,
-        typer.Option(
-            "--tls-cert", metavar="FILE", envvar="GYROTRACK_TLS_CERT", help="Own certificate (PEM)."
-        ),
+        Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
     ] = None,
     tls_key: Annotated[
-        Path | None,
-        typer.Option("--tls-key", metavar="FILE", envvar="GYROTRACK_TLS_KEY", help="Own private key (PEM)."),
+        Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
     ] = None,
-    until: Annotated[Until, typer.Option("--until", help="Last step to run.")] = Until.report,
-    model: Annotated[str, typer.Option("--model", metavar="M", help="Model to fit.")] = "reduced",
-    improve: Annotated[bool, typer.Option("--improve", help="Also run `improve`.")] = False,
+    until: Annotated[Until, option("--until", "Last step to run.")] = Until.report,
+    model: Annotated[str, option("--model M", "Model to fit.")] = "reduced",
+    improve: Annotated[bool, option("--improve", "Also run `improve`.")] = False,
     casing_fps: Annotated[
-        float | None,
-        typer.Option("--casing-fps", metavar="N", help="Capture rate of the casing films in a folder [1/s]."),
+        float | None, option("--casing-fps N", "Capture rate of the casing films in a folder [1/s].")
     ] = None,
     rotor_fps: Annotated[
-        float | None,
-        typer.Option("--rotor-fps", metavar="N", help="Capture rate of the rotor films in a folder [1/s]."),
+        float | None, option("--rotor-fps N", "Capture rate of the rotor films in a folder [1/s].")
     ] = None,
     inertia_rotor: InertiaRotor = None,
     inertia_casing: InertiaCasing = None,
-    timeout: Annotated[
-        float, typer.Option("--timeout", metavar="S", min=1.0, help="Time limit of one step [s].")
-    ] = 7200.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the steps and run none.")] = False,
+    timeout: Annotated[float, option("--timeout S", "Time limit of one step [s].", min=1.0)] = 7200.0,
+    dry_run: Annotated[bool, option("--dry-run", "List the steps and run none.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -216,7 +207,7 @@ def config_command(
         str | None, typer.Argument(metavar="COMMAND", help="Show the options of one command.")
     ] = None,
     *,
-    everything: Annotated[bool, typer.Option("--all", help="Also show options at their defaults.")] = False,
+    everything: Annotated[bool, option("--all", "Also show options at their defaults.")] = False,
     as_json: Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.

@@ -13,15 +13,21 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import (
+    Cuts,
     Force,
     InertiaCasing,
     InertiaRotor,
     Json,
     Label,
+    Likelihood,
+    Marker,
     OutputFile,
     Quiet,
+    StartTime,
+    StopTime,
     Surface,
     Verbose,
+    option,
 )
 
 if TYPE_CHECKING:
@@ -33,79 +39,48 @@ _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, p
 
 def import_command(
     *,
-    casing: Annotated[Path | None, typer.Option("--casing", metavar="FILE", help=f"{_TABLE}.")] = None,
+    casing: Annotated[Path | None, option("--casing FILE", f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--rotor", metavar="FILE", help="The same quantities of one rotor window; once per window."
-        ),
+        list[Path] | None, option("--rotor FILE", "The same quantities of one rotor window; once per window.")
     ] = None,
     body: Annotated[
         Path | None,
-        typer.Option(
-            "--body",
-            metavar="FILE",
-            help="The same quantities of a single body, instead of casing and rotor.",
-        ),
+        option("--body FILE", "The same quantities of a single body, instead of casing and rotor."),
     ] = None,
     inertia: Annotated[
-        str | None,
-        typer.Option("--inertia", metavar="I", help="Moment of inertia of the single body [kg m2]."),
+        str | None, option("--inertia I", "Moment of inertia of the single body [kg m2].")
     ] = None,
     output: OutputFile,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
-            "--column",
-            metavar="QUANTITY=COLUMN",
-            help="Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, revolutions=3; "
-            "of one body only: casing.revolutions=5.",
+        option(
+            "--column QUANTITY=COLUMN",
+            "Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
+            "revolutions=3; of one body only: casing.revolutions=5.",
         ),
     ] = None,
-    marker: Annotated[
-        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
-    ] = None,
+    marker: Marker = None,
     centre: Annotated[
-        str | None,
-        typer.Option("--centre", metavar="C", help="Centre of rotation: a point, X,Y in px, or orbit."),
+        str | None, option("--centre C", "Centre of rotation: a point, X,Y in px, or orbit.")
     ] = None,
-    likelihood: Annotated[
-        float,
-        typer.Option("--likelihood", metavar="P", help="Minimum likelihood of the points that are used."),
-    ] = 0.6,
+    likelihood: Likelihood = 0.6,
     casing_fps: Annotated[
-        float | None,
-        typer.Option(
-            "--casing-fps", metavar="N", help="Capture rate of a file without times, casing or body [1/s]."
-        ),
+        float | None, option("--casing-fps N", "Capture rate of a file without times, casing or body [1/s].")
     ] = None,
     rotor_fps: Annotated[
-        float | None,
-        typer.Option("--rotor-fps", metavar="N", help="Capture rate of a rotor file without times [1/s]."),
+        float | None, option("--rotor-fps N", "Capture rate of a rotor file without times [1/s].")
     ] = None,
     rotor_start: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--rotor-start", metavar="T", help="Start of a rotor file of points [s]; once per file."
-        ),
+        list[float] | None, option("--rotor-start T", "Start of a rotor file of points [s]; once per file.")
     ] = None,
     pulses_per_turn: Annotated[
-        float | None,
-        typer.Option("--pulses-per-turn", metavar="N", help="The file contains times of pulses, N per turn."),
+        float | None, option("--pulses-per-turn N", "The file contains times of pulses, N per turn.")
     ] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
-    ] = None,
-    stop: Annotated[
-        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
-    ] = None,
-    cut: Annotated[
-        list[str] | None,
-        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
-    ] = None,
+    start: StartTime = None,
+    stop: StopTime = None,
+    cut: Cuts = None,
     keep_all: Annotated[
-        bool,
-        typer.Option("--keep-all", help="Keep drive, brake and rest at the ends of the record (--body)."),
+        bool, option("--keep-all", "Keep drive, brake and rest at the ends of the record (--body).")
     ] = False,
     label: Label = None,
     surface: Surface = "",
@@ -127,9 +102,9 @@ def import_command(
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
     """
-    from gyrotrack._inertia import Inertia
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
+    from gyrotrack.io._records import Inertia
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -215,9 +190,9 @@ def export_command(
     output: OutputFile,
     table: Annotated[
         Table,
-        typer.Option(
+        option(
             "--table",
-            help="motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
+            "motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
         ),
     ] = Table.motion,
     force: Force = False,
@@ -242,7 +217,7 @@ def export_command(
 def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
-    verify: Annotated[bool, typer.Option("--verify", help="Check every chunk against its checksum.")] = False,
+    verify: Annotated[bool, option("--verify", "Check every chunk against its checksum.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,

@@ -22,6 +22,7 @@ from gyrotrack.apps.cli._settings import (
     Json,
     LedgerFile,
     Quiet,
+    option,
     own_effects,
 )
 
@@ -41,25 +42,16 @@ def laws_command(
     cases: CaseFiles,
     *,
     beyond_library: Annotated[
-        bool,
-        typer.Option("--beyond-library", help="Search also if an effect of the library explains the data."),
+        bool, option("--beyond-library", "Search also if an effect of the library explains the data.")
     ] = False,
     save_law: Annotated[
         tuple[str, Path] | None,
-        typer.Option(
-            "--save-law", metavar="NAME FILE", help="Save a law under a name in a TOML file of effects."
-        ),
+        option("--save-law NAME FILE", "Save a law under a name in a TOML file of effects."),
     ] = None,
     law: Annotated[
-        int | None,
-        typer.Option(
-            "--law", metavar="N", min=1, help="Number in the table of the law for --save-law; 1 if not given."
-        ),
+        int | None, option("--law N", "Number in the table of the law for --save-law; 1 if not given.", min=1)
     ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="Draw the result: .png, .svg or .pdf."),
-    ] = None,
+    picture: Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")] = None,
     effects: EffectsFile = None,
     start: From = None,
     ledger: LedgerFile = None,
@@ -131,15 +123,7 @@ def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> N
 
 
 def _laws_table(found: Laws, fit_id: str) -> str:
-    """Return the result as text: summary, variables of the torque, laws, and where they differ.
-
-    Parameters
-    ----------
-    found : Laws
-        The result of the search.
-    fit_id : str
-        Name of the fit.
-    """
+    """Return the result as text: summary, variables of the torque, laws, and where they differ."""
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     torques = found.torques
@@ -212,27 +196,22 @@ def plan_command(
     *,
     size: Annotated[
         float | None,
-        typer.Option(
-            "--size",
-            metavar="T",
-            help="Rms torque of an effect [N m] for which power and number of runs are computed; "
-            "by default 1 % of the rms bearing torque.",
+        option(
+            "--size T",
+            "Rms torque of an effect [N m] for which power and number of runs are computed; by default 1 "
+            "% of the rms bearing torque.",
         ),
     ] = None,
     bound: Annotated[
         list[str] | None,
-        typer.Option(
-            "--bound",
-            metavar="KEY=LOW,HIGH",
-            help="Limits of possible runs: omega_rotor, omega_casing [rad/s], duration [s], inertia_casing, touchpoint "
-            "(ratios); for example --bound omega_casing=0,60.",
+        option(
+            "--bound KEY=LOW,HIGH",
+            "Limits of possible runs: omega_rotor, omega_casing [rad/s], duration [s], inertia_casing, "
+            "touchpoint (ratios); for example --bound omega_casing=0,60.",
         ),
     ] = None,
     picture: Annotated[
-        Path | None,
-        typer.Option(
-            "--picture", metavar="FILE", help="Also draw limits, power and the next run: .png or .svg."
-        ),
+        Path | None, option("--picture FILE", "Also draw limits, power and the next run: .png or .svg.")
     ] = None,
     effects: EffectsFile = None,
     start: From = None,
@@ -274,7 +253,7 @@ def plan_command(
     with out.progress("planning") as progress:
         progress(0, None)
         if described:
-            from fitting.discovery._planned_recordings import read_planned
+            from fitting.discovery._plan import read_planned
 
             refuse_special(described[0])
             usual: Bounds | None = read_planned(described[0]).bounds if changes else None
@@ -403,9 +382,7 @@ def compare_command(
         typer.Argument(metavar="A B...", help="Cases (.h5) that have been fitted, or ledgers (.fits.json)."),
     ],
     *,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE", help="Draw the result: .png, .svg or .pdf.")
-    ] = None,
+    picture: Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -34,6 +34,7 @@ from gyrotrack.apps.cli._settings import (
     PriorStudy,
     Quiet,
     RotorKind,
+    option,
     own_effects,
 )
 
@@ -54,45 +55,35 @@ def fit_command(
     *,
     model: Annotated[
         str | None,
-        typer.Option(
-            "--model",
-            metavar="M",
-            help="Model: reduced, general, linear, or a TOML file; by default reduced for the first fit.",
+        option(
+            "--model M",
+            "Model: reduced, general, linear, or a TOML file; by default reduced for the first fit.",
         ),
     ] = None,
     add: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--add", metavar="E", help="Effect to add, by name or as a law: 'casing: -k*omega_c**3'."
-        ),
+        list[str] | None, option("--add E", "Effect to add, by name or as a law: 'casing: -k*omega_c**3'.")
     ] = None,
-    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Effect to remove.")] = None,
+    drop: Annotated[list[str] | None, option("--drop E", "Effect to remove.")] = None,
     effects: EffectsFile = None,
-    joint: Annotated[bool, typer.Option("--joint", help="Fit the cases together.")] = False,
-    share: Annotated[
-        list[str] | None, typer.Option("--share", metavar="P", help="Parameter with one value for all cases.")
-    ] = None,
+    joint: Annotated[bool, option("--joint", "Fit the cases together.")] = False,
+    share: Annotated[list[str] | None, option("--share P", "Parameter with one value for all cases.")] = None,
     per_case: Annotated[
-        list[str] | None, typer.Option("--per-case", metavar="P", help="Parameter with one value per case.")
+        list[str] | None, option("--per-case P", "Parameter with one value per case.")
     ] = None,
     profile: Annotated[
         list[str] | None,
-        typer.Option(
-            "--profile",
-            metavar="P",
-            help="Compute the 95 % interval of a parameter by profile likelihood; 'weak': all weakly determined ones.",
+        option(
+            "--profile P",
+            "Compute the 95 % interval of a parameter by profile likelihood; 'weak': all weakly "
+            "determined ones.",
         ),
     ] = None,
-    fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="P=V", help="Fix a parameter at a value (SI units).")
-    ] = None,
+    fix: Annotated[list[str] | None, option("--fix P=V", "Fix a parameter at a value (SI units).")] = None,
     data: DataKind = None,
     rotor: RotorKind = "windows",
-    loss: Annotated[
-        str, typer.Option("--loss", metavar="L", help="Loss function: linear, huber or cauchy.")
-    ] = "linear",
+    loss: Annotated[str, option("--loss L", "Loss function: linear, huber or cauchy.")] = "linear",
     hold_out: Annotated[
-        bool, typer.Option("--hold-out", help="Also predict each case from a fit of the others.")
+        bool, option("--hold-out", "Also predict each case from a fit of the others.")
     ] = False,
     prior: PriorStudy = None,
     prior_rotor: PriorRotor = None,
@@ -208,18 +199,17 @@ def budget_command(
     start: From = None,
     clock_rate: Annotated[
         float | None,
-        typer.Option(
-            "--clock-rate",
-            metavar="U",
-            help="Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
+        option(
+            "--clock-rate U",
+            "Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
         ),
     ] = None,
     speed_scale: Annotated[
         float | None,
-        typer.Option(
-            "--speed-scale",
-            metavar="U",
-            help="Relative standard uncertainty of the scale of a sensor of angular velocity (from its data sheet).",
+        option(
+            "--speed-scale U",
+            "Relative standard uncertainty of the scale of a sensor of angular velocity (from its data "
+            "sheet).",
         ),
     ] = None,
     ledger: LedgerFile = None,
@@ -235,9 +225,9 @@ def budget_command(
     from fitting.inference._budget import CRYSTAL, budget
     from fitting.study._serialisation import budget_document
 
-    for option, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
+    for name, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
         if u is not None and not 0 <= u < 1:
-            raise UsageError(f"{option} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
+            raise UsageError(f"{name} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
     with out.progress("fitting with other inertias") as progress:
@@ -267,12 +257,9 @@ def _budget_table(found: Mapping[str, ParameterBudget], fit_id: str) -> str:
 def scan_command(
     cases: CaseFiles,
     *,
-    csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Also write all fits as one flat table.")
-    ] = None,
+    csv: Annotated[Path | None, option("--csv FILE", "Also write all fits as one flat table.")] = None,
     latex: Annotated[
-        Path | None,
-        typer.Option("--latex", metavar="FILE", help="Also write the tables as LaTeX (booktabs)."),
+        Path | None, option("--latex FILE", "Also write the tables as LaTeX (booktabs).")
     ] = None,
     data: DataKind = None,
     rotor: RotorKind = "windows",
@@ -399,15 +386,9 @@ def ladder_command(
     *,
     data: DataKind = None,
     rotor: RotorKind = "windows",
-    name: Annotated[
-        str | None, typer.Option("--name", metavar="ID=TEXT", help="Name a fit: f2='quadratic drag'.")
-    ] = None,
-    note: Annotated[
-        str | None, typer.Option("--note", metavar="ID=TEXT", help="Write a note on a fit; empty removes it.")
-    ] = None,
-    delete: Annotated[
-        str | None, typer.Option("--delete", metavar="ID", help="Delete a fit on which no other is based.")
-    ] = None,
+    name: Annotated[str | None, option("--name ID=TEXT", "Name a fit: f2='quadratic drag'.")] = None,
+    note: Annotated[str | None, option("--note ID=TEXT", "Write a note on a fit; empty removes it.")] = None,
+    delete: Annotated[str | None, option("--delete ID", "Delete a fit on which no other is based.")] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -422,15 +403,15 @@ def ladder_command(
     study = open_study(cases, ledger, data=data, rotor=rotor)
     if not study.ledger.of(study.data):
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
-    for option, text in (("name", name), ("note", note)):
+    for key, text in (("name", name), ("note", note)):
         if text is not None:
             fit_id, equals, content = text.partition("=")
             if not equals:
                 raise UsageError(
-                    f"--{option} {text[:40]} contains no name of a fit.", f"Write it as --{option} f2='text'."
+                    f"--{key} {text[:40]} contains no name of a fit.", f"Write it as --{key} f2='text'."
                 )
             found = study.entry(fit_id.strip())
-            study.ledger.annotate(found.fit_id if found else fit_id, **{option: content})
+            study.ledger.annotate(found.fit_id if found else fit_id, **{key: content})
     if delete is not None:
         found = study.entry(delete)
         study.ledger.delete(found.fit_id if found else delete)

@@ -25,6 +25,7 @@ from gyrotrack.apps.cli._settings import (
     LedgerFile,
     Quiet,
     film_folders,
+    option,
     own_effects,
 )
 
@@ -32,9 +33,9 @@ from gyrotrack.apps.cli._settings import (
 def report_command(
     cases: CaseFiles,
     *,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="Report to write: .html or .pdf.")
-    ] = Path("report.html"),
+    output: Annotated[Path, option("-o --output FILE", "Report to write: .html or .pdf.")] = Path(
+        "report.html"
+    ),
     films: Films = None,
     effects: EffectsFile = None,
     start: From = None,
@@ -79,12 +80,9 @@ def report_command(
 def figures_command(
     cases: CaseFiles,
     *,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for figures and tables.")
-    ] = Path("figures"),
+    output: Annotated[Path, option("-o --output DIR", "Folder for figures and tables.")] = Path("figures"),
     formats: Annotated[
-        list[str] | None,
-        typer.Option("--format", metavar="F", help="pdf (default), svg or png; repeatable."),
+        list[str] | None, option("--format F", "pdf (default), svg or png; repeatable.")
     ] = None,
     films: Films = None,
     force: Force = False,
@@ -157,20 +155,14 @@ def view_command(
         ),
     ] = None,
     *,
-    folder: Annotated[
-        Path,
-        typer.Option("--folder", metavar="DIR", help="Work folder, for the results of films."),
-    ] = Path(),
+    folder: Annotated[Path, option("--folder DIR", "Work folder, for the results of films.")] = Path(),
     films: Films = None,
-    port: Annotated[
-        int,
-        typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0 selects a free one."),
-    ] = 0,
+    port: Annotated[int, option("--port N", "Port of the page; 0 selects a free one.", min=0, max=65535)] = 0,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser of the desktop.")
+        bool, option("--browser/--no-browser", "Open the page in the browser of the desktop.")
     ] = True,
     window: Annotated[
-        bool, typer.Option("--window", help="Open the page in a separate window (package pywebview).")
+        bool, option("--window", "Open the page in a separate window (package pywebview).")
     ] = False,
     start: From = None,
     ledger: LedgerFile = None,
@@ -219,13 +211,7 @@ def view_command(
 
 
 def _only_case(sources: Sequence[Path]) -> Path | None:
-    """Return the case among the sources; None if there is none.
-
-    Raises
-    ------
-    UsageError
-        A case is given together with other sources.
-    """
+    """Return the case among the sources, which must be the only source; None if there is none."""
     from gyrotrack.io._hdf5 import read_kind
 
     cases = [s for s in sources if s.suffix.lower() in (".h5", ".hdf5") and read_kind(s) == "case"]
@@ -253,5 +239,5 @@ def _require_packages(*, window: bool) -> None:
     if window and find_spec("webview") is None:
         raise UsageError(
             "A separate window needs a package that is not installed.",
-            'Run: pip install "gyrotrack[window]", or leave out --window.',
+            'Run: pip install "gyrotrack[window]", or omit --window.',
         )

@@ -79,11 +79,6 @@ def find(named: Path | None = None) -> tuple[Path | None, bool]:
     """Return the settings file and whether it is trusted: given by the user, or the user's own file.
 
     The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
-
-    Raises
-    ------
-    ConfigurationError
-        The given file does not exist.
     """
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):
@@ -284,44 +279,39 @@ def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
     return LazyGroup
 
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
-Quiet = Annotated[
-    bool, typer.Option("-q", "--quiet", help="Show warnings only, no progress or other messages.")
-]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Verbose output.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
+def option(words: str, text: str, **settings: Any) -> Any:
+    """Return an option from its names and placeholder, as in ``-o --output FILE``, and its line in the help."""
+    names = [w for w in words.split() if w.startswith("-")]
+    return typer.Option(*names, metavar=words.partition(names[-1])[2].strip() or None, help=text, **settings)
 
-OutputFile = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")]
-OptionalOutputFile = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="File to write.")
-]
+
+Json = Annotated[bool, option("--json", "Print one JSON document on stdout and nothing else.")]
+Quiet = Annotated[bool, option("-q --quiet", "Show warnings only, no progress or other messages.")]
+Verbose = Annotated[bool, option("-v --verbose", "Verbose output.")]
+Force = Annotated[bool, option("--force", "Replace an existing output.")]
+
+OutputFile = Annotated[Path, option("-o --output FILE", "File to write.")]
+OptionalOutputFile = Annotated[Path | None, option("-o --output FILE", "File to write.")]
 CaseFiles = Annotated[
     list[Path], typer.Argument(metavar="CASE.h5", help="Case files, made by `sync` or `import`.")
 ]
 
 Films = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--films", metavar="DIR", help="Folder of the films; by default the folders of the case and this one."
-    ),
+    option("--films DIR", "Folder of the films; by default the folders of the case and this one."),
 ]
 
 InertiaRotor = Annotated[
     str | None,
-    typer.Option(
-        "--inertia-rotor",
-        metavar="I",
-        help="Moment of inertia of the rotor: '5.54e-5 +- 0.06e-5' (kg m2) or '554 g cm2'.",
+    option(
+        "--inertia-rotor I", "Moment of inertia of the rotor: '5.54e-5 +- 0.06e-5' (kg m2) or '554 g cm2'."
     ),
 ]
 InertiaCasing = Annotated[
-    str | None,
-    typer.Option("--inertia-casing", metavar="I", help="Moment of inertia of the casing, in the same form."),
+    str | None, option("--inertia-casing I", "Moment of inertia of the casing, in the same form.")
 ]
-Label = Annotated[
-    str | None, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")
-]
-Surface = Annotated[str, typer.Option("--surface", metavar="S", help="Surface on which the casing turns.")]
+Label = Annotated[str | None, option("--label L", "Name of the case; by default that of the file.")]
+Surface = Annotated[str, option("--surface S", "Surface on which the casing turns.")]
 
 
 def film_folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Path]:
@@ -329,44 +319,37 @@ def film_folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Pa
     return list(given) if given else list(dict.fromkeys([*(c.parent for c in cases), Path()]))
 
 
-From = Annotated[
-    str | None, typer.Option("--from", metavar="ID", help="Fit to start from; by default the latest.")
-]
+Marker = Annotated[str | None, option("--marker NAME", "Point to follow, in files of points.")]
+Likelihood = Annotated[float, option("--likelihood P", "Minimum likelihood of the points that are used.")]
+StartTime = Annotated[float | None, option("--from T", "Exclude samples before this time [s].")]
+StopTime = Annotated[float | None, option("--to T", "Exclude samples after this time [s].")]
+Cuts = Annotated[list[str] | None, option("--cut A:B", "Exclude samples between two times [s]; repeatable.")]
+From = Annotated[str | None, option("--from ID", "Fit to start from; by default the latest.")]
 PriorStudy = Annotated[
     Path | None,
-    typer.Option(
-        "--prior",
-        metavar="STUDY",
-        help="Case or ledger of other recordings; the parameters of its latest fit become a prior.",
+    option(
+        "--prior STUDY",
+        "Case or ledger of other recordings; the parameters of its latest fit become a prior.",
     ),
 ]
 PriorRotor = Annotated[
     Path | None,
-    typer.Option(
-        "--prior-rotor",
-        metavar="STUDY",
-        help="Prior from a study of the rotor alone; its parameters are matched by their laws.",
+    option(
+        "--prior-rotor STUDY",
+        "Prior from a study of the rotor alone; its parameters are matched by their laws.",
     ),
 ]
 LedgerFile = Annotated[
-    Path | None,
-    typer.Option("--ledger", metavar="FILE", help="File of the fits; by default next to the first case."),
+    Path | None, option("--ledger FILE", "File of the fits; by default next to the first case.")
 ]
-EffectsFile = Annotated[
-    Path | None, typer.Option("--effects", metavar="FILE", help="Your own effects, in TOML.")
-]
+EffectsFile = Annotated[Path | None, option("--effects FILE", "Your own effects, in TOML.")]
 DataKind = Annotated[
-    str | None,
-    typer.Option(
-        "--data", metavar="D", help="Fitted quantity: angle, or velocity (smoothed as in the paper)."
-    ),
+    str | None, option("--data D", "Fitted quantity: angle, or velocity (smoothed as in the paper).")
 ]
 RotorKind = Annotated[
     str,
-    typer.Option(
-        "--rotor",
-        metavar="R",
-        help="Rotor data: windows (as measured) or generated (a curve through them, as in the paper).",
+    option(
+        "--rotor R", "Rotor data: windows (as measured) or generated (a curve through them, as in the paper)."
     ),
 ]
 

@@ -33,6 +33,7 @@ from gyrotrack.apps.cli._settings import (
     OutputFile,
     Quiet,
     Surface,
+    option,
     own_effects,
 )
 
@@ -49,62 +50,42 @@ def simulate_command(
     *,
     output: OutputFile,
     add: Annotated[
-        list[str] | None,
-        typer.Option("--add", metavar="E", help="Effect to add to the reduced model, by name or as a law."),
+        list[str] | None, option("--add E", "Effect to add to the reduced model, by name or as a law.")
     ] = None,
-    drop: Annotated[list[str] | None, typer.Option("--drop", metavar="E", help="Effect to remove.")] = None,
+    drop: Annotated[list[str] | None, option("--drop E", "Effect to remove.")] = None,
     effects: EffectsFile = None,
     set_values: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Set a parameter: casing.air.quadratic.k=1e-9 (SI units)."
-        ),
+        option("--set KEY=VALUE", "Set a parameter: casing.air.quadratic.k=1e-9 (SI units)."),
     ] = None,
     strength: Annotated[
-        float,
-        typer.Option(
-            "--strength",
-            help="Torque of added effects [1e-4 N m], unless set by --set.",
-        ),
+        float, option("--strength", "Torque of added effects [1e-4 N m], unless set by --set.")
     ] = 0.01,
     omega_rotor: Annotated[
-        float, typer.Option("--omega-rotor", help="Initial angular rate of the rotor [rad/s].")
+        float, option("--omega-rotor", "Initial angular rate of the rotor [rad/s].")
     ] = 900.0,
     omega_casing: Annotated[
-        float, typer.Option("--omega-casing", help="Initial angular rate of the casing [rad/s].")
+        float, option("--omega-casing", "Initial angular rate of the casing [rad/s].")
     ] = 5.0,
-    duration: Annotated[float, typer.Option("--duration", help="Duration of the recording [s].")] = 200.0,
+    duration: Annotated[float, option("--duration", "Duration of the recording [s].")] = 200.0,
     window: Annotated[
-        list[float] | None,
-        typer.Option("--window", metavar="T", help="Start of a rotor window [s]; once per window."),
+        list[float] | None, option("--window T", "Start of a rotor window [s]; once per window.")
     ] = None,
-    window_length: Annotated[
-        float, typer.Option("--window-length", help="Duration of the rotor windows [s].")
-    ] = 3.0,
-    casing_fps: Annotated[
-        float, typer.Option("--casing-fps", help="Capture rate of the casing camera [1/s].")
-    ] = 260.0,
-    rotor_fps: Annotated[
-        float, typer.Option("--rotor-fps", help="Capture rate of the rotor camera [1/s].")
-    ] = 1000.0,
-    sigma: Annotated[
-        float, typer.Option("--sigma", help="Standard deviation of the angle noise [rad].")
-    ] = 1e-3,
-    torque_noise: Annotated[
-        float, typer.Option("--torque-noise", help="Rms of the random torque [N m].")
-    ] = 0.0,
+    window_length: Annotated[float, option("--window-length", "Duration of the rotor windows [s].")] = 3.0,
+    casing_fps: Annotated[float, option("--casing-fps", "Capture rate of the casing camera [1/s].")] = 260.0,
+    rotor_fps: Annotated[float, option("--rotor-fps", "Capture rate of the rotor camera [1/s].")] = 1000.0,
+    sigma: Annotated[float, option("--sigma", "Standard deviation of the angle noise [rad].")] = 1e-3,
+    torque_noise: Annotated[float, option("--torque-noise", "Rms of the random torque [N m].")] = 0.0,
     torque_time: Annotated[
-        float, typer.Option("--torque-time", help="Correlation time of the random torque [s].")
+        float, option("--torque-time", "Correlation time of the random torque [s].")
     ] = 1.0,
     centre_offset: Annotated[
-        float, typer.Option("--centre-offset", help="Amplitude of the centre offset in the angle [rad].")
+        float, option("--centre-offset", "Amplitude of the centre offset in the angle [rad].")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 0,
-    film: Annotated[
-        Path | None, typer.Option("--film", metavar="DIR", help="Also render the films into this folder.")
-    ] = None,
+    seed: Annotated[int, option("--seed", "Random seed.")] = 0,
+    film: Annotated[Path | None, option("--film DIR", "Also render the films into this folder.")] = None,
     hide: Annotated[
-        bool, typer.Option("--hide", help="Add a random effect and store its name in a sealed file.")
+        bool, option("--hide", "Add a random effect and store its name in a sealed file.")
     ] = False,
     label: Label = None,
     surface: Surface = "",
@@ -123,9 +104,9 @@ def simulate_command(
     from fitting.dynamics._model import Model
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
-    from gyrotrack._inertia import Inertia
     from gyrotrack.apps._simulation import SimulatedRun, hide_effect, write_record
     from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._records import Inertia
 
     out = Output(as_json=as_json, quiet=quiet)
     sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
@@ -193,10 +174,7 @@ def reveal_command(
     ] = None,
     *,
     answer: Annotated[
-        str | None,
-        typer.Option(
-            "--answer", metavar="E", help="Answer: an effect, several separated by commas, or `none`."
-        ),
+        str | None, option("--answer E", "Answer: an effect, several separated by commas, or `none`.")
     ] = None,
     ledger: LedgerFile = None,
     as_json: Json = False,
@@ -247,12 +225,8 @@ def _fitted(case: Path, ledger: Path | None) -> Answer:
 
 def demo_command(
     *,
-    clips: Annotated[
-        Path | None, typer.Option("--clips", metavar="DIR", help="Folder with study.toml and the films.")
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
-    ] = Path("gyrotrack_demo"),
+    clips: Annotated[Path | None, option("--clips DIR", "Folder with study.toml and the films.")] = None,
+    output: Annotated[Path, option("-o --output DIR", "Folder for the results.")] = Path("gyrotrack_demo"),
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -13,16 +13,22 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing, command_line
 from gyrotrack.apps.cli._settings import (
+    Cuts,
     Force,
     InertiaCasing,
     InertiaRotor,
     Json,
     Label,
+    Likelihood,
+    Marker,
     OptionalOutputFile,
     OutputFile,
     Quiet,
+    StartTime,
+    StopTime,
     Surface,
     Verbose,
+    option,
 )
 
 if TYPE_CHECKING:
@@ -40,20 +46,12 @@ def profile_command(
     output: OptionalOutputFile = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture",
-            metavar="FILE.png",
-            help="Also draw the markers that were found into a frame of the film.",
-        ),
+        option("--picture FILE.png", "Also draw the markers that were found into a frame of the film."),
     ] = None,
     capture_fps: Annotated[
-        float | None,
-        typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera, for the profile [1/s]."),
+        float | None, option("--capture-fps N", "Capture rate of the camera, for the profile [1/s].")
     ] = None,
-    hub: Annotated[
-        str | None,
-        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; by default detected."),
-    ] = None,
+    hub: Annotated[str | None, option("--hub X,Y", "Centre of rotation [px]; by default detected.")] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -212,51 +210,39 @@ def extract_command(
     *,
     output: OptionalOutputFile = None,
     capture_fps: Annotated[
-        float | None,
-        typer.Option("--capture-fps", metavar="N", help="Capture rate of the camera [1/s]."),
+        float | None, option("--capture-fps N", "Capture rate of the camera [1/s].")
     ] = None,
     times: Annotated[
         Times,
-        typer.Option(
+        option(
             "--times",
-            help="frames: from the frame number; stamps: from the timestamps; auto: timestamps if the rate varied.",
+            "frames: from the frame number; stamps: from the timestamps; auto: timestamps if the rate "
+            "varied.",
         ),
     ] = Times.auto,
     profile: Annotated[
-        Path | None,
-        typer.Option(
-            "--profile", metavar="P.toml", help="Markers and colours; by default those of the paper."
-        ),
+        Path | None, option("--profile P.toml", "Markers and colours; by default those of the paper.")
     ] = None,
-    body: Annotated[
-        Body | None, typer.Option("--body", help="Track this body only; by default all bodies.")
-    ] = None,
+    body: Annotated[Body | None, option("--body", "Track this body only; by default all bodies.")] = None,
     overlay: Annotated[
         Path | None,
-        typer.Option(
-            "--overlay", metavar="FILE", help="Also draw the detections: film (.mp4) or contact sheet (.png)."
-        ),
+        option("--overlay FILE", "Also draw the detections: film (.mp4) or contact sheet (.png)."),
     ] = None,
     contact_sheet: Annotated[
         Path | None,
-        typer.Option(
-            "--contact-sheet",
-            metavar="FILE.png",
-            help="Also draw twelve frames with corners, angle, status and uncertainty.",
+        option(
+            "--contact-sheet FILE.png", "Also draw twelve frames with corners, angle, status and uncertainty."
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            "--workers",
-            metavar="N",
+        option(
+            "--workers N",
+            "Number of processes; by default one per core. The result does not depend on it.",
             min=1,
-            help="Number of processes; by default one per core. The result does not depend on it.",
         ),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue an interrupted run, if there is one.")
-    ] = False,
+    resume: Annotated[bool, option("--resume", "Continue an interrupted run, if there is one.")] = False,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -393,10 +379,10 @@ def sync_command(
     Example: gyrotrack sync casing.h5 rotor_1.h5 rotor_2.h5 -o case1.h5 --inertia-rotor "5.54e-5 +- 0.06e-5"
     --inertia-casing "206 g cm2"
     """
-    from gyrotrack._inertia import Inertia
     from gyrotrack.apps._api import synchronised
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_case
+    from gyrotrack.io._records import Inertia
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
@@ -468,86 +454,54 @@ def spindown_command(
         Path, typer.Argument(metavar="SOURCE", help="Film, recording, or a table that `import` reads.")
     ],
     *,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Case to write; by default SOURCE.h5."),
-    ] = None,
+    output: Annotated[Path | None, option("-o --output FILE", "Case to write; by default SOURCE.h5.")] = None,
     report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="FILE", help="Report to write; by default next to the case."),
+        Path | None, option("--report FILE", "Report to write; by default next to the case.")
     ] = None,
     hub: Annotated[
-        str | None,
-        typer.Option("--hub", metavar="X,Y", help="Centre of rotation [px]; it may be outside of the image."),
+        str | None, option("--hub X,Y", "Centre of rotation [px]; it may be outside of the image.")
     ] = None,
     profile: Annotated[
-        Path | None,
-        typer.Option("--profile", metavar="P", help="Markers and colours of the film; by default detected."),
+        Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
     body: Annotated[
-        SingleBody | None,
-        typer.Option("--body", help="Body to analyse, if the film or recording contains two."),
+        SingleBody | None, option("--body", "Body to analyse, if the film or recording contains two.")
     ] = None,
     capture_fps: Annotated[
         float | None,
-        typer.Option(
-            "--capture-fps",
-            "--casing-fps",
-            metavar="N",
-            help="Frames per second of the camera, also of a table without times.",
+        option(
+            "--capture-fps --casing-fps N", "Frames per second of the camera, also of a table without times."
         ),
     ] = None,
     inertia: Annotated[
-        str | None,
-        typer.Option("--inertia", metavar="X", help='Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5".'),
+        str | None, option("--inertia X", 'Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5".')
     ] = None,
     pulses_per_turn: Annotated[
-        float | None,
-        typer.Option(
-            "--pulses-per-turn", metavar="N", help="SOURCE is a column of times of pulses [s], N per turn."
-        ),
+        float | None, option("--pulses-per-turn N", "SOURCE is a column of times of pulses [s], N per turn.")
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
-            "--column",
-            metavar="QUANTITY=COLUMN",
-            help="Meaning of a column of a table, by header or number: t=1, 'angle=phi [deg]', x=2.",
+        option(
+            "--column QUANTITY=COLUMN",
+            "Meaning of a column of a table, by header or number: t=1, 'angle=phi [deg]', x=2.",
         ),
     ] = None,
-    marker: Annotated[
-        str | None, typer.Option("--marker", metavar="NAME", help="Point to follow, in files of points.")
-    ] = None,
+    marker: Marker = None,
     centre: Annotated[
-        str | None,
-        typer.Option(
-            "--centre", metavar="C", help="Centre of rotation in files of points: a point, X,Y or orbit."
-        ),
+        str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y or orbit.")
     ] = None,
-    likelihood: Annotated[
-        float,
-        typer.Option("--likelihood", metavar="P", help="Minimum likelihood of the points that are used."),
-    ] = 0.6,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="T", help="Exclude samples before this time [s].")
-    ] = None,
-    stop: Annotated[
-        float | None, typer.Option("--to", metavar="T", help="Exclude samples after this time [s].")
-    ] = None,
-    cut: Annotated[
-        list[str] | None,
-        typer.Option("--cut", metavar="A:B", help="Exclude samples between two times [s]; repeatable."),
-    ] = None,
+    likelihood: Likelihood = 0.6,
+    start: StartTime = None,
+    stop: StopTime = None,
+    cut: Cuts = None,
     keep_all: Annotated[
         bool,
-        typer.Option(
+        option(
             "--keep-all",
-            help="Keep the start of the record, also if the body is driven there, and rest at its end.",
+            "Keep the start of the record, also if the body is driven there, and rest at its end.",
         ),
     ] = False,
-    label: Annotated[
-        str, typer.Option("--label", metavar="L", help="Name of the case; by default that of the file.")
-    ] = "",
+    label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -570,7 +524,7 @@ def spindown_command(
     page = report if report is not None else target.with_suffix(".html")
     if page.resolve() in (target.resolve(), source.resolve()):
         raise UsageError(
-            f"{page} would be case and report at once.",
+            f"{page} is the name of both the case and the report.",
             "Name the case with -o FILE.h5 and the report with --report.",
         )
     for path in (target, page):
@@ -603,6 +557,8 @@ def spindown_command(
     out.result(document)
     out.show(*_lines(document))
     verdict = (document["diagnosis"] or {}).get("verdict")
+    if document["ambiguous"]:
+        return NOT_TRUSTED
     if document["diagnosis"] is None:
         return NOT_TRUSTED if document["motion"].kind == "spin-down" else DONE
     return NOT_TRUSTED if verdict == "unexplained" else DONE

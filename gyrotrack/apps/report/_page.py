@@ -101,18 +101,8 @@ def report_parts(
 ) -> dict[str, Any]:
     """Return the content of a report.
 
-    Parameters
-    ----------
-    view : StudyView
-        The fits.
-    recordings : sequence of Case
-        The cases with their recordings.
-    films : sequence of Path
-        Folders that may contain the films.
-    provenance : mapping
-        Further lines of provenance.
-    static : bool
-        Draw the charts that scripts draw in the HTML report.
+    `films` are folders that may contain the films, `provenance` are further lines of provenance; with `static` also the
+    charts that scripts draw in the HTML report are drawn.
     """
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
@@ -308,17 +298,10 @@ def _added(view: StudyView) -> list[Added]:
 
 
 def pdf(parts: Mapping[str, Any]) -> bytes:
-    """Return the report as a PDF file.
+    """Return the report, a result of `report_parts`, as a PDF file.
 
-    Parameters
-    ----------
-    parts : mapping
-        Return value of `report_parts`. Text is passed to Typst as data and never parsed as markup.
-
-    Raises
-    ------
-    OutputError
-        The package `typst` is not installed, or it fails.
+    Text is passed to Typst as data and never parsed as markup. An OutputError says that `typst` is not installed, or
+    failed.
     """
     try:
         import typst

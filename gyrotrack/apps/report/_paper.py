@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from gyrotrack.plotting._charts import (
     canvas,
     concatenated,
     draw,
+    picture_file,
     plain,
     style,
 )
@@ -310,39 +310,18 @@ def write_figures(
 ) -> list[Path]:
     """Write the figures and tables of the paper for a study.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files; created if necessary.
-    scan : Scan
-        The fits, from `fitting.study._scan`.
-    data : sequence of CaseData
-        The cases that were scanned.
-    cases : sequence of Case
-        The same cases from `gyrotrack.io._hdf5.read_case`.
-    formats : sequence of {"pdf", "svg", "png"}
-        Formats of the figures.
-    films : sequence of Path
-        Folders that may contain the films, for the figure of the gyroscope.
-    force : bool
-        Replace existing files.
-
-    Returns
-    -------
-    list of Path
-        The files: figures, ``figures.tex`` with their captions, one file per table, and ``tables.tex`` with all tables.
-
-    Raises
-    ------
-    OutputError
-        A file exists and `force` is not set, or the folder cannot be written.
+    `data` and `cases` are the cases that were scanned, `films` folders that may contain the films, for the figure of
+    the gyroscope. Returned are the files: figures (pdf, svg, png), ``figures.tex`` with their captions, one file per
+    table, and ``tables.tex`` with all tables.
     """
     documents: dict[str, bytes] = {}
     shown = paper_cases(scan, data, cases)
     with style(_PRINT):
         figures = paper_figures(shown, clear_frame(shown, films))
-        for figure in figures:
-            documents |= {f"{figure.name}.{kind}": _drawn(figure, kind) for kind in formats}
+        for f in figures:
+            documents |= {
+                f"{f.name}.{kind}": picture_file(f.figure, kind, dpi=_DPI, title=f.name) for kind in formats
+            }
     documents["figures.tex"] = _figures_tex(figures).encode()
     documents |= {name: text.encode("utf-8") for name, text in _tables(scan).items()}
     try:
@@ -357,18 +336,6 @@ def write_figures(
         with new_file(folder / name, force=force) as stream:
             stream.write(document)
     return [folder / name for name in documents]
-
-
-def _drawn(figure: PaperFigure, kind: str) -> bytes:
-    stream = io.BytesIO()
-    known: dict[str, dict[str, Any]] = {
-        "pdf": {"CreationDate": None, "Title": figure.name},
-        "svg": {"Date": None, "Creator": None},
-        "png": {"Software": None},
-    }
-    metadata: Any = known[kind]
-    figure.figure.savefig(stream, format=kind, dpi=_DPI, metadata=metadata)
-    return stream.getvalue()
 
 
 def _figures_tex(figures: Sequence[PaperFigure]) -> str:

@@ -1,12 +1,21 @@
-"""The clips of a case, their frames, and manual corrections of markers.
+"""The films of the workbench: frames of the clips of a case, manual corrections of markers, and previews of tracking.
 
 The angle of the body in a corrected frame is that of the clicked marker alone, with the uncertainty of a click. The
 recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each one marker, frame,
 position, angle before and after, date and version.
+
+The preview runs in a separate process, ``python -m gyrotrack.apps.workbench._films``, with a JSON request as its only
+argument. An excerpt of the film is copied without decoding to a temporary folder and tracked by the same functions as
+the film.
 """
 
 from __future__ import annotations
 
+import json
+import signal
+import sys
+import tempfile
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -14,20 +23,22 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
+import av
 import numpy as np
 
-from gyrotrack._errors import UsageError, VideoError
+from gyrotrack._errors import GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import angular_velocity
 from gyrotrack._versions import __version__
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.plotting._frames import Film, Picture, find_film
 from gyrotrack.plotting._tracking import jpeg, on_clock
-from gyrotrack.tracking._profile import colour_name, parse, to_toml
+from gyrotrack.tracking._profile import PAPER, colour_name, load, parse, to_toml
+from gyrotrack.video._container import opened, orientation_of, packets_of
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Case
-
+    from gyrotrack.tracking._tracked import Tracked
 
 SHOWN_WIDTH = 720
 QUALITY = 80
@@ -42,15 +53,7 @@ class _Clip:
 
 
 class Clips:
-    """The clips of a case; a film is opened when its first frame is requested.
-
-    Parameters
-    ----------
-    case : Case or None
-        The case with its recordings.
-    folders : sequence of Path
-        Folders that may contain the films.
-    """
+    """The clips of a case; a film in one of the folders is opened when its first frame is requested."""
 
     def __init__(self, case: Case | None, folders: Sequence[Path]) -> None:
         self._lock = Lock()
@@ -90,13 +93,7 @@ class Clips:
         return rows
 
     def frame(self, key: str, index: int, *, overlay: bool) -> bytes:
-        """Return a frame as JPEG.
-
-        Raises
-        ------
-        VideoError
-            There is no such clip, film or frame.
-        """
+        """Return a frame as JPEG; a VideoError says that there is no such clip, film or frame."""
         with self._lock:
             picture = self._film(key).picture(index, overlay=overlay)
         if picture is None:
@@ -149,13 +146,7 @@ class SourceFrames:
         self._film: Film | None = None
 
     def picture(self, path: Path, index: int) -> Picture:
-        """Return a frame in colour (BGR).
-
-        Raises
-        ------
-        VideoError
-            There is no such film or frame.
-        """
+        """Return a frame in colour (BGR); a VideoError says that there is no such film or frame."""
         with self._lock:
             if path != self._path or self._film is None:
                 self._end()
@@ -177,13 +168,7 @@ class SourceFrames:
 
 
 def profile_text(wanted: Any) -> str:
-    """Return the markers that were picked in a frame as a profile in TOML.
-
-    Raises
-    ------
-    ProfileError
-        The profile is not valid.
-    """
+    """Return the markers that were picked in a frame as a profile in TOML."""
     data = wanted if isinstance(wanted, dict) else {}
     allowed = {k: data[k] for k in ("name", "centre", "circle_colour", "marker") if k in data}
     return to_toml(parse(allowed, "profile"))
@@ -199,21 +184,8 @@ _TURN = 2 * np.pi
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
     """Return a recording with a marker corrected, or marked as lost, in one frame.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    marker : str
-        Name of the marker.
-    frame : int
-        Index of the frame.
-    place : sequence of two floats or None
-        Centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this frame.
-
-    Raises
-    ------
-    UsageError
-        There is no such marker or frame, or the position is too close to the centre.
+    `place` is the centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this
+    frame. A UsageError says that there is no such marker or frame, or the position is too close to the centre.
     """
     track = recording.markers.get(marker)
     if track is None or not 0 <= frame < len(recording.time):
@@ -288,3 +260,137 @@ def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> Bod
             kept[name] = np.insert(kept[name], at, value)
     omega, omega_sigma = angular_velocity(kept["time"], kept["angle"], kept["sigma"], body.smoothing_width)
     return replace(body, **kept, omega=omega, omega_sigma=omega_sigma)
+
+
+FRAMES = 500
+"""Number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps."""
+
+
+def copy_excerpt(film: Path, target: Path, frames: int) -> None:
+    """Copy the first packets of a film, without decoding, to a file of the same format.
+
+    A TrackingError says that the format cannot be copied, or the copy has another orientation.
+    """
+    with opened(film) as (source, stream):
+        try:
+            with av.open(str(target), "w") as copy:
+                out = copy.add_stream_from_template(stream)
+                for n, packet in enumerate(packets_of(source.demux(stream))):
+                    if n >= frames:
+                        break
+                    packet.stream = out
+                    copy.mux(packet)
+        except (av.error.FFmpegError, ValueError) as error:
+            raise TrackingError(
+                f"An excerpt of {film.name} cannot be copied ({error}).", "Track the whole film."
+            ) from error
+    if _orientation(film) != _orientation(target):
+        raise TrackingError(
+            f"An excerpt of {film.name} has another orientation than the film.", "Track the whole film."
+        )
+
+
+def _orientation(path: Path) -> Any:
+    with opened(path) as (container, stream):
+        return orientation_of(next(container.decode(stream)))
+
+
+def preview(
+    film: Path,
+    *,
+    profile: Path | None,
+    hub: tuple[float, float] | None,
+    single: bool,
+    points: Sequence[tuple[float, float]],
+    frames: int = FRAMES,
+) -> dict[str, Any]:
+    """Track the start of a film with the markers of a profile, by default that of the paper.
+
+    A film of a `single` body is registered instead; `points` (x, y) [px] of the first frame are rotated with it.
+    Returned are ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each
+    frame the position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by
+    body; ``warnings``.
+    """
+    from gyrotrack.apps._spindown import SpindownOptions, film_recording
+    from gyrotrack.tracking import _film
+    from gyrotrack.tracking._extract import extract
+
+    with tempfile.TemporaryDirectory() as folder:
+        excerpt = Path(folder) / f"excerpt{film.suffix.lower()}"
+        copy_excerpt(film, excerpt, frames)
+        if single:
+            recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, 1.0))
+            markers = _rotated_points(recording, tracked, points)
+        else:
+            chosen = PAPER if profile is None else load(profile)
+            recording = extract(excerpt, chosen, capture_fps=1.0)
+            markers = _marker_positions(recording)
+    count = recording.frames_decoded
+    return {
+        "frames": count,
+        "centre": _positions(recording.centre),
+        "markers": markers,
+        "kept": {name: len(b.time) / count for name, b in recording.bodies.items()},
+        "sigma_mrad": {
+            name: 1e3 * float(np.median(b.sigma)) for name, b in recording.bodies.items() if len(b.sigma)
+        },
+        # rates and timestamps of an excerpt are not meaningful
+        "warnings": [w for w in recording.warnings if "container" not in w and "timestamps" not in w],
+    }
+
+
+def _marker_positions(recording: Recording) -> list[dict[str, Any]]:
+    found = []
+    for m in recording.markers.values():
+        known = np.isfinite(m.rho)
+        radius = float(np.median(m.rho[known])) if known.any() else float("nan")
+        angle = recording.sense * m.angle_fine
+        place = recording.centre + 1.15 * radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        whole = (m.status == STATUS["ok"]).tolist()
+        found.append({"name": m.name, "body": m.body, "place": _positions(place), "whole": whole})
+    return found
+
+
+def _rotated_points(
+    recording: Recording, tracked: Tracked, points: Sequence[tuple[float, float]]
+) -> list[dict[str, Any]]:
+    """Rotate points of the first frame about the hub by the measured angle."""
+    hub = complex(*tracked.ring.hub)
+    if not points:  # by default a point on the ring
+        points = [(hub.real + 0.5 * (tracked.ring.inner + tracked.ring.outer), hub.imag)]
+    found = []
+    for n, point in enumerate(points, 1):
+        place = np.full((recording.frames_decoded, 2), np.nan)
+        # angles are counter-clockwise in the image, y points down
+        turned = (complex(*point) - hub) * np.exp(-1j * (tracked.angle - tracked.angle[0])) + hub
+        place[tracked.frame] = np.stack([turned.real, turned.imag], axis=1) + tracked.hub_path
+        whole = np.isfinite(place).all(axis=1).tolist()
+        found.append({"name": f"point {n}", "body": "single", "place": _positions(place), "whole": whole})
+    return found
+
+
+def _positions(place: Any) -> list[list[float] | None]:
+    known = np.isfinite(place).all(axis=1)
+    return [p if k else None for p, k in zip(np.round(place, 2).tolist(), known.tolist(), strict=True)]
+
+
+def main() -> None:
+    """Answer one request."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # removes the temporary folder
+    warnings.simplefilter("ignore")
+    request = json.loads(sys.argv[1])
+    try:
+        answer = preview(
+            Path(request["film"]),
+            profile=Path(request["profile"]) if request["profile"] else None,
+            hub=tuple(request["hub"]) if request["hub"] else None,
+            single=request["single"],
+            points=[tuple(p) for p in request["points"]],
+        )
+    except GyrotrackError as error:
+        answer = {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
+    sys.stdout.write(json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main()

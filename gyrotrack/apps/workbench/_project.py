@@ -23,14 +23,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
-from gyrotrack._inertia import Inertia
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._films import corrected
-from gyrotrack.apps.workbench._jobs import Job, Jobs
+from gyrotrack.apps.workbench._processes import Job, Jobs
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
-from gyrotrack.io._records import Recording
+from gyrotrack.io._records import Inertia, Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._profile import parse, to_toml
 from gyrotrack.video._container import probe
@@ -41,7 +40,7 @@ _DATASETS = {".h5", ".hdf5"}
 LARGEST_UPLOAD = 16 * 2**30
 """Largest file that a page may upload [bytes]."""
 _MAX_SOURCES = 100
-_PREVIEW = "gyrotrack.apps.workbench._preview"
+_PREVIEW = "gyrotrack.apps.workbench._films"
 
 
 class Pick(BaseModel):
@@ -101,17 +100,9 @@ class State(BaseModel):
 
 
 class Project:
-    """The films, settings and steps of one work folder.
+    """The films, settings and steps of one work folder, to which all files are written.
 
-    Parameters
-    ----------
-    folder : Path
-        The work folder; all files are written there.
-
-    Raises
-    ------
-    ConfigurationError
-        The folder does not exist, or its state file is not valid.
+    A ConfigurationError says that the folder does not exist, or its state file is not valid.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -205,13 +196,7 @@ class Project:
         ][:200]
 
     def source(self, key: str) -> Source:
-        """Return a source.
-
-        Raises
-        ------
-        UsageError
-            There is no source with this key.
-        """
+        """Return the source with this key."""
         for x in self.state.sources:
             if x.key == key:
                 return x
@@ -225,20 +210,7 @@ class Project:
             self.add(self.folder / name, confined=True)
 
     def add(self, path: Path, *, confined: bool = False) -> None:
-        """Add a film, table, recording or study (study.toml).
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        confined : bool
-            Accept only studies whose files are in the work folder.
-
-        Raises
-        ------
-        UsageError
-            The file is of another kind.
-        """
+        """Add a film, table, recording or study (study.toml; if `confined`, only with files in the work folder)."""
         path = path if path.is_absolute() else Path.cwd() / path
         with self._lock:
             suffix = path.suffix.lower()
@@ -318,13 +290,7 @@ class Project:
             self._save()
 
     def set(self, key: str, name: str, value: Any) -> None:
-        """Set one field of a source (with its key) or of the case.
-
-        Raises
-        ------
-        UsageError
-            The field or its value is not valid.
-        """
+        """Set one field of a source (with its key) or of the case; a UsageError rejects unknown fields and values."""
         with self._lock:
             if not key:
                 if name not in _FIELDS or not isinstance(value, str) or len(value) > _MAX_FIELD:
@@ -343,21 +309,10 @@ class Project:
             self._save()
 
     async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
-        """Write an uploaded file to the work folder, and add it.
+        """Write an uploaded file of the `declared` size [bytes] to the work folder, and add it.
 
-        Parameters
-        ----------
-        name : str
-            Name of the file; folders are ignored.
-        declared : int
-            Size of the file [bytes].
-        pieces : asynchronous iterator of bytes
-            Content of the file.
-
-        Raises
-        ------
-        UsageError
-            The name or the kind of file is not accepted, or it is larger than declared or allowed.
+        Folders in its name are ignored. A UsageError says that its name or kind is not accepted, or it is larger than
+        declared or allowed.
         """
         target = self._upload_target(name, declared)
         part = target.with_name(target.name + ".part")
@@ -428,18 +383,9 @@ class Project:
         return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
-        """Store hub and markers that were clicked, write a profile, and preview the tracking.
+        """Store hub [px] and markers (see `Pick`) that were clicked, write a profile, and preview the tracking.
 
-        Parameters
-        ----------
-        key : str
-            The film.
-        hub : list of two numbers or None
-            Centre of rotation [px].
-        picks : list
-            Markers; see `Pick`.
-        disc : str
-            Colour of a disc at the hub; empty without a disc.
+        `disc` is the colour of a disc at the hub; empty without a disc.
         """
         with self._lock:
             x = self.source(key)

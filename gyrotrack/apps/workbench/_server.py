@@ -33,9 +33,8 @@ from gyrotrack.apps.workbench._films import (
     colour_at,
     profile_text,
 )
-from gyrotrack.apps.workbench._jobs import Jobs
+from gyrotrack.apps.workbench._processes import Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
-from gyrotrack.apps.workbench._ranking import Ranker
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
 from gyrotrack.plotting import _charts as charts
@@ -67,14 +66,7 @@ _HEADERS = (
 class Guard:
     """ASGI middleware that rejects requests that are not from the page of the workbench.
 
-    Parameters
-    ----------
-    app : callable
-        The application to protect.
-    port : int
-        Port of the server.
-    token : str
-        Secret that every request must contain: in a header or, for the page itself, in the address.
+    Every request must contain the secret `token`: in a header or, for the page itself, in the address.
     """
 
     def __init__(self, app: App, port: int, token: str) -> None:
@@ -233,19 +225,7 @@ class Laboratory:
     def open(
         cls, case: Path, films: Sequence[Path], ledger: Path | None = None, start: str | None = None
     ) -> Laboratory:
-        """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted.
-
-        Parameters
-        ----------
-        case : Path
-            The case file.
-        films : sequence of Path
-            Folders of the films.
-        ledger : Path, optional
-            File of the fits; by default next to the case.
-        start : str, optional
-            Name of the fit.
-        """
+        """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted."""
         tracked = read_case(case)
         study = open_study([case], ledger)
         entry = study.entry(start)
@@ -288,15 +268,7 @@ class Laboratory:
 
 
 class Workbench:
-    """The application: page and requests.
-
-    Parameters
-    ----------
-    laboratory : Laboratory or None
-        The open case.
-    project : Project or None
-        The work folder with the films.
-    """
+    """The application: page and requests, for an open case or a work folder with films."""
 
     def __init__(self, laboratory: Laboratory | None = None, project: Project | None = None) -> None:
         self._laboratory, self.project = laboratory, project
@@ -552,21 +524,8 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
 def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, window: bool = False) -> None:
     """Serve the workbench until it is interrupted, or ended from the page.
 
-    Parameters
-    ----------
-    bench : Workbench
-        The application; closed at the end.
-    port : int
-        Port on the loopback interface; 0 selects a free one.
-    announce : callable
-        Called with the address of the page when the server listens.
-    window : bool
-        Show the page in a separate window; the server ends when it is closed.
-
-    Raises
-    ------
-    UsageError
-        The port is not free.
+    The port is one of the loopback interface; 0 selects a free one. `announce` is called with the address of the page
+    when the server listens. With `window` the page is shown in a separate window; the server ends when it is closed.
     """
     import uvicorn
 

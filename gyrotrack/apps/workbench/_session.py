@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
     from fitting.study._history import Ledger
-    from gyrotrack.apps.workbench._ranking import Prediction
+    from gyrotrack.apps.workbench._processes import Prediction
     from gyrotrack.io._records import Case
 
 
@@ -65,19 +65,6 @@ class Session:
     """The fits of one case, from the ledger and new ones, as a tree; one of them is current.
 
     Steps keep their index for the whole session; `undo` restores a deleted one.
-
-    Parameters
-    ----------
-    data : CaseData
-        The case.
-    base : Fit
-        The first fit.
-    fit_id : str
-        Name of the first fit in the ledger.
-    ledger : Ledger
-        File in which fits are stored on request.
-    case : Case or None
-        The case with its recordings.
     """
 
     def __init__(
@@ -111,10 +98,7 @@ class Session:
     ) -> dict[str, Any]:
         """Add an effect (by name or as ``body: law``), remove one, or use other initial values; fit; return the state.
 
-        Raises
-        ------
-        GyrotrackError, FittingError
-            The change is not possible; the state is unchanged.
+        After an error the state is unchanged.
         """
         from fitting._errors import FittingError
         from fitting.discovery._select import found_starts, needs_search
@@ -156,7 +140,7 @@ class Session:
             return self.state()
 
     def _prediction(self) -> Prediction:
-        from gyrotrack.apps.workbench._ranking import Prediction
+        from gyrotrack.apps.workbench._processes import Prediction
 
         step = self.steps[self.current]
         if step.prediction is None:

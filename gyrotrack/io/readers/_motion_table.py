@@ -39,68 +39,36 @@ Names = Mapping[str, tuple[str, str]]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options for reading a file.
+    """Options for reading a file."""
 
-    Attributes
-    ----------
-    names : mapping
-        Columns by header or number, from `read_names`; if empty, the headers determine them.
-    marker, centre : str or None
-        Names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
-        the path of the marker.
-    fps : float or None
-        Frame rate [1/s], for a file with frame numbers.
-    start : float
-        Time of the first frame [s], added to all times.
-    likelihood : float
-        Minimum likelihood of the points that are used.
-    pulses_per_turn : float or None
-        Pulses per turn, for a file with times of pulses.
-    body : str
-        "casing" or "rotor", to choose between columns whose names contain these words.
-    """
-
+    # columns by header or number, from `read_names`; if empty, the headers determine them
     names: Names | None = None
+    # names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
+    # the path of the marker
     marker: str | None = None
     centre: str | None = None
-    fps: float | None = None
-    start: float = 0.0
-    likelihood: float = 0.6
-    pulses_per_turn: float | None = None
-    body: str = ""
+    fps: float | None = None  # frame rate [1/s], for a file with frame numbers
+    start: float = 0.0  # time of the first frame [s], added to all times
+    likelihood: float = 0.6  # minimum likelihood of the points that are used
+    pulses_per_turn: float | None = None  # pulses per turn, for a file with times of pulses
+    body: str = ""  # "casing" or "rotor", to choose between columns whose names contain these words
 
 
 @dataclass(frozen=True)
 class MotionTable:
-    """The samples of one file: finite, sorted by time, in SI units.
-
-    Attributes
-    ----------
-    quantity : str
-        Quantity of `value`: "angle" [rad] or "omega" [rad s-1].
-    time, value : ndarray, shape (n,)
-        Times [s] and values.
-    sigma : ndarray, shape (n,), or None
-        Standard uncertainty of the values, if the file contains it.
-    line : ndarray, shape (n,)
-        Line of each sample in the file.
-    notes : tuple of str
-        Repairs and choices made while reading.
-    least_sigma : float
-        Lower bound of an estimated uncertainty, from the resolution of the file.
-    counted : bool
-        Whether the samples are pulses: angles are unwrapped and gaps do not interrupt them.
-    """
+    """The samples of one file: finite, sorted by time, in SI units."""
 
     path: Path
     sha256: str
-    quantity: str
+    quantity: str  # quantity of `value`: "angle" [rad] or "omega" [rad s-1]
+    # shape (n,); times [s] and values
     time: Floats
     value: Floats
-    sigma: Floats | None
-    line: Integers
-    notes: tuple[str, ...]
-    least_sigma: float = 0.0
+    sigma: Floats | None  # shape (n,); standard uncertainty of the values, if the file contains it
+    line: Integers  # shape (n,); line of each sample in the file
+    notes: tuple[str, ...]  # repairs and choices made while reading
+    least_sigma: float = 0.0  # lower bound of an estimated uncertainty, from the resolution of the file
+    # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
 
     def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:
@@ -125,11 +93,6 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
     """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2`` or ``t=1 [us]`` for one body.
 
     An option that begins with ``casing.`` or ``rotor.`` applies to the file of that body only.
-
-    Raises
-    ------
-    UsageError
-        An option is not of this form, or its left side is not a quantity.
     """
     names: dict[str, tuple[str, str]] = {}
     for option in given:
@@ -154,13 +117,7 @@ EXPECTED = "Use the header `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sig
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], dict[str, str], list[str]]:
-    """Return column and unit of each quantity, and the names of unused columns.
-
-    Raises
-    ------
-    DatasetError
-        Two columns have the same meaning.
-    """
+    """Return column and unit of each quantity, and the names of unused columns; two of one meaning are an error."""
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     for index, name in enumerate(raw.names):
@@ -274,15 +231,7 @@ def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: the time column, or frame numbers, or those of the rows, divided by the rate.
-
-    Raises
-    ------
-    DatasetError
-        There is no column for the time, or its unit is unknown.
-    UsageError
-        The file contains frame numbers and the rate is not given.
-    """
+    """Return the times of a table [s]: the time column, or frame numbers, or those of the rows, divided by the rate."""
     if "t" in columns:
         time = raw.numbers(columns["t"], "t", times=True)
         return time * scale_of(raw, "t", units["t"]) + options.start
@@ -300,13 +249,7 @@ def times_of(
 
 
 def frame_rate(path: Path, options: ReadOptions) -> float:
-    """Return the frame rate given by the user.
-
-    Raises
-    ------
-    UsageError
-        It is not given or not positive.
-    """
+    """Return the frame rate given by the user; a UsageError says that it is not given or not positive."""
     if not (options.fps and options.fps > 0):
         raise UsageError(
             f"{path} contains frame numbers but not the capture rate.",
@@ -316,13 +259,7 @@ def frame_rate(path: Path, options: ReadOptions) -> float:
 
 
 def scale_of(raw: RawTable, role: str, unit: str) -> float:
-    """Return the factor of a column to SI units.
-
-    Raises
-    ------
-    DatasetError
-        The unit is unknown.
-    """
+    """Return the factor of a column to SI units; a DatasetError names an unknown unit."""
     if not unit:
         return 1.0
     scale = factor(role, unit)
@@ -337,10 +274,8 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
 def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the angle or the angular velocity in a table.
 
-    Raises
-    ------
-    DatasetError
-        A column is missing, ambiguous or of unknown unit; a cell is not a number; the clock restarts; too few samples.
+    A DatasetError says that a column is missing, ambiguous or of unknown unit, a cell is not a number, the clock
+    restarts, or there are too few samples.
     """
     columns, units, unused = find_columns(raw, options)
     quantity = "angle" if "angle" in columns else "omega"
@@ -459,13 +394,7 @@ def checked(
     least_sigma: float = 0.0,
     fewest: int = MIN_SAMPLES,
 ) -> MotionTable:
-    """Return a motion with repaired times and without empty rows.
-
-    Raises
-    ------
-    DatasetError
-        A sigma is not positive, the clock restarts, or too few samples remain.
-    """
+    """Return a motion with repaired times and without empty rows."""
     name, line = raw.path.name, raw.line
     absent = np.isnan(time)
     if absent.any():
@@ -510,10 +439,7 @@ def _raise_if(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str)
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
     """Sort a table by time and average repeated times; repairs are added to `notes`.
 
-    Raises
-    ------
-    DatasetError
-        The times restart, because of several recordings in one file or a reset of the clock.
+    A DatasetError says that times restart, because of several recordings in one file or a reset of the clock.
     """
     name = table.path.name
     table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
@@ -543,13 +469,7 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
 
 
 def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return times without the restarts of a 32-bit counter.
-
-    Raises
-    ------
-    DatasetError
-        The times restart for another reason.
-    """
+    """Return times without the restarts of a 32-bit counter; another restart is a DatasetError."""
     step = np.diff(time)
     back = np.flatnonzero(step < 0)
     if not len(back) or len(time) < 2 * MIN_SAMPLES:
@@ -589,23 +509,12 @@ def pieces(time: Floats) -> list[slice]:
 
 
 def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
-    """Return the uncertainty of each sample, from the residuals of local cubics.
+    """Return the standard uncertainty of each of at least 8 unwrapped samples, from the residuals of local cubics.
 
     Cubics are fitted to blocks of 15 samples. The variance is the running median of their residual variances over 41
     blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. Errors that
-    vary more slowly than a block (centre offset, tilt) are not included.
-
-    Parameters
-    ----------
-    time, value : ndarray, shape (n,)
-        The series, unwrapped, n >= 8.
-    floor : float
-        Lower bound, in the unit of `value`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Standard uncertainty, in the unit of `value`.
+    vary more slowly than a block (centre offset, tilt) are not included. `floor` is a lower bound, in the unit of
+    `value`.
     """
     starts = np.arange(0, max(len(time) - _BLOCK, 0) + 1, _BLOCK)
     centre = np.array([float(np.mean(time[i : i + _BLOCK])) for i in starts])

@@ -29,13 +29,7 @@ _MAX_OPCODES = 10_000
 
 
 def listed_names(stored: bytes) -> list[tuple[str, ...]]:
-    """Return a pickled list of tuples of strings.
-
-    Raises
-    ------
-    DatasetError
-        It is something else.
-    """
+    """Return a pickled list of tuples of strings; anything else is a DatasetError."""
     try:
         found = _interpreted(bytes(stored))
     except (ValueError, IndexError, KeyError, TypeError, UnicodeError) as error:
@@ -100,13 +94,7 @@ _FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of m
 
 
 def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
-    """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file.
-
-    Raises
-    ------
-    DatasetError
-        The file is of another kind, is damaged, or contains links.
-    """
+    """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file, without links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             check_tree(file)
@@ -131,11 +119,6 @@ def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
     """Return the vectors of equal length, or the columns of a matrix, in a MATLAB 7.3 file, which is HDF5.
 
     MATLAB stores arrays in column order, HDF5 in row order, so that they are transposed. A struct is a group.
-
-    Raises
-    ------
-    DatasetError
-        The file is damaged, or has no such variables.
     """
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -296,10 +279,7 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.30
 def read_project(path: Path, sha256: str, content: bytes) -> Points:
     """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin.
 
-    Raises
-    ------
-    DatasetError
-        The XML is damaged, declares entities, or has no points.
+    A DatasetError says that the XML is damaged, declares entities, or has no points.
     """
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
         raise DatasetError(

@@ -20,34 +20,18 @@ _LARGEST_DEVIATION = 0.15
 
 @dataclass(frozen=True)
 class Points:
-    """Named points in every frame.
+    """Named points in every frame."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    time : ndarray, shape (n,)
-        Times [s], or frame numbers if `counted`.
-    places : dict of ndarray, shape (n, 2)
-        x and y of each point; NaN in frames in which it was not tracked.
-    likelihood : dict of ndarray, shape (n,)
-        Likelihood from the other program, 0 to 1; empty if not available.
-    y_down : bool
-        Whether y points downwards, as in images.
-    counted : bool
-        Whether `time` contains frame numbers.
-    notes : tuple of str
-        Repairs made while reading.
-    """
-
-    path: Path
+    path: Path  # the file
     sha256: str
-    time: Floats
+    time: Floats  # shape (n,); times [s], or frame numbers if `counted`
+    # shape (n, 2); x and y of each point; NaN in frames in which it was not tracked
     places: Mapping[str, Floats]
+    # shape (n,); likelihood from the other program, 0 to 1; empty if not available
     likelihood: Mapping[str, Floats]
-    y_down: bool
-    counted: bool
-    notes: tuple[str, ...] = ()
+    y_down: bool  # whether y points downwards, as in images
+    counted: bool  # whether `time` contains frame numbers
+    notes: tuple[str, ...] = ()  # repairs made while reading
 
 
 @dataclass(frozen=True)
@@ -62,13 +46,8 @@ class PointAngle:
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards.
 
-    Raises
-    ------
-    UsageError
-        The marker or the frame rate is not given, or a name is unknown.
-    DatasetError
-        The marker is too close to the centre, or tracked in too few frames, or its path is not a circle about the
-        fitted centre.
+    A UsageError asks for marker or frame rate; a DatasetError says that the marker is too close to the centre, or
+    tracked in too few frames, or its path is not a circle about the fitted centre.
     """
     time = points.time.astype(float)
     if points.counted:
@@ -152,7 +131,7 @@ def _centre(points: Points, options: ReadOptions, name: str | None, place: Float
     deviation = float(np.nanstd(radius) / np.nanmean(radius))
     if deviation > _LARGEST_DEVIATION:
         raise DatasetError(
-            f"{points.path}: the path of the point is no circle about its fitted centre, ({found[0]:.4g}, "
+            f"{points.path}: the path of the point is not a circle about its fitted centre, ({found[0]:.4g}, "
             f"{found[1]:.4g}): rms deviation {100 * deviation:.0f} % of the radius.",
             "Give the centre of rotation with --centre, as a point or as coordinates: --centre 320,240.",
         )

@@ -36,33 +36,20 @@ _FEW_ROWS = 5
 
 @dataclass(frozen=True)
 class RawTable:
-    """The columns of a file.
+    """The columns of a file."""
 
-    Attributes
-    ----------
-    path, sha256 :
-        The file and its hash.
-    names, units : tuple of str
-        Header of each column, and its unit if in a separate line; names are empty without a header.
-    columns : tuple
-        Numbers (ndarray, shape (n,)) or cells of text (list of str), one per column.
-    line : ndarray, shape (n,)
-        Line of each sample in the file.
-    header_line : int
-        Line of the header.
-    notes : tuple of str
-        Repairs made while reading.
-    """
-
+    # the file and its hash
     path: Path
     sha256: str
+    # header of each column, and its unit if in a separate line; names are empty without a header
     names: tuple[str, ...]
     units: tuple[str, ...]
+    # numbers (ndarray, shape (n,)) or cells of text (list of str), one per column
     columns: tuple[Floats | list[str], ...]
-    line: Integers
-    header_line: int = 1
+    line: Integers  # shape (n,); line of each sample in the file
+    header_line: int = 1  # line of the header
     decimal_comma: bool = False
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # repairs made while reading
 
     @property
     def headed(self) -> bool:
@@ -70,13 +57,7 @@ class RawTable:
         return any(self.names)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
-        """Return a column as numbers; NaN for empty cells.
-
-        Raises
-        ------
-        DatasetError
-            A cell is neither a number nor empty.
-        """
+        """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text."""
         column = self.columns[index]
         if isinstance(column, np.ndarray):
             return np.asarray(column, dtype=float)
@@ -131,13 +112,7 @@ def is_number(text: str) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the bytes of a file.
-
-    Raises
-    ------
-    DatasetError
-        It does not exist, is not a regular file, or is too large.
-    """
+    """Return the bytes of a file; a DatasetError says that it is missing, not a regular file, or too large."""
     refuse_special(path)
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -155,11 +130,6 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
     """Return the lines that are neither blank nor comments, with their numbers, and notes on excluded lines.
 
     A header that is repeated, and text without numbers below the samples, are excluded.
-
-    Raises
-    ------
-    DatasetError
-        The file is not text.
     """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
@@ -217,13 +187,7 @@ def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
 
 
 def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
-    """Return the table in the lines of a text file.
-
-    Raises
-    ------
-    DatasetError
-        There are no samples, or a line and the header differ in the number of cells.
-    """
+    """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
     delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
     comma = delimiter != ","
     first = next(

@@ -96,19 +96,8 @@ FORMATS: tuple[Format, ...] = (
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
     """Read the motion of one body from a file of any supported format.
 
-    Parameters
-    ----------
-    path : Path
-        Angles, angular velocities, pulses, a counter, or points that another program tracked.
-    options : ReadOptions, optional
-        Columns, points, rates.
-
-    Raises
-    ------
-    DatasetError
-        The file does not exist, or its content is not valid; the message contains file and line.
-    UsageError
-        An option is missing: marker, frame rate, or pulses per turn.
+    These are angles, angular velocities, pulses, a counter, or points that another program tracked. A DatasetError
+    contains file and line; a UsageError asks for marker, frame rate, or pulses per turn.
     """
     options = options or ReadOptions()
     found = _content(Path(path), options)

@@ -49,13 +49,7 @@ class Limits:
 
 
 def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
-    """Parse intervals ``A:B`` [s].
-
-    Raises
-    ------
-    UsageError
-        An interval is not of this form, or B is not greater than A.
-    """
+    """Parse intervals ``A:B`` [s] with B greater than A."""
     cuts = []
     for text in given:
         first, _, last = text.partition(":")
@@ -82,13 +76,7 @@ def within(time: Floats, limits: Limits) -> np.ndarray[tuple[int, ...], np.dtype
 
 
 def limited(table: MotionTable, limits: Limits) -> MotionTable:
-    """Return the samples within the limits and outside of the excluded intervals.
-
-    Raises
-    ------
-    UsageError
-        Too few samples remain.
-    """
+    """Return the samples within the limits and outside of the excluded intervals; too few are a UsageError."""
     keep = within(table.time, limits)
     if keep.all():
         return table
@@ -107,17 +95,8 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
     """Return the samples of the free motion and their unwrapped values, without drive, brake and rest.
 
-    Parameters
-    ----------
-    table : MotionTable
-        A recording of one body.
-    value : ndarray, shape (n,)
-        Unwrapped angles [rad], or angular velocities [rad/s].
-
-    Returns
-    -------
-    MotionTable, ndarray
-        The free motion, with a note for each excluded part; everything with `keep_all`.
+    `value` are unwrapped angles [rad], or angular velocities [rad/s]. Each excluded part has a note; with `keep_all`
+    nothing is excluded.
     """
     if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
@@ -178,12 +157,7 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
 
     Period and logarithm of the amplitude of a free oscillation are smooth functions of time. They are fitted by
     polynomials; outliers in the first quarter are excluded, which deviate by more than six times the scatter and by
-    more than 1 % of the period or 5 % of the amplitude.
-
-    Parameters
-    ----------
-    time, value : ndarray, shape (n,)
-        Time [s], and angle or angular velocity.
+    more than 1 % of the period or 5 % of the amplitude. `value` is the angle or the angular velocity.
     """
     value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
     crossings = _upward_crossings(value)

@@ -35,13 +35,7 @@ from gyrotrack.io.readers._raw_table import (
 
 
 def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:
-    """Read points from the lines of a file; None if it is not a table of points.
-
-    Raises
-    ------
-    DatasetError
-        A line of a table of points is not valid.
-    """
+    """Read points from the lines of a file; None if it is not a table of points."""
     first = split(lines[0][1], delimiter_of(lines[0][1]))
     if first[0].casefold() == "scorer":
         return _deeplabcut(path, sha256, lines)
@@ -214,13 +208,7 @@ def _number(path: Path, line: int, cell: str, *, decimal: bool) -> float:
 
 
 def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the table of an Excel workbook, or of the only CSV file in an archive (except ``meta/`` of phyphox).
-
-    Raises
-    ------
-    DatasetError
-        The archive is damaged or too large, or does not contain exactly one table.
-    """
+    """Return the table of an Excel workbook, or of the only CSV file in an archive (except ``meta/`` of phyphox)."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(i.file_size for i in archive.infolist()) > MAX_BYTES:
@@ -262,13 +250,7 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the first sheet with numbers of an Excel 97 workbook (.xls), a format of phyphox and older loggers.
-
-    Raises
-    ------
-    DatasetError, UsageError
-        The file is damaged or has no sheet with numbers, or xlrd is not installed.
-    """
+    """Return the first sheet with numbers of an Excel 97 workbook (.xls), a format of phyphox and older loggers."""
     try:
         import xlrd
     except ImportError:
@@ -328,13 +310,7 @@ def _table_of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) 
 
 
 def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3).
-
-    Raises
-    ------
-    DatasetError
-        The file is damaged or has no such variables.
-    """
+    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3)."""
     from scipy.io import loadmat
 
     try:
@@ -352,13 +328,7 @@ def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
-    """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays.
-
-    Raises
-    ------
-    DatasetError
-        There are neither.
-    """
+    """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays."""
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
     if vectors:
@@ -376,13 +346,7 @@ def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[An
 
 
 def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the numeric columns of a Parquet file, with the units of their metadata.
-
-    Raises
-    ------
-    DatasetError, UsageError
-        The file is damaged, or pyarrow is not installed.
-    """
+    """Return the numeric columns of a Parquet file, with the units of their metadata."""
     try:
         import pyarrow.parquet as pq
     except ImportError:
@@ -405,13 +369,7 @@ def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
 
 
 def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
-    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` next to it.
-
-    Raises
-    ------
-    DatasetError
-        It is not JSON, or not of this form.
-    """
+    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` next to it."""
     try:
         document = json.loads(content.decode("utf-8-sig"))
         units: dict[str, Any] = {}

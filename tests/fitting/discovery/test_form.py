@@ -9,8 +9,8 @@ import pytest
 import twobody
 
 from fitting._criteria import DEFAULT
-from fitting.discovery._form import FormTest, form_test
 from fitting.discovery._lack_of_fit import UNKNOWN_IN_TIME
+from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED

@@ -74,5 +74,5 @@ def test_the_unit_of_a_power_of_time_is_consistent(tmp_path):
     (effect,) = read_effects(file)
     assert effect.amplitude.unit == "N m s^-n"
     file.write_text(file.read_text().replace("s^-n", "s^n"))
-    with pytest.raises(EffectError, match="comes out in N m s"):
+    with pytest.raises(EffectError, match="has the unit N m s"):
         read_effects(file)

@@ -9,8 +9,8 @@ import twobody
 
 from fitting._criteria import Criteria
 from fitting.discovery import _verdict
-from fitting.discovery._inertia import (
-    NAME,
+from fitting.discovery._named_effect import (
+    INERTIA,
     InertiaRival,
     inertia_within_uncertainty,
     with_free_inertia,
@@ -90,8 +90,8 @@ def test_a_wrong_inertia_is_reported_with_the_effect(factor, u, monkeypatch):
     assert found.candidates[0].effect.name == "casing.air.quadratic"
     if math.isnan(u):
         assert found.form != "exact"
-    if NAME in selection.final.model.names:
-        share = selection.final.estimates[f"{NAME}.eps"]
+    if INERTIA in selection.final.model.names:
+        share = selection.final.estimates[f"{INERTIA}.eps"]
         assert "second effect setup.inertia" in found.sentence
     else:
         share = rival.share

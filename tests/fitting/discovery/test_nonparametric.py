@@ -8,12 +8,12 @@ import pytest
 import twobody
 
 from fitting._criteria import DEFAULT
-from fitting.discovery._form import form_test
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAWS,
     nonparametric_law,
 )
+from fitting.discovery._named_effect import form_test
 from fitting.discovery._select import rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model

@@ -5,6 +5,7 @@ import math
 import pytest
 from sinusoidal import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
+from fitting.discovery._information import Information
 from fitting.discovery._select import found_starts, rank
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
@@ -55,3 +56,5 @@ def test_an_effect_added_by_the_user_may_have_per_case_phases():
     found = fit(Model.of((*REDUCED, "casing.precession")), data, start=start, per_case=own)
     assert found.verdict == "adequate"
     assert found.estimates["casing.precession.m"].value == pytest.approx(RATE, rel=1e-3)
+    # a strength of its own in each recording is no shared parameter of a planned run
+    assert Information(found, []).added() == {}

@@ -15,8 +15,7 @@ from fitting._criteria import DEFAULT
 from fitting._errors import EstimationError
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, next_run, separating_run
-from fitting.discovery._plan import plan
-from fitting.discovery._planned_recordings import read_planned
+from fitting.discovery._plan import plan, read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._mesh import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
@@ -346,7 +345,7 @@ class TestDescription:
             (
                 '"bearing.power.g" = 1.32',
                 '"bearing.power.g" = 1.32\n"bearing.h" = 1',
-                "'bearing.h' is no parameter",
+                "'bearing.h' is not a parameter",
             ),
             (
                 '"bearing.power.g" = 1.32',
@@ -356,7 +355,7 @@ class TestDescription:
             ('model = "reduced"', 'model = "redused"', "there is no model named 'redused'"),
             ("windows = [2.0, 30.0, 50.0]", "windows = [2.0, 58.0]", "ends after the recording (60 s)"),
             ("windows = [2.0, 30.0, 50.0]", "windows = []", "run.1.windows"),
-            ("[noise]", "[noise", "is no valid TOML"),
+            ("[noise]", "[noise", "is not valid TOML"),
             ("[[run]]", "[bounds]\nduration = [9, 3]\n[[run]]", "bounds.duration: 9 is larger than 3"),
             ("casing_fps = 260.0", "casing_fps = 1e9", "more than 10 million frames"),
         ],

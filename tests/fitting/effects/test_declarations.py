@@ -21,7 +21,7 @@ def test_an_unknown_name_is_answered_with_similar_ones():
 @pytest.mark.parametrize(
     ("law", "parameters", "message"),
     [
-        ("-k*omega_c", (Parameter("k", "N m s2"),), "comes out in N m s, not in N m"),
+        ("-k*omega_c", (Parameter("k", "N m s2"),), "has the unit N m s, not N m"),
         ("-k*omega_x", (Parameter("k", "N m s"),), "omega_x"),
         ("-k*q*omega_c", (Parameter("k", "N m s"),), "undeclared names: q"),
     ],

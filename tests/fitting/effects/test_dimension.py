@@ -103,5 +103,5 @@ def test_inconsistent_units_are_refused(text):
 def test_the_sentence_names_both_units():
     with pytest.raises(ExpressionError, match="s-1 and s"):
         of("omega + t")
-    with pytest.raises(ExpressionError, match="exp is taken of a quantity with the unit s-1"):
+    with pytest.raises(ExpressionError, match="the argument of exp has the unit s-1"):
         of("exp(omega)")

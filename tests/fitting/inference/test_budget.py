@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
 from fitting.inference._budget import budget, combined_uncertainties, propagated
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit, robust_fit
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._noise import variance_factor
 from fitting.inference._simulation import Experiment, simulate
@@ -219,3 +219,37 @@ def test_uncertainties_agree_with_monte_carlo(found):
         estimates = fit(MODEL, [r]).estimates
         pulls.append([(estimates[k].value - truth) / budgets[k].u for k, truth in NUMBERS.items()])
     assert 0.3 < np.mean(np.square(pulls)) < 2.5
+
+
+def test_stated_uncertainty_of_an_inertia_is_the_prior_of_its_error():
+    """A wrong inertia changes neither the parameters nor chi-square if its error is a parameter; torques scale."""
+    model = MODEL + "setup.inertia"
+    fits, share = {}, 0.03
+    for error in (0.0, 0.03):
+        wrong = I_CASING * (1 + error)
+        known = replace(
+            record(0), I_casing=wrong, I_casing_u=share * wrong, I_rotor_u=0.01 * I_ROTOR, digest=""
+        )
+        fits[error] = robust_fit(model, [known])
+    true = fits[0.0]
+    assert true.estimates["setup.inertia.eps"].stderr < share
+    for error, found in fits.items():
+        eps = found.estimates["setup.inertia.eps"]
+        assert eps.value == pytest.approx(1 / (1 + error) - 1, abs=4 * eps.stderr)
+        assert found.chi2 == pytest.approx(true.chi2, rel=0.02)
+        for name in NUMBERS:
+            expected = true.estimates[name]
+            assert found.estimates[name].value == pytest.approx(expected.value, abs=0.2 * expected.stderr)
+    # the ratio is known from the data, so an error of the rotor's inertia is one of both
+    budgets, combined = budget(true), combined_uncertainties(true)
+    for name in ("touchpoint.constant.b1", "bearing.linear.d"):
+        sources = {c.source: c for c in budgets[name].contributions}
+        assert "inertia.casing" not in sources
+        assert sources["inertia.rotor"].u == pytest.approx(0.01 * true.estimates[name].value, rel=0.02)
+        assert combined[name] == pytest.approx(budgets[name].u, rel=0.05)
+
+
+def test_prior_of_an_inertia_needs_a_stated_uncertainty():
+    assert robust_fit(MODEL + "setup.inertia", [record(0)]).problem.data[0].prior is None
+    stated = replace(record(0), I_casing_u=0.03 * I_CASING)
+    assert robust_fit(MODEL, [stated]).problem.data[0].prior is None

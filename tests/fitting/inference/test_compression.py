@@ -40,7 +40,9 @@ def test_compression_keeps_the_difference_of_two_models(motion, record, share, b
     other = twobody.simulate({**twobody.PAPER, key: twobody.PAPER[key] * (1 + share)})
     samples = record.casing if body == 1 else record.rotor[1]
     degree = CASING_DEGREE if body == 1 else ROTOR_DEGREE
-    compressed = compress(samples, degree=degree, harmonics=body == 1, blocks=60 if body == 1 else 1)
+    compressed = compress(
+        samples, degree=degree, angle=samples.value if body == 1 else None, blocks=60 if body == 1 else 1
+    )
     shift = samples.value[0] - motion.at(samples.time, body)[0][0]
 
     def chi2(m):
@@ -55,7 +57,7 @@ def test_compression_keeps_the_difference_of_two_models(motion, record, share, b
 
 
 def test_compression_keeps_a_few_hundred_rows(record):
-    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(record.casing, degree=CASING_DEGREE, angle=record.casing.value)
     assert len(record.casing) == 52_000
     blocks = len(compressed.lift)
     assert 60 < blocks <= 72
@@ -64,7 +66,7 @@ def test_compression_keeps_a_few_hundred_rows(record):
 
 def test_blocks_are_short_where_the_casing_is_slow(record):
     """The response to a harmonic of the angle is proportional to 1 / omega^2: the speed of a block varies little."""
-    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(record.casing, degree=CASING_DEGREE, angle=record.casing.value)
     for where, _ in compressed.operators:
         t, psi = record.casing.time[where], record.casing.value[where]
         third = len(t) // 3
@@ -74,7 +76,7 @@ def test_blocks_are_short_where_the_casing_is_slow(record):
 
 
 def test_compressed_residuals_are_white_with_unit_variance(motion, record):
-    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(record.casing, degree=CASING_DEGREE, angle=record.casing.value)
     noise = compressed.z - compressed.at_nodes(motion.at(compressed.node_times, 1)[0])
     # 480 numbers: standard deviation 1 +- 0.032
     assert np.std(noise) == pytest.approx(1.0, abs=0.11)
@@ -83,7 +85,7 @@ def test_compressed_residuals_are_white_with_unit_variance(motion, record):
 
 
 def test_a_law_given_sample_by_sample_projects_like_one_given_at_the_nodes(motion, record):
-    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(record.casing, degree=CASING_DEGREE, angle=record.casing.value)
     at_samples = motion.at(record.casing.time, 1)[0][:, None]
     polynomial, harmonic = compressed.at_samples(at_samples)
     # the polynomials of seventh degree describe the motion within 2 % of a standard error of a row
@@ -95,7 +97,7 @@ def test_a_law_given_sample_by_sample_projects_like_one_given_at_the_nodes(motio
 
 def test_harmonics_of_the_angle_are_in_their_rows(motion, record):
     """An offset centre of 5e-3 rad shows in the harmonic rows with its whole weight."""
-    compressed = compress(record.casing, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(record.casing, degree=CASING_DEGREE, angle=record.casing.value)
     psi = record.casing.value
     wave = 5e-3 * np.sin(psi - 0.7)
     _, harmonic = compressed.at_samples(wave[:, None])
@@ -114,7 +116,7 @@ def noisy(motion, noise, seed=0):
 @pytest.mark.parametrize("seed", range(3))
 def test_level_of_white_noise_is_found(motion, factor, seed):
     samples = noisy(motion, lambda rng, n: factor * SIGMA * rng.standard_normal(n), seed)
-    compressed = compress(samples, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(samples, degree=CASING_DEGREE, angle=samples.value)
     # 840 rows measure it: +- 2.4 % for Gaussian rows, a little more for the robust estimate
     assert compressed.scale == pytest.approx(factor, rel=0.09)
     assert compressed.n_effective == pytest.approx(len(samples), rel=0.15)
@@ -135,7 +137,8 @@ def test_correlated_noise_reduces_the_effective_number_of_samples(motion, rho, s
             out[i] = last
         return out
 
-    compressed = compress(noisy(motion, ar1, seed), degree=CASING_DEGREE, harmonics=True)
+    samples = noisy(motion, ar1, seed)
+    compressed = compress(samples, degree=CASING_DEGREE, angle=samples.value)
     expected = (1 + rho) / (1 - rho)
     assert compressed.scale == pytest.approx(np.sqrt(expected), rel=share)
     assert 52_000 / compressed.n_effective == pytest.approx(expected, rel=2 * share)
@@ -147,7 +150,8 @@ def test_outliers_do_not_change_the_noise_level(motion):
         white[rng.integers(0, n, 5)] += 0.05
         return white
 
-    compressed = compress(noisy(motion, noise), degree=CASING_DEGREE, harmonics=True)
+    samples = noisy(motion, noise)
+    compressed = compress(samples, degree=CASING_DEGREE, angle=samples.value)
     assert compressed.scale < 1.6
 
 
@@ -158,7 +162,7 @@ def test_uneven_times_and_sigmas_are_respected(motion):
     t = t[(rng.random(len(t)) > 0.2) & ~((t > 60) & (t < 63))]
     sigma = SIGMA * rng.uniform(0.5, 3, len(t))
     samples = Samples(t, motion.at(t, 1)[0] + sigma * rng.standard_normal(len(t)), sigma)
-    compressed = compress(samples, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(samples, degree=CASING_DEGREE, angle=samples.value)
     assert compressed.scale == pytest.approx(1.0, rel=0.09)
     other = twobody.simulate({**twobody.PAPER, "b2": twobody.PAPER["b2"] * 1.0003})
     expected = full(samples, other.at(t, 1)[0]) - full(samples, motion.at(t, 1)[0])
@@ -172,7 +176,7 @@ def test_short_runs_are_compressed_too(motion, n):
     t = np.arange(n) / 260
     rng = np.random.default_rng(n)
     samples = Samples(t, motion.at(t, 1)[0] + SIGMA * rng.standard_normal(n), np.full(n, SIGMA))
-    compressed = compress(samples, degree=CASING_DEGREE, harmonics=True)
+    compressed = compress(samples, degree=CASING_DEGREE, angle=samples.value)
     assert np.isfinite(compressed.z).all()
     assert 0.4 < compressed.scale < 2.2
 
@@ -185,5 +189,5 @@ def test_harmonics_that_are_nearly_polynomials_do_not_bias_the_noise():
     for seed in range(60):
         noise = 3e-3 * np.random.default_rng(seed).standard_normal(len(t))
         samples = Samples(t, angle + noise, np.full(len(t), 3e-3))
-        variances.append(compress(samples, degree=CASING_DEGREE, harmonics=True).scale ** 2)
+        variances.append(compress(samples, degree=CASING_DEGREE, angle=samples.value).scale ** 2)
     assert np.mean(variances) == pytest.approx(1.0, abs=3 * np.std(variances) / np.sqrt(60))

@@ -124,10 +124,10 @@ def test_a_fit_with_a_generated_rotor_is_marked(record):
 
 
 def test_contradictory_options_are_refused(record):
-    with pytest.raises(RecordError, match="one of velocities"):
+    with pytest.raises(RecordError, match="consists of velocities"):
         prepared(record, "angle", "generated")
-    with pytest.raises(RecordError, match="no angles"):
+    with pytest.raises(RecordError, match="not angles"):
         prepared(as_velocities(record), "angle")
-    with pytest.raises(RecordError, match="not known"):
+    with pytest.raises(RecordError, match="unknown data"):
         prepared(record, "speed")
     assert prepared(record) is record

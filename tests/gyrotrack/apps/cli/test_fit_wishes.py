@@ -101,7 +101,7 @@ class TestOptionsOfTheData:
             (["--fix", "q=1"], "no parameter that could be fitted"),
             (["--loss", "l1"], "Unknown loss function"),
             (["--data", "speed"], "Unknown value"),
-            (["--data", "angle", "--rotor", "generated"], "one of velocities"),
+            (["--data", "angle", "--rotor", "generated"], "consists of velocities"),
             (["--hold-out"], "need a joint fit"),
         ],
     )

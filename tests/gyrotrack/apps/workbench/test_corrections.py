@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import UsageError
-from gyrotrack.apps.workbench._films import CLICK_SIGMA, corrected
-from gyrotrack.apps.workbench._preview import copy_excerpt
+from gyrotrack.apps.workbench._films import CLICK_SIGMA, copy_excerpt, corrected
 from gyrotrack.io._hdf5 import read_recording, write_recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract

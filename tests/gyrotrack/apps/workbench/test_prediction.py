@@ -9,7 +9,7 @@ from fitting.inference._fit import fit
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
 from gyrotrack.apps.cli._app import run
-from gyrotrack.apps.workbench._ranking import Prediction
+from gyrotrack.apps.workbench._processes import Prediction
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError
-from gyrotrack.apps.workbench._jobs import Jobs
+from gyrotrack.apps.workbench._processes import Jobs
 from gyrotrack.apps.workbench._project import STATE_FILE, Project
 
 CLIPS = Path(__file__).parents[4] / "sample_clips"

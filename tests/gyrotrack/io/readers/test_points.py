@@ -260,7 +260,9 @@ def test_a_path_that_is_no_circle_needs_a_centre(tmp_path):
     x = 630 + 6 * np.sin(3 * TIME)
     y = 160 + 12 * np.sin(2 * TIME + 1)
     path = write(tmp_path / "a.csv", "t,x,y\n" + rows(TIME, x, y))
-    with pytest.raises(DatasetError, match=r"no circle about its fitted centre.* % of the radius") as error:
+    with pytest.raises(
+        DatasetError, match=r"not a circle about its fitted centre.* % of the radius"
+    ) as error:
         read_motion(path, ReadOptions(marker=None))
     assert "--centre 320,240" in error.value.hint
     assert len(read_motion(path, ReadOptions(centre="500,160")).time) == N

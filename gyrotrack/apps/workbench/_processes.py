@@ -1,7 +1,11 @@
-"""Ranking of candidate effects in a separate process, and predicted residuals for changed parameters.
+"""The work that the workbench does in other processes: commands, and the ranking of candidate effects.
 
-The process reads one JSON document per line (an entry of a ledger), writes one line for each, and ends when its input
-ends.
+A job is one command with ``--json``; it reports progress as JSON lines on stderr (see `gyrotrack.apps.cli._output`) and
+its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
+
+Candidates are ranked by ``python -m gyrotrack.apps.workbench._processes CASE``, which reads one JSON document per line
+(an entry of a ledger), writes one line for each, and ends when its input ends. With the ranking it returns the
+residuals that each candidate predicts; the same `Prediction` serves the sliders of the page.
 """
 
 from __future__ import annotations
@@ -10,35 +14,222 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import to_json
 from gyrotrack._errors import GyrotrackError, UsageError
+from gyrotrack.apps.batch._workers import end_process
 
 if TYPE_CHECKING:
     from fitting.discovery._score import CaseColumns
     from fitting.discovery._select import Candidate
     from fitting.inference._result import Fit
 
+State = Literal["waiting", "running", "done", "failed", "cancelled"]
+
+_GRACE = 5.0  # time for a process to save its checkpoint and remove unfinished outputs [s]
+_MAX_ANSWER = 2**26  # bytes
+
+
+@dataclass
+class Job:
+    """One command."""
+
+    words: tuple[str, ...]  # the arguments of ``python -m module``, by default of `gyrotrack`
+    module: str = "gyrotrack"
+    state: State = "waiting"  # state of the job
+    # progress of the command
+    label: str = ""
+    done: int = 0
+    total: int | None = None
+    document: dict[str, Any] = field(default_factory=dict)  # its JSON document, or ``{"error": ...}``
+    began: float = field(default_factory=monotonic)
+    process: subprocess.Popen[str] | None = None
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the job is waiting or running."""
+        return self.state in ("waiting", "running")
+
+    def summary(self) -> dict[str, Any]:
+        """Return the state for the page."""
+        error = self.document.get("error") or {}
+        return {
+            "state": self.state,
+            "label": self.label,
+            "done": self.done,
+            "total": self.total,
+            "seconds": round(monotonic() - self.began, 1) if self.is_active else None,
+            "message": " ".join(filter(None, (error.get("message"), error.get("hint")))),
+        }
+
+
+class Jobs:
+    """The jobs of one work folder, at most `most` at a time, and one per key."""
+
+    def __init__(self, folder: Path, most: int) -> None:
+        self._folder = folder
+        self._slots = threading.BoundedSemaphore(max(1, most))
+        self._lock = threading.RLock()
+        self._jobs: dict[str, Job] = {}
+        self._threads: set[threading.Thread] = set()
+        self._closed = False
+
+    def get(self, key: str) -> Job | None:
+        """Return the latest job of a key."""
+        return self._jobs.get(key)
+
+    def start(
+        self,
+        key: str,
+        words: Sequence[str],
+        finished: Callable[[Job], None],
+        *,
+        module: str = "gyrotrack",
+        replace: bool = False,
+    ) -> Job:
+        """Queue a command.
+
+        Parameters
+        ----------
+        key : str
+            Identifies the step; if its job is active, an error is raised or, with `replace`, that job is cancelled.
+        words : sequence of str
+            Arguments.
+        finished : callable
+            Called in a separate thread when the job has ended.
+        module : str
+            Module to run.
+        """
+        with self._lock:
+            old = self._jobs.get(key)
+            if old is not None and old.is_active:
+                if not replace:
+                    raise UsageError(
+                        "This step is already running.", "Wait until it has ended, or cancel it."
+                    )
+                self.cancel(key)
+            if self._closed:
+                raise UsageError("The workbench is closing.", "Start it again.")
+            job = self._jobs[key] = Job(tuple(words), module)
+            thread = threading.Thread(target=self._run, args=(job, finished), daemon=True)
+            self._threads.add(thread)
+            thread.start()
+            return job
+
+    def cancel(self, key: str) -> None:
+        """Cancel the job of a key if it is active."""
+        with self._lock:
+            job = self._jobs.get(key)
+            if job is None or not job.is_active:
+                return
+            job.state = "cancelled"
+            process = job.process
+        if process is not None:
+            end_process(process)
+
+    def _run(self, job: Job, finished: Callable[[Job], None]) -> None:
+        try:
+            with self._slots:
+                with self._lock:
+                    if job.state != "waiting" or self._closed:
+                        job.state = "cancelled"
+                    else:
+                        job.state, job.began = "running", monotonic()
+                        with suppress(OSError):
+                            job.process = self._started(job)
+                if job.process is not None:
+                    self._follow(job, job.process)
+                elif job.state == "running":
+                    job.state = "failed"
+                    job.document = _error("No process could be started.", "End other programs and try again.")
+            finished(job)
+        finally:
+            self._threads.discard(threading.current_thread())
+
+    def _started(self, job: Job) -> subprocess.Popen[str]:
+        tail = ["--json"] if job.module == "gyrotrack" else []
+        environment = {**os.environ, "GYROTRACK_PROGRESS": "json", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1"}
+        return subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
+            [sys.executable, "-P", "-m", job.module, *job.words[:1], *tail, *job.words[1:]],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=self._folder,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            env=environment,
+            start_new_session=True,  # Ctrl-C is handled by the server
+        )
+
+    def _follow(self, job: Job, process: subprocess.Popen[str]) -> None:
+        """Read the progress and the document of a process until it ends."""
+        assert process.stdout is not None and process.stderr is not None  # noqa: S101, PT018 - opened as pipes
+        progress = threading.Thread(target=_listen, args=(job, process.stderr), daemon=True)
+        progress.start()
+        answer = process.stdout.read(_MAX_ANSWER)
+        process.wait()
+        progress.join(_GRACE)
+        process.stdout.close()
+        process.stderr.close()
+        with self._lock:
+            job.process = None
+            if job.state == "cancelled":
+                return
+            try:
+                job.document = dict(json.loads(answer))
+            except (ValueError, TypeError):
+                job.document = _error(f"The process ended with code {process.returncode}.", "Run it again.")
+            job.state = "failed" if "error" in job.document else "done"
+
+    def close(self) -> None:
+        """End all processes and wait for them."""
+        with self._lock:
+            self._closed = True
+            active = [job for job in self._jobs.values() if job.is_active]
+            for job in active:
+                job.state = "cancelled"
+                if job.process is not None and job.process.poll() is None:
+                    with suppress(OSError):
+                        job.process.terminate()
+        for job in active:
+            if job.process is not None:
+                end_process(job.process)
+        for thread in list(self._threads):
+            thread.join(_GRACE)
+
+
+def _listen(job: Job, stream: Any) -> None:
+    with suppress(ValueError, OSError):  # the stream is closed
+        for line in stream:
+            if line.startswith('{"progress"'):
+                with suppress(ValueError, KeyError, TypeError):
+                    found = json.loads(line)["progress"]
+                    job.label, job.done, job.total = found["label"], found["done"], found["total"]
+
+
+def _error(message: str, hint: str) -> dict[str, Any]:
+    return {"error": {"code": "process", "message": message, "hint": hint}}
+
+
 Array = NDArray[np.float64]
 
 
 class Ranker:
-    """A process that ranks candidates for the latest requested model.
-
-    Parameters
-    ----------
-    case : Path
-        The case file.
-    """
+    """A process that ranks candidates for the latest requested model of a case file."""
 
     def __init__(self, case: Path) -> None:
         self._case = case
@@ -48,13 +239,7 @@ class Ranker:
         self._closed = False
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
-        """Return the diagnosis of a model; an unfinished search is cancelled.
-
-        Raises
-        ------
-        GyrotrackError
-            The search was cancelled by a newer one, or the process failed.
-        """
+        """Return the diagnosis of a model; an unfinished search is cancelled, which raises a GyrotrackError there."""
         with self._lock:
             if self._busy:
                 self._end()
@@ -82,7 +267,7 @@ class Ranker:
             raise GyrotrackError("The workbench is closing.")
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
-                [sys.executable, "-m", "gyrotrack.apps.workbench._ranking", str(self._case)],
+                [sys.executable, "-m", "gyrotrack.apps.workbench._processes", str(self._case)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
@@ -146,13 +331,7 @@ _DRAWN = 200  # points of a torque curve
 
 
 class Prediction:
-    """Residual speeds of a fit as a function of its parameters.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fit of one case.
-    """
+    """Residual speeds of a fit of one case as a function of its parameters."""
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
@@ -163,12 +342,8 @@ class Prediction:
     def sliders(self) -> dict[str, Any]:
         """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
-        Returns
-        -------
-        dict
-            ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first;
-            ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the
-            parameter.
+        ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first; ``sigma`` of
+        the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()
@@ -194,18 +369,7 @@ class Prediction:
         }
 
     def moved(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the exact residual speeds for changed parameters.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            Values by name.
-
-        Raises
-        ------
-        UsageError
-            A name is unknown, or a value is not a number within its bounds.
-        """
+        """Return the exact residual speeds for changed parameters; a UsageError names an unknown or invalid one."""
         fit, layout = self._fit, self._fit.problem.layout
         theta = fit.theta.copy()
         lower, upper = layout.bounds()
@@ -242,17 +406,10 @@ class Prediction:
         return float(np.sqrt(np.mean((values[0][known] / self._sigma[known]) ** 2)))
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
-        """Return the predicted residual speeds with an added candidate, and its torque.
+        """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.
 
         If the search has refitted the candidate, both are those of the refit. Otherwise the strength of the candidate
         is that of its score test, the other parameters are refitted to first order, and the torque is None.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            A candidate from the diagnosis of this fit.
-        columns : CaseColumns
-            Columns of the design matrix for candidates of this fit.
         """
         fit = self._fit
         if candidate.fit is not None:

@@ -1,4 +1,4 @@
-"""How well the data test the form of a named law: the smallest deviation from it that would be detected.
+"""Two doubts about a named effect: its form, and the moments of inertia with which it was found.
 
 An effect with which the residuals are consistent with noise need not be exact: the recordings may be unable to show
 that it is not. Three tests decide, about the fit with the effect, whose torque is tau(v) as a function of its variable
@@ -22,21 +22,33 @@ the columns B of these parameters, orthogonal to all that is free,
 *Time.* A law with a state variable, or of time, with a fitted time constant can imitate any torque that changes slowly
 in time. It is compared with a cubic spline in time on the same body: the torque of the effect is added to the residual,
 its parameters are held, and the spline is fitted instead.
+
+*Inertia.* Only ratios of torque to inertia are observable, and the torque between the bodies acts on both: the data
+determine the ratio of the moments of inertia. With a wrong ratio the base has a systematic error, so that a wrong
+effect, or the right one with a wrong form, may describe the data best. So the list of candidates is scored once more
+with the ratio free, and the best ones are refitted with it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
+from fitting._errors import FittingError
+from fitting._numbers import rounded
+from fitting.discovery._refine import refit
 from fitting.discovery._score import CaseColumns
+from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
+from fitting.effects._library import LIBRARY
+from fitting.inference._fit import fit_like
 from fitting.inference._linear_algebra import (
     block_diagonal,
     orthogonal_to,
@@ -45,7 +57,7 @@ from fitting.inference._linear_algebra import (
     r_factor,
 )
 from fitting.inference._problem import Projection
-from fitting.inference._result import Fit
+from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
 
@@ -61,28 +73,15 @@ _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "fact
 
 @dataclass(frozen=True)
 class FormTest:
-    """Information of the data on the form of a law.
+    """Information of the data on the form of a law."""
 
-    Attributes
-    ----------
-    limit : float
-        Rms deviation of the law that is detected with 90 % probability, as a share of its rms torque; infinite if the
-        base absorbs every deviation.
-    variable : str
-        The variable of the deviation: "t", "omega_r", "omega_c" or "delta".
-    bounds : tuple of str
-        Parameters at a bound.
-    bounds_p : float
-        P-value of their values beyond the bounds.
-    any_in_time : bool
-        Any torque that changes slowly in time describes the data as well.
-    """
-
+    # rms deviation of the law that is detected with 90 % probability, as a share of its rms torque; infinite if the
+    # base absorbs every deviation
     limit: float
-    variable: str
-    bounds: tuple[str, ...]
-    bounds_p: float
-    any_in_time: bool
+    variable: str  # the variable of the deviation: "t", "omega_r", "omega_c" or "delta"
+    bounds: tuple[str, ...]  # parameters at a bound
+    bounds_p: float  # p-value of their values beyond the bounds
+    any_in_time: bool  # any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
         """Return whether a remainder above that of an exact law would be detected, and no active bound matters."""
@@ -90,17 +89,7 @@ class FormTest:
 
 
 def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
-    """Return how well the data test the form of an effect.
-
-    Parameters
-    ----------
-    found : Fit
-        The fit with the effect.
-    effect : Effect
-        A term of its equations of motion that is no function of an angle.
-    criteria : Criteria
-        `doubt_named`, `equivalence_width`.
-    """
+    """Return how well the data test the form of an effect, which does not depend on an angle, in its own fit."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
     variable = _variable(effect)
@@ -230,3 +219,130 @@ def _rise_with_spline(
     both = np.concatenate([free[:, others], spline], axis=1)
     with_spline = _orthogonal((residual + torque)[:, None], both)
     return float(np.sum(with_spline**2) - np.sum(with_effect**2))
+
+
+INERTIA = "setup.inertia"
+# largest number of effects that are refitted with a free ratio
+_MOST_REFITS = 5
+_SHARE = f"{INERTIA}.eps"
+
+
+def relative_uncertainty(found: Fit) -> float:
+    """Return the relative standard uncertainty of I_casing/I_rotor, the smallest of all cases; 0 if none is stated."""
+    relative = []
+    for d in found.problem.data:
+        r = d.record
+        both = (r.I_casing_u / r.I_casing, r.I_rotor_u / r.I_rotor)
+        relative.append(math.hypot(*(u for u in both if math.isfinite(u))))
+    return min(relative)
+
+
+@dataclass(frozen=True)
+class InertiaRival:
+    """An effect that describes the data as well or better with the ratio of the moments of inertia free."""
+
+    share: Estimate  # relative error of I_casing/I_rotor
+    stated: float  # its relative standard uncertainty; 0 if none is stated
+    effect: str  # the effect
+    fit: Fit  # the fit with effect and free ratio
+    better: bool  # whether it describes the data better than the selected effect, and not only as well
+
+    def is_allowed(self, criteria: Criteria) -> bool:
+        """Return whether the stated uncertainty allows the error."""
+        allowed = criteria.inertia_sigma * math.hypot(self.stated, self.share.stderr)
+        return self.stated > 0 and abs(self.share.value) <= allowed
+
+    @property
+    def sentence(self) -> str:
+        """The error of the ratio and its stated uncertainty, in words."""
+        error = rounded(100 * self.share.value, 100 * self.share.stderr, "%")
+        stated = (
+            f"standard uncertainty {100 * self.stated:.2g} %" if self.stated > 0 else "no uncertainty stated"
+        )
+        return (
+            f"With I_casing/I_rotor larger by {error} than given ({stated}), {self.effect} describes the data "
+            f"{'better' if self.better else 'as well'}: check the moments of inertia."
+        )
+
+
+def with_free_inertia(
+    base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
+) -> InertiaRival | None:
+    """Return the effect that describes the data as well as the selected ones, or better, with free inertia.
+
+    None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
+    """
+    chosen = selection.chosen
+    single = base.problem.data[0].record.single
+    if chosen is None or not chosen.physical or chosen.effect.depends_on_angle or single:
+        return None
+    if INERTIA in selection.final.model.names:
+        return None
+    with suppress(FittingError):
+        model = base.model.with_effect(LIBRARY[INERTIA])
+        freed = fit_like(base, model, start=base.values, noise=base.noise)
+        ranked = rank(freed, extra, criteria=criteria, refitting=False)
+        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][
+            :_MOST_REFITS
+        ]
+        near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]
+        refits = [(c.effect.name, refit(freed, c.screened, criteria)) for c in near]
+        best = min(
+            ((name, f) for name, f in refits if f is not None), key=lambda item: item[1].bic, default=None
+        )
+        if best is None:
+            return None
+        name, found = best
+        share, stated = found.estimates[_SHARE], relative_uncertainty(base)
+        largest = criteria.inertia_sigma * stated if stated > 0 else criteria.inertia_largest
+        credible = abs(share.value) <= largest + criteria.inertia_sigma * share.stderr
+        better = selection.final.bic - found.bic
+        least = criteria.shape_evidence if name == chosen.effect.name else -criteria.equivalence_width
+        if credible and better > least:
+            return InertiaRival(share, stated, name, found, better > criteria.shape_evidence)
+    return None
+
+
+def reselected(selection: Selection, rival: InertiaRival) -> Selection:
+    """Return the selection with the best effect with free inertia first, then the effect selected without it."""
+    chosen = selection.chosen
+    if chosen is None or rival.effect == chosen.effect.name:
+        return selection._replace(final=rival.fit)
+    if not rival.better:
+        members = (*chosen.indistinguishable_from, rival.effect)
+        first = replace(chosen, indistinguishable_from=tuple(dict.fromkeys(members)))
+        kept = [first if c is chosen else c for c in selection.candidates]
+        return selection._replace(candidates=kept, chosen=first)
+    own = {k: e for k, e in rival.fit.estimates.items() if k.startswith(f"{rival.effect}.")}
+    old = next((c for c in selection.candidates if c.effect.name == rival.effect), None)
+    if old is None:  # the list of candidates was given, without it
+        return selection
+    first = replace(
+        old,
+        fit=rival.fit,
+        estimates=own,
+        significant=True,
+        indistinguishable_from=(chosen.effect.name, *chosen.indistinguishable_from),
+    )
+    others = [c for c in selection.candidates if c is not old]
+    return selection._replace(candidates=[first, *others], chosen=first, named=rival.fit, final=rival.fit)
+
+
+def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Criteria) -> str:
+    """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
+
+    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
+    not given counts as none. `named` are the effects that explain the lack of fit, which the data cannot separate.
+    """
+    found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
+    u = relative_uncertainty(fit)
+    if not found or u <= 0:
+        return ""
+    share = found[0]
+    if abs(share.value) > criteria.inertia_sigma * math.hypot(u, share.stderr):
+        return ""
+    return (
+        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor larger by "
+        f"{rounded(100 * share.value, 100 * share.stderr, '%')} than given (standard uncertainty {100 * u:.2g} %) "
+        "explains the lack of fit."
+    )
