@@ -103,6 +103,7 @@ class StoredPictures(Sequence[Array]):
             stored[number - 1] = picture
             if number * picture.nbytes % _LEAST_READ < picture.nbytes:
                 release_pages()
+        release_pages()
         return cls(stored, np.arange(number))
 
     def __len__(self) -> int:

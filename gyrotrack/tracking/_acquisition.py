@@ -184,7 +184,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
     """Find the patch of a colour in each sample.
 
     The difference from a background that is not grey has another hue than the marker. The patch is found by the hue of
-    the profile and measured in its own one.
+    the profile and measured in its own one; it is also found by its own hue where this does not lead to another patch.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -201,6 +201,10 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         u, v = (float(patch[core].mean()) for patch in patches)
         size = float(np.hypot(u, v))
         own = _scores(difference, (u / size, v / size)) if size > 0.0 else score
+        again, _ = _brightest(own[:, extent.rows].mean(axis=1), half)
+        apart = (again - column + ring.columns // 2) % ring.columns - ring.columns // 2
+        if np.mean(np.abs(apart[clear]) <= 2 * half) > 0.5:
+            score = own
     if size < LEAST_CONTRAST or clear.mean() < 0.1:
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)

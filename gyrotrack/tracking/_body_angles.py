@@ -188,7 +188,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     tilt = _common_tilt({name: flat[name] for name in known}, views)
     body_view, reference = views[known[0]], replace(flat[known[0]], p=tilt.real, q=tilt.imag)
     shift = _shrunk(
-        reference.shift(body_view.coloured), usual_error_by_place(body_view, len(body_view.coloured))
+        reference.shift(body_view.coloured), usual_error_of_harmonic(body_view, len(body_view.coloured))
     )
     found = {}
     for name, own in flat.items():
@@ -196,7 +196,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
         if own.offset:
             found[name] = replace(own, p=tilt.real, q=tilt.imag)
         elif name == "casing":
-            expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, radius)
+            expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, body_view, radius)
             found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
         else:
             size = float(np.hypot(DEPTH * reference.tilt * radius, LEAST_SIGMA))
@@ -215,8 +215,7 @@ def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView]) -> com
         markers = sum(m in one.offset for m in views[name].observations)
         total, number = total + markers * complex(one.p, one.q), number + markers
     mean = total / number
-    error = max(usual_error_by_place(views[n], number) / views[n].radius for n in flat)
-    error /= math.sqrt(len(PLACE_ORDERS))
+    error = max(usual_error_of_harmonic(views[n], number) / views[n].radius for n in flat)
     along = -np.exp(2j * _azimuth(mean, error, flat, views))
     ratio = max(float((mean * np.conj(along)).real) / error, -5.0)
     density = math.exp(-0.5 * ratio**2) / math.sqrt(2.0 * math.pi)
@@ -233,7 +232,7 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
     for name, one in flat.items():
         if coloured := [m for m in views[name].coloured if m in one.offset]:
             shift = complex(*one.shift(coloured))
-            total += 0.25 * shift**2 / usual_error_by_place(views[name], len(coloured)) ** 2
+            total += 0.25 * shift**2 / usual_error_of_harmonic(views[name], len(coloured)) ** 2
     return 0.5 * float(np.angle(total))
 
 
@@ -243,14 +242,25 @@ DEPTH = 0.5
 """The same for the rotor's markers, which may be at any depth below."""
 
 
-def _height_error(flat: Flattening, radius: float) -> float:
-    """Return the uncertainty of the offset of the casing's orbit [px]; a height h at a tilt t moves it by h sin t."""
-    return float(np.hypot(HEIGHT * flat.tilt * radius, LEAST_SIGMA))
+def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
+    """Return the uncertainty of the offset of the casing's orbit [px]; a height h at a tilt t moves it by h sin t.
+
+    A small tilt is badly determined by the ellipses of the orbits. An offset e of the orbit of the rotor (`body_view`)
+    by its depth indicates a tilt of e / depth.
+    """
+    offset = float(np.hypot(*flat.shift(body_view.coloured)))
+    tilt = max(flat.tilt, offset / (DEPTH * body_view.radius))
+    return float(np.hypot(HEIGHT * tilt * radius, LEAST_SIGMA))
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
     """Return the typical error by place of the mean of some markers [px]; that of illumination is common to them."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
+
+
+def usual_error_of_harmonic(body_view: BodyView, markers: int = 1) -> float:
+    """Return the part of the typical error by place in one component of one harmonic, of equal ones [px]."""
+    return usual_error_by_place(body_view, markers) / math.sqrt(len(PLACE_ORDERS))
 
 
 def _shrunk(found: Floats, error: float) -> Floats:
@@ -276,7 +286,7 @@ def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floa
     off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
     if not off:
         return np.zeros(2)
-    error = usual_error_by_place(body_view, len(off))
+    error = usual_error_of_harmonic(body_view, len(off))
     return _shrunk(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
 
 
@@ -298,7 +308,7 @@ def separate_perspective(
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not any(m in reference.offset for m in body_view.coloured):
         return own
-    offset, error = axis_offset(body_view, reference, rotor), usual_error_by_place(body_view)
+    offset, error = axis_offset(body_view, reference, rotor), usual_error_of_harmonic(body_view)
     # Perspective acts along the tilt; the component across it is an error.
     azimuth = _azimuth(
         complex(reference.p, reference.q), error / body_view.radius, {"rotor": reference}, views
@@ -311,7 +321,7 @@ def separate_perspective(
     axis = _shrunk(reference.shift(body_view.coloured) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
-    size = _height_error(reference, views["casing"].radius)
+    size = _height_error(reference, body_view, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
     if own.offset_covariance:
         tilted = replace(reference, p=own.p, q=own.q)

@@ -196,8 +196,8 @@ def camera_shake(
         places = places[np.hypot(places[:, 0] - body[0], places[:, 1] - body[1]) > body[2]]
     if len(places) < _FEWEST:
         return None
-    few = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))]
-    moved = np.stack([tracked(reference, places, frame) for frame in few])
+    few = np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))
+    moved = np.stack([tracked(reference, places, samples[i]) for i in few])
     use = background(places, moved, reference.shape)
     if not use.any():
         return None
@@ -251,9 +251,9 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
 
 _HELD = 600_000_000
 """Largest size of the decoded pictures that are kept in temporary files [bytes] ..."""
-_FILE = 64_000_000
+_FILE = 32_000_000
 """... of this size ..."""
-_RELEASES = 4
+_RELEASES = 2
 """... each of which is read in so many parts."""
 
 
@@ -310,6 +310,7 @@ class Film:
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         """Yield the luma of the frames from `first` to before `stop`."""
         stop = self.count if stop is None else min(stop, self.count)
+        release_pages()
         if self._files:
             rows = len(self._files[0])
             for index in range(first, stop):

@@ -628,8 +628,9 @@ def join(
         learn_places(state, smooth)
         if other is not None:
             learn_neighbours(state, smooth, other, (half, degree), above=above)
-    state.reject_outliers(*state.smooth(HALF_WINDOW))
-    return _result(state, half, degree, floor, axis)
+    short, leverage = state.smooth(HALF_WINDOW)
+    state.reject_outliers(short, leverage)
+    return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 
 WEAKEST_BODY = 10.0
@@ -638,6 +639,8 @@ WEAKEST_BODY = 10.0
 Such a frame shows a small part of one marker. It carries 1/100 of the information of a typical frame, and its errors,
 those of the edge of the object that hides the marker, are not normally distributed."""
 _NEIGHBOURS = 101
+UNCONFIRMED = 0.9
+"""Leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough."""
 
 
 def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
@@ -649,7 +652,14 @@ def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
         return np.asarray(sigma > WEAKEST_BODY * usual)
 
 
-def _result(state: Residuals, half: int, degree: int, floor: float, axis: float | Floats) -> BodyAngles:
+def _result(
+    state: Residuals,
+    half: int,
+    degree: int,
+    floor: float,
+    axis: float | Floats,
+    alone: npt.NDArray[np.bool_],
+) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     state.measure_scatter(smooth, leverage)
     from_time = state.time_sigma()
@@ -678,7 +688,7 @@ def _result(state: Residuals, half: int, degree: int, floor: float, axis: float 
         scale = excess(off)
         return np.asarray(np.hypot(sigma * np.sqrt(of_error), beside) * scale * tail_factor(off / scale))
 
-    hidden = _mostly_hidden(sigma)
+    hidden = _mostly_hidden(sigma) | (alone & (count == 1))
     angle, sigma = state.path + residual, calibrated(residual, sigma, 1)
     angle[hidden], sigma[hidden], count[hidden] = np.nan, np.nan, 0
     own = {"angle": angle, "sigma": sigma, "count": count}

@@ -9,7 +9,7 @@ the smear is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from gyrotrack.tracking._marker_window import (
     places_apart,
     shaded_columns,
 )
-from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._observations import LARGEST_MISFIT, MarkerObservations
 from gyrotrack.tracking._scene import Marker
 
 Floats = npt.NDArray[np.float64]
@@ -198,7 +198,7 @@ class MarkerTracker:
         whole = (open_ | ~self._matters(window)).all(axis=1) & window.known
         if clear is not None:
             open_ = open_ & (clear | ~whole[:, None])
-        found = self._matched_across(window, open_, whole)
+        found = self._without_neighbours(window, self._matched_across(window, open_, whole), open_)
         along = self._matched_along(window, found, whole)
         radius, angle = self._corners(window, found, whole)
         ring = self.strip.ring
@@ -254,6 +254,26 @@ class MarkerTracker:
                 window.apply_light(even_light(self.light, reach))
             template = self.template(window.profile.shape[1])
             found = match(window.profile, template, found.shift, open_)
+        return found
+
+    def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Mask) -> Match:
+        """Match profiles of an implausible misfit again, without the samples beside the marker that cause it.
+
+        The markers of the rotor pass below those of the casing and do not change their profiles. What is beside a
+        marker of the rotor, such as the bar, may cover a part of it.
+        """
+        poor = window.known & (found.misfit > LARGEST_MISFIT)
+        if self.marker.body != "casing" or not poor.any():
+            return found
+        profile, beside = window.profile[poor], ~self._matters(window)[poor]
+        template = self.template(profile.shape[1])
+        own = Match(**{f.name: getattr(found, f.name)[poor] for f in fields(Match)})
+        for _ in range(2):
+            expected = own.gain[:, None] * displaced(template, own.shift) + own.offset[:, None]
+            differs = np.abs(profile - expected) > 2.0 * LARGEST_MISFIT * np.abs(own.gain[:, None])
+            own = match(profile, template, own.shift, open_[poor] & ~(beside & differs))
+        for f in fields(Match):
+            getattr(found, f.name)[poor] = getattr(own, f.name)
         return found
 
     def _learn_light(self, window: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._fusion import _mostly_hidden, join, variance_left
+from gyrotrack.tracking._fusion import _mostly_hidden, join, variance_left, wrapped
 from gyrotrack.tracking._observations import Candidate
 
 N = 1500
@@ -192,3 +194,19 @@ def test_frames_that_hardly_show_a_body_have_no_angle():
     sigma[200:] = 8e-3  # a blurred part of the film is as good as its surroundings
     sigma[[0, 1, 150, 300]] = 2e-2, np.nan, 2e-2, 2e-2
     assert np.flatnonzero(_mostly_hidden(sigma)).tolist() == [0, 150]
+
+
+def test_an_angle_of_one_marker_that_no_other_frame_confirms_is_left_out():
+    """A hand covers the markers in frames 1 to 24; what is taken for a marker in frame 0 cannot be checked."""
+    n = 200
+    path = 0.1 * np.arange(n) + np.random.default_rng(3).normal(0.0, 1e-3, n)
+    seen = np.ones(n, dtype=bool)
+    seen[1:25] = False
+    coarse = np.where(seen, path, np.nan)
+    coarse[0] += 0.3
+    one = Candidate(wrapped(coarse), seen, seen, np.ones(n), np.zeros(n), 0.0)
+    found = join(coarse, {"red": one}, 260.0)
+    assert np.isnan(found.angle[0])
+    assert np.isfinite(found.angle[25:]).all()
+    both = join(coarse, {"red": one, "blue": replace(one)}, 260.0)
+    assert np.isfinite(both.angle[0])
