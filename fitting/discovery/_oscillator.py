@@ -38,11 +38,15 @@ _BLOCKS = 12
 
 @dataclass(frozen=True)
 class Strength:
-    """Strength of a law: value, standard uncertainty, unit."""
+    """Strength of a law: value, standard uncertainty, unit.
+
+    `approximate`: from the averaged equations, whose own error is not part of the uncertainty.
+    """
 
     value: float
     stderr: float
     unit: str
+    approximate: bool = True
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class OscillatorLaws:
                 f"alone are described by {' + '.join(self.restoring)}: the data separate these laws, and neither "
                 "describes everything."
             )
-        values = {k: Strength(e.value, e.stderr, e.unit) for k, e in fit.estimates.items()}
+        values = {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
         damping = exact[1] if exact[1] in self.damping_classes else self.damping
         chosen = {
             k: v

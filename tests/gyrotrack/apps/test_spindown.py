@@ -426,7 +426,14 @@ def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
         SimpleNamespace(model=Model.of(spring), estimates={"casing.spring.linear.k": exact})
     )
     assert nothing == ""
-    assert same.parameters == {"casing.spring.linear.k": _oscillator.Strength(12.01, 0.002, "rad/s2")}
+    assert same.parameters == {
+        "casing.spring.linear.k": _oscillator.Strength(12.01, 0.002, "rad/s2", approximate=False)
+    }
+    # the averaged equations have an error of their own: their value is shown without an uncertainty
+    assert _tracking._oscillator_lines(laws)[0].startswith(
+        "restoring  casing.spring.linear.k about 12 rad/s2 (or"
+    )
+    assert "k = 12.0100 +- 0.0020 rad/s2" in _tracking._oscillator_lines(same)[0]
     kept, sentence = laws.with_fit(SimpleNamespace(model=Model.of(["casing.gravity"]), estimates={}))
     assert kept == laws
     assert "restores by casing.gravity" in sentence
