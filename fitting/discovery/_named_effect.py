@@ -1,4 +1,4 @@
-"""Two doubts about a named effect: its form, and the moments of inertia with which it was found.
+"""Tests of a named effect: of its form, and of the moments of inertia with which it was found.
 
 An effect with which the residuals are consistent with noise need not be exact: the recordings may be unable to show
 that it is not. Three tests decide, about the fit with the effect, whose torque is tau(v) as a function of its variable

@@ -44,6 +44,10 @@ _SIGNIFICANT_STEP = 3.5
 """Smallest step of the counts in standard errors."""
 _STRETCH = 60
 """Number of pulses between the knots of the spline through the counts."""
+_PART = 3000
+"""Number of intervals in which steps of the counts are found together ..."""
+_OVERLAP = 300
+"""... with so many before and after them."""
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
 _ALTERNATING = 0.9
@@ -299,6 +303,20 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
     spread = float(np.median(np.abs(ratio - np.median(ratio)))) / _NORMAL
     if spread < _REGULAR:
         return None
+    steps = np.zeros(len(time), dtype=np.int64)
+    # time and memory for a part grow with the square of its length; at its ends steps are uncertain
+    for first in range(0, len(interval), _PART):
+        begin, end = max(first - _OVERLAP, 0), min(first + _PART + _OVERLAP, len(interval))
+        found = _steps_of_part(time[begin : end + 1], ratio[begin:end], spread)[first - begin :][:_PART]
+        steps[first + 1 :][: len(found)] = found
+    return steps
+
+
+def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
+    """Return the steps of the counts at the pulses of a part, the first excluded.
+
+    `ratio` are the intervals over their local typical values, `spread` the relative scatter of an interval.
+    """
     count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
     x = np.linspace(0, 1, len(time))
     knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
@@ -323,7 +341,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
             break
         steps[places[best]] += int(change[best])
         count[places[best] :] += change[best]
-    return steps
+    return steps[1:]
 
 
 def _typical_interval(step: Floats) -> Floats:

@@ -295,6 +295,37 @@ def dots(film):
 
 
 @pytest.mark.slow
+def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeypatch, capsys):
+    """Three equal arms that turn by 66 to 40 degrees a frame look like +54 to +80; both are stated, one is taken."""
+    monkeypatch.chdir(tmp_path)
+    fps, omega, alpha = 30, 34.6, -4.5
+    film = cv2.VideoWriter("spinner.mp4", cv2.VideoWriter_fourcc(*"mp4v"), fps, (200, 200))
+    rng = np.random.default_rng(0)
+    for k in range(90):
+        t = k / fps
+        psi = 0.4 + omega * t + 0.5 * alpha * t**2
+        picture = np.full((200, 200), 160, np.uint8)
+        for arm in range(3):
+            a = psi + arm * 2 * np.pi / 3
+            place = (round(16 * (100 + 48 * np.cos(a))), round(16 * (100 + 48 * np.sin(a))))
+            cv2.line(picture, (1600, 1600), place, 70, 24, cv2.LINE_AA, 4)
+            cv2.circle(picture, place, 24 * 16, 70, -1, cv2.LINE_AA, 4)
+            cv2.circle(picture, place, 12 * 16, 220, -1, cv2.LINE_AA, 4)
+        noisy_picture = np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
+        film.write(cv2.cvtColor(noisy_picture, cv2.COLOR_GRAY2BGR))
+    film.release()
+    code = app.run(["spindown", "spinner.mp4", "-o", "s.h5", "--json"])
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert code == 3
+    assert document["ambiguous"]
+    assert "looks alike after 120 degrees" in captured.err
+    found = document["motion"]["alpha"]
+    assert found["value"] == pytest.approx(alpha, abs=4 * found["stderr"])
+    assert found["stderr"] < 0.02
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="no films of others")
 def test_turntable(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

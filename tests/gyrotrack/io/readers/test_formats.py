@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import tracemalloc
 import zipfile
 
 import h5py
@@ -135,6 +136,21 @@ def spin_down(per_turn, jitter=0.0, *, seed=0, turns=400):
     angle = angle[angle < 0.95 * 60 * 40]
     times = -40 * np.log(1 - angle / (60 * 40))
     return times + np.random.default_rng(seed).normal(0, jitter, len(times)), angle
+
+
+def test_many_scattering_pulses_are_counted_in_little_memory(tmp_path):
+    """Six of 30,000 pulses are missed; parts of the record are counted one after the other."""
+    number = 30_000
+    times = -400 * np.log(1 - np.arange(number) / (2 * number))
+    times += 0.2 * np.gradient(times) * np.random.default_rng(2).normal(size=number)
+    lost = [1500, 3001, 9000, 15_500, 22_000, 28_000]
+    text = "".join(f"{t!r}\n" for t in np.sort(np.delete(times, lost)).tolist())
+    tracemalloc.start()
+    read = read_motion(write(tmp_path / "a", text), ReadOptions(pulses_per_turn=1))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert np.ptp(read.value) == pytest.approx(TURN * (number - 1), abs=1)
+    assert peak < 150e6
 
 
 def test_pulses_missed_and_doubled(tmp_path):
