@@ -207,13 +207,14 @@ def windows_of(series: Series) -> Integers:
 _EQUAL_SPEEDS = 0.003
 
 
-def speed_warnings(casing: Series, rotor: Series, remedy: str) -> list[str]:
+def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
     Friction between them can neither accelerate the casing beyond the rotor nor, but at the end of a run, make both
     turn together: the bodies may be exchanged, or one of them was measured twice. `remedy` is what to do if so.
     """
-    windows, speeds = windows_of(rotor), []
+    windows = windows_of(rotor) if isinstance(rotor, Series) else np.zeros(len(rotor.time), dtype=np.int64)
+    speeds = []
     for k in np.unique(windows):
         t = rotor.time[windows == k][[0, -1]]
         turned = np.ptp(rotor.angle[windows == k][[0, -1]]), np.ptp(np.interp(t, casing.time, casing.angle))

@@ -18,7 +18,7 @@ from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
 from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
-from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
+from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording, speed_warnings
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
@@ -299,7 +299,20 @@ def _recording(
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = _doubts(scene, bodies, len(time))
-    warnings = (*at_rest, *film, *scene.warnings, *joint.warnings, *_first_frame_warning(markers), *doubts)
+    remedy = (
+        f"`gyrotrack profile {info.path.name} -o P.toml`, exchange the names of the bodies in it, and "
+        f"`gyrotrack extract {info.path.name} --profile P.toml`"
+    )
+    speeds = speed_warnings(bodies["casing"], bodies["rotor"], remedy) if len(bodies) == 2 else ()
+    warnings = (
+        *at_rest,
+        *film,
+        *scene.warnings,
+        *joint.warnings,
+        *_first_frame_warning(markers),
+        *speeds,
+        *doubts,
+    )
     return Recording(
         source=info.path.name,
         source_sha256=sha256,

@@ -184,3 +184,10 @@ def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
     assert (found.marker.inner, found.marker.outer) == pytest.approx((45.0, 79.0), abs=1.5)
     assert found.marker.half_width == pytest.approx(15.5 * ring.step, abs=0.02)
     assert np.all(found.clear)
+
+
+def test_a_casing_that_is_faster_than_its_rotor_is_told_with_the_commands_that_mend_it(draw):
+    path, _ = draw(**{**SMALL, "frames": 60, "casing": lambda t: 90.0 * t, "rotor": lambda t: 1.0 + 20.0 * t})
+    (told,) = (text for text in extract(path).warnings if "faster than the rotor" in text)
+    assert "90.0 and 20.0 rad/s" in told
+    assert f"`gyrotrack extract {path.name} --profile P.toml`" in told
