@@ -103,6 +103,20 @@ def unaliased(
     return Alias(angle, None)
 
 
+def doubtful(angle: Floats, frame: npt.NDArray[np.int64]) -> str | None:
+    """Return a warning if a body seems to speed up and would slow down with a turn per frame less; None otherwise.
+
+    For markers, which leave only whole turns undetermined.
+    """
+    usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > 10 else 0.0
+    if not _FAST * TURN < abs(usual) < TURN:
+        return None
+    other = angle - math.copysign(TURN, usual) * (frame - frame[0])
+    if _growth(angle, frame) > _STEADY and _growth(other, frame) < -_STEADY:
+        return _warning(angle, other, frame, TURN, chosen="named first")
+    return None
+
+
 def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
     """Return the mean turn per frame in the first and in the last fifth."""
     fifth = max(2, len(angle) // 5)

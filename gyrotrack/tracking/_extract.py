@@ -21,6 +21,7 @@ from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording, speed_warnings
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
+from gyrotrack.tracking._aliasing import doubtful
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film import Shake, camera_shake
@@ -298,7 +299,7 @@ def _recording(
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
-    doubts = _doubts(scene, bodies, len(time))
+    doubts = _doubts(scene, bodies, time)
     remedy = (
         f"`gyrotrack profile {info.path.name} -o P.toml`, exchange the names of the bodies in it, and "
         f"`gyrotrack extract {info.path.name} --profile P.toml`"
@@ -343,14 +344,16 @@ LEAST_TRACKED = 0.8
 _STEPS = 12
 
 
-def _doubts(scene: Scene, bodies: dict[str, BodyTrack], count: int) -> tuple[str, ...]:
+def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
     """Return reasons to inspect a recording: lost frames, gaps with an undetermined number of turns, missing markers.
 
     The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
     predict angles that differ by more than half a turn.
     """
-    found = list(scene.doubts)
+    found, count = list(scene.doubts), len(time)
     for name, track in bodies.items():
+        if alias := doubtful(track.angle, np.searchsorted(time, track.time - 1e-9)):
+            found.append(f"The {name}: {alias}")
         if len(track.time) < LEAST_TRACKED * count:
             found.append(
                 f"The {name} has an angle in {len(track.time)} of {count} frames "
