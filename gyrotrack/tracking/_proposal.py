@@ -5,6 +5,7 @@ Moving colours of a film, and candidates for markers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,7 +40,7 @@ from gyrotrack.tracking._profile import (
     hue_score,
     nearest_colour,
 )
-from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene, take_samples
+from gyrotrack.tracking._scene import Disc, FrameStore, Marker, Samples, Scene, take_samples
 from gyrotrack.video._container import Frame, read_raw_stamps
 from gyrotrack.video._decoder import frames_at
 
@@ -89,13 +90,15 @@ def moving_colour(samples: Samples) -> MovingColour:
     A marker causes a change towards its hue. At a place that it covers in most of the samples, the other samples have
     the opposite change, which decreases the saturation and is excluded.
     """
-    chroma = samples.chroma.astype(np.float32)
-    still = np.median(chroma, axis=1, keepdims=True)
-    change = chroma - still
-    stronger = np.hypot(*(chroma - 128.0)) > np.hypot(*(still - 128.0))
+    chroma = samples.chroma
+    still = np.median(chroma, axis=1).astype(np.float32)
+    change = np.subtract(chroma, still[:, None], dtype=np.float32)
     size = np.hypot(change[0], change[1])
-    noise = float(np.percentile(size, 75))
-    change[:, ~(stronger & (size > max(LEAST_CHANGE, 3.0 * noise)))] = 0.0
+    limit = max(LEAST_CHANGE, 3.0 * float(np.percentile(size, 75)))
+    dull = np.hypot(*(still - 128.0))
+    for k in range(len(size)):  # one by one, to limit memory
+        weaker = np.hypot(*(chroma[:, k].astype(np.float32) - 128.0)) <= dull
+        change[:, k, weaker | (size[k] <= limit)] = 0.0
     return MovingColour(change, _peaks(change))
 
 
@@ -223,14 +226,14 @@ class Candidate:
 
 
 def find_candidates(
-    samples: Samples, moving: MovingColour, orbit: Orbit, disc: Disc | None
+    samples: Samples, hues: Sequence[float], orbit: Orbit, disc: Disc | None
 ) -> tuple[Ring, list[Candidate]]:
     """Find a marker of each moving hue in rings about the centre; also return the rings."""
     centre = disc.centre if disc is not None else orbit.centre
     ring = search_ring(samples, centre, disc, max(orbit.radii.values()))
     rings = Rings(samples.strips(ring, range(len(samples.frames))), ring)
     found = []
-    for hue in moving.hues:
+    for hue in hues:
         one = _candidate(rings, float(np.rad2deg(hue) % 360.0))
         if one is None:
             continue
@@ -508,6 +511,8 @@ def propose(
     samples = _samples(video)
     moving = moving_colour(samples)
     orbit = find_orbit(samples, moving, hub)
+    hues = moving.hues
+    del moving  # large
     if orbit is None:
         raise TrackingError(
             f"No markers found in {video}: nothing coloured turns about "
@@ -516,7 +521,7 @@ def propose(
         )
     circle = find_circle(samples, orbit) if hub is None else None
     disc = circle.disc if circle else None
-    ring, candidates = find_candidates(samples, moving, orbit, disc)
+    ring, candidates = find_candidates(samples, hues, orbit, disc)
     groups, uneven = group_bodies(candidates, samples.head)
     groups, resting_groups = [g for g in groups if not g.is_at_rest], [g for g in groups if g.is_at_rest]
     if not groups:
@@ -555,7 +560,7 @@ def _samples(video: Path) -> Samples:
     first = take_samples(video)
     stamps = read_raw_stamps(video)
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
-    found = frames_at(video, {int(stamps[k]) for k in chosen})
+    found = frames_at(video, {int(stamps[k]) for k in chosen}, FrameStore())
     spread: list[Frame] = [found[stamp] for stamp in sorted(found)]
     keys = spread or list(first.frames[first.head :])
     return Samples((*first.frames[: first.head], *keys), first.head)

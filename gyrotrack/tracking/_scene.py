@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.tracking._polar import Ring, unroll
 from gyrotrack.video._container import Frame, keyframes, read_packets
@@ -128,6 +129,38 @@ FEWEST = 8
 _BLOB_WIDTH = 400
 
 
+_BLOCK = 8  # frames in a file
+
+
+class FrameStore:
+    """Copies frames into temporary files, so that whole pictures do not occupy memory."""
+
+    def __init__(self) -> None:
+        self._planes: dict[str, npt.NDArray[np.uint8]] = {}
+        self._used = _BLOCK
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Return a copy of a frame that is independent of the decoder."""
+        planes = {"y": frame.y, "u": frame.u, "v": frame.v}
+        if self._used == _BLOCK or self._planes["y"].shape[1:] != frame.y.shape:
+            kinds = {name: (plane.shape, np.uint8) for name, plane in planes.items()}
+            self._planes, self._used = new_columns(_BLOCK, kinds), 0
+        for name, plane in planes.items():
+            self._planes[name][self._used] = plane
+        kept = {name: stored[self._used] for name, stored in self._planes.items()}
+        self._used += 1
+        release_pages()
+        return replace(frame, **kept)
+
+
+def _in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
+    """Yield stored frames; their memory is released after every few of them."""
+    for count, frame in enumerate(frames, start=1):
+        yield frame
+        if count % _BLOCK == 0 or count == len(frames):
+            release_pages()
+
+
 @dataclass(frozen=True)
 class Samples:
     """Sample frames; the first `head` of them are the first frames of the clip."""
@@ -150,9 +183,8 @@ class Samples:
     def chroma(self) -> npt.NDArray[np.uint8]:
         """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
-        if self.scale == 2:
-            return np.stack([np.stack([f.u for f in chosen]), np.stack([f.v for f in chosen])])
-        return np.stack([np.stack([_halved(f.u) for f in chosen]), np.stack([_halved(f.v) for f in chosen])])
+        kept = np.ascontiguousarray if self.scale == 2 else _halved
+        return np.stack([(kept(f.u), kept(f.v)) for f in _in_turn(chosen)], axis=1)
 
     @cached_property
     def spread(self) -> tuple[int, ...]:
@@ -174,11 +206,12 @@ class Samples:
         """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
         maps = ring.chroma_maps
         some = [self.frames[k] for k in frames]
-        return np.stack([[unroll(f.u, maps) for f in some], [unroll(f.v, maps) for f in some]])
+        return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in _in_turn(some)], axis=1)
 
     def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the luma of some frames, shape (n, rows, columns)."""
-        return np.stack([unroll(self.frames[k].y, ring.luma_maps) for k in frames])
+        some = [self.frames[k] for k in frames]
+        return np.stack([unroll(f.y, ring.luma_maps) for f in _in_turn(some)])
 
 
 def take_samples(path: Path) -> Samples:
@@ -190,9 +223,10 @@ def take_samples(path: Path) -> Samples:
         If no frame can be decoded.
     """
     head: list[Frame] = []
+    keep = FrameStore()
     with Reader(path) as reader:
         for frame in reader:
-            head.append(frame.copy())
+            head.append(keep(frame))
             if len(head) == HEAD:
                 break
     if not head:
@@ -216,14 +250,14 @@ def _later(path: Path, head: int, pixels: int) -> list[Frame]:
     if count <= head or not packets.key.any():
         return []
     if int(packets.key[head:].sum()) >= KEYS:
-        return keyframes(path, KEYS)
+        return keyframes(path, KEYS, FrameStore())
     wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
     keys = np.flatnonzero(packets.key)
     start = keys[np.maximum(np.searchsorted(keys, wanted, side="right") - 1, 0)]
     cost = sum(int((wanted - start)[start == key].max()) for key in np.unique(start))
     share = min(DECODED * 1280 * 720 / pixels / max(cost, 1), 1.0)
     wanted = np.unique(start + ((wanted - start) * share).astype(np.int64))
-    found = frames_at(path, packets.stamps[wanted].tolist())
+    found = frames_at(path, packets.stamps[wanted].tolist(), FrameStore())
     return [found[stamp] for stamp in sorted(found)]
 
 

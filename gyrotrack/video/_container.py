@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -316,10 +316,11 @@ def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
     return read_packets(path).stamps
 
 
-def keyframes(path: Path, count: int) -> list[Frame]:
+def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
     """Decode up to `count` key frames spread evenly over a film, without the frames between them.
 
     Their indices are unknown and set to -1; they show the scene in the course of the film before it is decoded.
+    `keep` copies a frame from the decoder.
     """
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
@@ -331,7 +332,7 @@ def keyframes(path: Path, count: int) -> list[Frame]:
             if n in wanted:
                 for raw in _decode_alone(packet, stream):
                     orientation = orientation or orientation_of(raw)
-                    found.append(planes_of(raw, -1, orientation).copy())
+                    found.append(keep(planes_of(raw, -1, orientation)))
     return found
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import threading
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, Full, Queue
@@ -291,11 +291,13 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
     return None
 
 
-def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:
+def frames_at(
+    path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
+) -> dict[int, Frame]:
     """Decode the frames with the given timestamps (units of the time base), and only what they need.
 
-    A frame that is not found, because a film is damaged there or its packets carry no stamps, is left out. The
-    frames have the index -1.
+    `keep` copies a frame from the decoder. A frame that is not found, because a film is damaged there or its packets
+    carry no stamps, is left out. The frames have the index -1.
     """
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
@@ -308,7 +310,7 @@ def frames_at(path: Path, stamps: Iterable[int]) -> dict[int, Frame]:
             for raw in _decoded(packets, first, stop, stream):
                 orientation = orientation or orientation_of(raw)
                 if raw.pts in wanted:
-                    found[int(raw.pts)] = planes_of(raw, -1, orientation).copy()
+                    found[int(raw.pts)] = keep(planes_of(raw, -1, orientation))
                 if raw.pts is not None and raw.pts >= last:
                     break
     return found
