@@ -87,6 +87,8 @@ HOLE = 8
 _HALVES = (24, 48, 96, 192)
 _SHORT_HALVES = (2, 6, 12)
 """Half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`."""
+_PARTIAL_STEP = 6.0
+"""Displacement of a partly covered disc over the typical one from frame to frame."""
 _LINE_POWER = 7.0
 _PIECES = 64
 LEAST_SIGMA = 0.05
@@ -114,10 +116,7 @@ def smooth_path(measured: Floats) -> CentrePath:
     half = min(halves, key=lambda h: _prediction_error(z, weight, h))
     slow = _fitted(z, weight, half)
     path = slow + _lines(np.where(known, z - slow, 0.0))
-    left = (z - path)[known]
-    sigma = _path_sigma(left, half)
-    gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
-    return CentrePath(np.stack([path.real, path.imag], axis=1), np.where(gap, sigma, np.nan), half)
+    return _bridged(path, known, _path_sigma((z - path)[known], half), half)
 
 
 def marked_paths(measured: Floats) -> list[CentrePath]:
@@ -133,20 +132,59 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
         path = _fitted(z, weight, half)
         # a parabola over a short window absorbs a part of the noise, the inverse of the number of points in it
         sigma = _path_sigma((z - path)[known], half) / float(np.sqrt(1.0 - 1.0 / (1.1 * half)))
-        gap = np.convolve(weight, np.ones(2 * half + 1), mode="same") > 0
-        centre = np.stack([path.real, path.imag], axis=1)
-        paths.append(CentrePath(centre, np.where(gap, sigma, np.nan), half))
+        paths.append(_bridged(path, known, sigma, half))
     return paths
+
+
+def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: int) -> CentrePath:
+    """Return a path that is linear in the gaps and constant before the first and after the last known point.
+
+    A parabola is not extrapolated: its error there is many times that of the points. The uncertainty in a gap contains
+    the rms change of the path over the time to the nearest known point; beyond `half` frames it is NaN.
+    """
+    index = np.arange(len(path))
+    place = index[known]
+    after = np.minimum(np.searchsorted(place, index), len(place) - 1)
+    away = np.minimum(np.abs(place[after] - index), np.abs(index - place[np.maximum(after - 1, 0)]))
+    change = np.zeros(half + 1)
+    for lag in range(1, min(half, int(away.max()), len(path) - 1) + 1):
+        both = known[lag:] & known[:-lag]
+        apart = path[lag:][both] - path[:-lag][both]
+        change[lag] = np.sqrt(0.5 * np.mean(np.abs(apart) ** 2)) if len(apart) else change[lag - 1]
+    centre = np.stack([np.interp(index, place, part[known]) for part in (path.real, path.imag)], axis=1)
+    far = np.hypot(sigma, change[np.minimum(away, half)])
+    return CentrePath(centre, np.where(away <= half, far, np.nan), half)
 
 
 def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
     """Return a path x + i y, linear in the gaps, and where it is known."""
-    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(measured).all(axis=1))
+    known = _without_partial_views(measured, np.asarray(np.isfinite(measured).all(axis=1)))
     index = np.arange(len(measured))
     if not known.any():
         return np.full(len(measured), np.nan + 0j), known
     x, y = (np.interp(index, index[known], measured[known, k]) for k in (0, 1))
     return np.asarray(x + 1j * y), known
+
+
+def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return the known points without those beside a gap that are displaced from their neighbour.
+
+    What covers the disc covers a part of it before and afterwards, which displaces its measured centre.
+    """
+    step = np.hypot(*np.diff(measured, axis=0).T)  # from each point to the next one
+    if known.all() or not np.isfinite(step).any():
+        return known
+    limit = _PARTIAL_STEP * float(np.nanmedian(step)) + LEAST_SIGMA
+    kept = known.copy()
+    for _ in range(HOLE):
+        with np.errstate(invalid="ignore"):
+            opens = kept[:-1] & np.concatenate([[False], ~kept[:-2]]) & (step > limit)
+            closes = kept[1:] & np.concatenate([~kept[2:], [False]]) & (step > limit)
+        if not (opens.any() or closes.any()):
+            break
+        kept[:-1] &= ~opens
+        kept[1:] &= ~closes
+    return kept
 
 
 def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:

@@ -114,3 +114,26 @@ def test_a_path_of_a_few_frames_has_no_alternatives():
     paths = marked_paths(_slow(30))
     assert len(paths) == 1
     assert followed_path(paths, {}) is paths[0]
+
+
+def test_what_covers_the_disc_does_not_displace_its_path():
+    rng = np.random.default_rng(3)
+    measured = np.array([270.0, 156.0]) + rng.normal(0, 0.02, (120, 2))
+    measured[:7] = measured[60:66] = np.nan
+    measured[7] += (-0.7, 0.9)  # a part of the disc is covered
+    measured[66] += (0.5, -0.6)
+    for path in marked_paths(measured):
+        known = np.isfinite(path.sigma)
+        assert np.abs(path.centre[known] - [270.0, 156.0]).max() < 0.08, path.reach
+
+
+def test_the_uncertainty_in_a_gap_contains_the_motion_of_the_camera():
+    rng = np.random.default_rng(4)
+    pulls = []
+    for _ in range(40):
+        true = np.cumsum(rng.normal(0, 0.3, (300, 2)), axis=0)
+        measured = true + rng.normal(0, 0.02, true.shape)
+        measured[100:112] = np.nan
+        path = min(marked_paths(measured), key=lambda p: p.reach if p.reach > 5 else np.inf)
+        pulls.append((path.centre - true)[104:108] / path.sigma[104:108, None])
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.4
