@@ -280,7 +280,7 @@ def import_body(
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
-    read = limited(*_from_origin([read_motion(table, options)]), limits)
+    read = limited(_from_origin([read_motion(table, options)])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
