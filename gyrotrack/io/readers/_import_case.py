@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,10 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     unwrapped = np.unwrap(angle - prediction) + prediction
     uncertain = np.abs(np.diff(speed)) * step / 8 > 1
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
+
+
+_DATES = 1e8
+"""Times above this limit [s] (three years) are seconds since 1970, not since the start of a record."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +218,8 @@ def import_case(
         replace(o, body=o.body or ("rotor" if k else "casing"))
         for k, o in enumerate(options or [ReadOptions()] * len(paths))
     ]
-    tables = [limited(read_motion(p, o), limits or Limits()) for p, o in zip(paths, given, strict=True)]
+    tables = _from_origin([read_motion(p, o) for p, o in zip(paths, given, strict=True)])
+    tables = [limited(table, limits or Limits()) for table in tables]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
     body, *rotor = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
@@ -274,7 +280,7 @@ def import_body(
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
-    read = limited(read_motion(table, options), limits)
+    read = limited(_from_origin([read_motion(table, options)])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
@@ -296,6 +302,20 @@ def import_body(
         warnings=tuple(notes),
         extra=_origins([read], parts, sense),
     )
+
+
+def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
+    """Return tables whose times are dates (seconds since 1970) with times from the first second of the first one."""
+    first = min(float(table.time[0]) for table in tables)
+    if first < _DATES:
+        return tables
+    origin = float(np.floor(first))
+    date = datetime.fromtimestamp(origin, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    note = f"times are counted from {date} ({origin:.0f} s)"
+    return [
+        replace(table, time=table.time - origin, notes=(*table.notes, f"{table.path.name}: {note}"))
+        for table in tables
+    ]
 
 
 def _common_quantity(tables: list[MotionTable]) -> str:
