@@ -78,7 +78,7 @@ def correlated_least_squares(
     estimates = []
     for model in models:
         square = np.ix_(model, model)
-        normal, right, rest = grams[:, *square], grams[:, model, -1], grams[:, -1, -1]
+        normal, right, rest = grams[:, square[0], square[1]], grams[:, model, -1], grams[:, -1, -1]
         one = np.eye(len(model))
         size, ridge = np.ones(len(grams)), 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * one
         # the prior is in units of y, the noise in units of its unknown variance
@@ -98,7 +98,7 @@ def correlated_least_squares(
         restricted = -0.5 * (free * np.log(size) + log_noise + log_normal)
         # the coefficients are those of weighted least squares, independent of the noise model; their covariance
         # is that under this noise model
-        of_noise, plain_normal = noise_of_plain[:, *square], plain_products[square]
+        of_noise, plain_normal = noise_of_plain[:, square[0], square[1]], plain_products[square]
         weak = 1e-12 * np.trace(plain_normal) * one
         inflation = np.trace(np.linalg.solve(plain_normal + weak, of_noise), axis1=1, axis2=2) / len(model)
         held = (size * inflation)[:, None, None] * np.diag(known[model])
