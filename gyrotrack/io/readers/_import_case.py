@@ -98,8 +98,8 @@ def _refuse_jumps(table: MotionTable) -> None:
             f"{table.path}, line {table.line[first + 1]}: the angle jumps by "
             f"{table.value[first + 1] - table.value[first]:.5g} rad at {table.time[first + 1]:.6g} s, which no motion "
             f"does ({len(jumps)} such jump{'s' * (len(jumps) > 1)}).",
-            "Counts of an encoder are read with --pulses-per-turn N, which continues a counter that overflows; else use "
-            "a part of the record with --from and --to.",
+            "Counts of an encoder are read with --pulses-per-turn N, which continues a counter that overflows; else "
+            "use a part of the record with --from and --to.",
         )
 
 

@@ -74,7 +74,7 @@ def test_an_angle_that_jumps_is_refused(tmp_path):
     path = tmp_path / "a.csv"
 
     def read(values):
-        path.write_text("t,angle\n" + "".join(f"{t!r},{a!r}\n" for t, a in zip(time, values, strict=True)))
+        path.write_text("t,angle\n" + "".join(f"{t},{a}\n" for t, a in zip(time, values, strict=True)))
         return import_body(path, 1.0)
 
     read(angle)
