@@ -82,7 +82,5 @@ def test_an_angle_that_jumps_is_refused(tmp_path):
     read(np.where(np.arange(2000) % 400 == 7, np.nan, angle))
     pushed = np.interp(time, [0, 30, 30.2, 40], [0, 0, 3, 3]) + np.random.default_rng(1).normal(0, 1e-3, 2000)
     read(pushed)
-    with pytest.raises(
-        DatasetError, match=r"line 1202: the angle jumps by 1144.7 rad at 24 s.*1 such jump"
-    ):
+    with pytest.raises(DatasetError, match=r"line 1202: the angle jumps by 1144.7 rad at 24 s.*1 such jump"):
         read(angle + 2**16 * 2 * np.pi / 360 * (time >= 24))
