@@ -240,7 +240,7 @@ class CaseData:
         record, found = self.record, [0.0]
         for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
             for samples in (run.samples for run in runs):
-                part = np.ptp(samples.time) / _RUN_PARTS
+                part = float(np.ptp(samples.time)) / _RUN_PARTS
                 if self.oscillation is not None:
                     part = min(part, self.oscillation.period / _PERIOD_PARTS)
                 time = np.arange(samples.time[0], samples.time[-1], part)
