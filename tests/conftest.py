@@ -69,14 +69,8 @@ def demo(made_once):
     """What `gyrotrack demo --json` says, and the folder of its results: made once for all processes."""
 
     def make(folder):
-        words = [
-            "demo",
-            "--clips",
-            Path(__file__).parents[1] / "sample_clips",
-            "-o",
-            "gyrotrack_demo",
-            "--json",
-        ]
+        clips, output = Path(__file__).parents[1] / "sample_clips", folder / "gyrotrack_demo"
+        words = ["demo", "--clips", clips, "-o", output, "--json"]
         done = subprocess.run(
             [sys.executable, "-m", "gyrotrack", *map(str, words)],
             capture_output=True, text=True, check=False, timeout=900, cwd=folder,

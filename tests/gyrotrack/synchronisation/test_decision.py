@@ -172,9 +172,9 @@ def test_a_clip_that_turns_the_other_way_is_refused(motion, make_run):
 @pytest.mark.parametrize("fixed", [True, False], ids=["still", "turned"])
 @pytest.mark.slow
 def test_claimed_error_is_the_real_one(motion, make_run, fixed):
-    """12 runs of three clips: 68 % within one sigma, none beyond five, and 3 ms or marked."""
+    """18 runs of three clips: 68 % within one sigma, none beyond five, and 3 ms or marked."""
     pull, lost = [], []
-    for seed in range(12):
+    for seed in range(18):
         rng = np.random.default_rng(seed)
         run = make_run(motion, rng)
         starts = rng.uniform([1, 25, 65], [20, 60, 125])
@@ -187,7 +187,7 @@ def test_claimed_error_is_the_real_one(motion, make_run, fixed):
     assert np.max(np.abs(pull)) < 5
     assert not any(lost)
     within = np.mean(np.abs(pull) < 1)
-    assert 0.5 < within < 0.86  # 36 pulls, three of a run share a clock: +- 0.09
+    assert 0.53 < within < 0.83  # 54 pulls, three of a run share a clock: +- 0.07
 
 
 @pytest.mark.slow
