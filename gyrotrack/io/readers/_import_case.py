@@ -15,7 +15,7 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, speed_warnings, windows_of
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, scatter
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
@@ -50,6 +50,8 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
+_JUMP = 20.0
+"""Change of the angle [changes before, after and usual] above which it is not a motion."""
 _DATES = 1e8
 """Times above this limit [s] (three years) are seconds since 1970, not since the start of a record."""
 
@@ -67,14 +69,38 @@ class Piece:
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
-    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`."""
-    if table.quantity != "angle" or table.counted or not is_wrapped(table.value):
+    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`.
+
+    A DatasetError says that the angle jumps.
+    """
+    if table.quantity != "angle" or table.counted:
+        return table.value
+    if not is_wrapped(table.value):
+        _refuse_jumps(table)
         return table.value
     value, uncertain = unwrap(table.time, table.value)
     notes += [
         f"{table.path.name}: the number of turns is uncertain in the gap after {t:.3f} s" for t in uncertain
     ]
     return value
+
+
+def _refuse_jumps(table: MotionTable) -> None:
+    """Refuse an angle that changes between two samples by far more than before, after, and usually."""
+    interval, step = np.diff(table.time), np.abs(np.diff(table.value))
+    step[interval > 1.5 * np.median(interval)] = 0.0
+    usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
+    beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
+    jumps = np.flatnonzero(step > _JUMP * np.maximum(beside, usual))
+    if len(jumps) and usual:
+        first = jumps[0]
+        raise DatasetError(
+            f"{table.path}, line {table.line[first + 1]}: the angle jumps by "
+            f"{table.value[first + 1] - table.value[first]:.5g} rad at {table.time[first + 1]:.6g} s, which no motion "
+            f"does ({len(jumps)} such jump{'s' * (len(jumps) > 1)}).",
+            "Counts of an encoder are read with --pulses-per-turn N, which continues a counter that overflows; else "
+            "use a part of the record with --from and --to.",
+        )
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
