@@ -46,6 +46,7 @@ def test_the_form_of_a_strong_drag_is_established():
     assert found.is_strong(DEFAULT)
 
 
+@pytest.mark.slow
 def test_a_significant_active_bound_is_reported():
     """The range of b2 is below its value: chi-square would fall above the bound."""
     base = drag(2e-6)

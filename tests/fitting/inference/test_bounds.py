@@ -86,6 +86,7 @@ def test_general_model_in_the_ranges_of_the_paper():
     assert result.verdict in {"adequate", "not determined"}
 
 
+@pytest.mark.slow
 def test_a_range_that_excludes_the_truth_is_an_active_bound():
     low, high = 1.7e-7, 2.2e-7
     result = fit(Model.of(REDUCED), [data(seed=0)], ranges={"bearing.linear.d": (low, high)})
