@@ -341,8 +341,9 @@ class TimeBase:
         return fitted, leverage[self._slot]
 
 
-def local_parabola(place: Floats, value: Floats, half: int = HALF_WINDOW) -> tuple[Floats, Floats]:
-    """Fit a parabola about every point of a non-uniform series, `half` points to both sides: value and slope, (n,)."""
+def local_parabola(place: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Fit a parabola about every point of a non-uniform series: value and slope, (n,)."""
+    half = HALF_WINDOW
     out = np.empty((2, len(place)))
     reach = np.arange(-half, half + 1)
     bell = 1.0 - (reach / (half + 1.0)) ** 2

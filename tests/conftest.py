@@ -1,12 +1,20 @@
 """What holds for every test: one thread for linear algebra, set before NumPy is imported."""
 
+import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
+from pathlib import Path
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"  # matrices are small, and pytest-xdist already uses the cores
+
+# workers and programs under test would otherwise compile every module again, which takes longer than most tests
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # a shell that runs the tests in the background has SIGINT ignored, and programs under test would inherit that
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -54,3 +62,23 @@ def made_once(tmp_path_factory):
         return folder
 
     return folder_of
+
+
+@pytest.fixture(scope="session")
+def demo(made_once):
+    """What `gyrotrack demo --json` says, and the folder of its results: made once for all processes."""
+
+    def make(folder):
+        clips, output = Path(__file__).parents[1] / "sample_clips", folder / "gyrotrack_demo"
+        words = ["demo", "--clips", clips, "-o", output, "--json"]
+        done = subprocess.run(
+            [sys.executable, "-m", "gyrotrack", *map(str, words)],
+            capture_output=True, text=True, check=False, timeout=900, cwd=folder,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert done.stderr == ""
+        assert [p.name for p in folder.iterdir()] == ["gyrotrack_demo"]
+        (folder / "document.json").write_text(done.stdout, encoding="utf-8")
+
+    folder = made_once("demo", make)
+    return json.loads((folder / "document.json").read_text(encoding="utf-8")), folder / "gyrotrack_demo"

@@ -1,8 +1,6 @@
 """The whole story through the real program: film, recordings, case, fit, hidden effect, the error falls, report."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -13,28 +11,15 @@ CLIPS = Path(__file__).parents[1] / "sample_clips"
 
 
 @pytest.mark.slow
-def test_story(tmp_path):
-    """One run of the demo, in a process of its own (one test, so that parallel workers run it once)."""
+def test_story(demo):
     truth = json.loads((CLIPS / "truth.json").read_text(encoding="utf-8"))  # no command reads it
-    document, folder = demo(tmp_path)
+    document, folder = demo
     the_hidden_effect_is_named(document, truth)
     strength_and_friction_are_right(document, truth)
     the_error_falls_to_the_noise(document)
     the_clocks_are_found(folder, truth)
     the_speeds_are_those_of_the_film(folder, truth)
     a_report_is_written(document, folder)
-
-
-def demo(folder):
-    """Run `gyrotrack demo --json`; return what it says, and the folder of its results."""
-    words = [sys.executable, "-m", "gyrotrack", "demo", "--clips", CLIPS, "-o", folder / "out", "--json"]
-    done = subprocess.run(
-        list(map(str, words)), capture_output=True, text=True, check=False, timeout=900, cwd=folder
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stderr == ""
-    assert [p.name for p in folder.iterdir()] == ["out"]
-    return json.loads(done.stdout), folder / "out"
 
 
 def the_hidden_effect_is_named(document, truth):

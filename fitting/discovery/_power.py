@@ -193,8 +193,10 @@ class _Responses:
 
     def scores(self, projections: Array) -> Array:
         """Return the score of each group (groups, data sets) from projections on the basis."""
-        p = np.maximum(projections, 0.0) if self.one_sided else projections
-        return np.asarray((p.reshape(len(self.root), self.width, -1) ** 2).sum(axis=1))
+        squares = (np.maximum(projections, 0.0) if self.one_sided else projections) ** 2
+        if self.width == 1:
+            return np.asarray(squares)
+        return np.asarray(squares.reshape(len(self.root), self.width, -1).sum(axis=1))
 
     def direction(self, group: int) -> Array:
         """Return the unit response of a group; with a phase, at the middle phase."""
@@ -449,13 +451,15 @@ class Search:
             tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
                 tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
-            for test in (t for each in tests.values() for t in each):
-                signal, shift = test.basis.T @ raw, test.basis.T @ offset
-                for k, chosen in enumerate(held == which):
-                    if chosen.any():
-                        seen = (
-                            test.null[:, : self._draws][:, chosen] + (strengths[k] * signal - shift)[:, None]
-                        )
+            # the effect's own tests first: what one test has found needs no other
+            for name in sorted(tests, key=lambda name: name != effect.name):
+                for test in tests[name]:
+                    signal, shift = test.basis.T @ raw, test.basis.T @ offset
+                    for k, chosen in enumerate((held == which) & ~found):
+                        if not chosen.any():
+                            continue
+                        null = test.null[:, : self._draws][:, chosen]
+                        seen = null + (strengths[k] * signal - shift)[:, None]
                         found[k, chosen] |= test.best(seen) > test.thresholds[estimate[chosen]]
         return np.asarray(found.mean(axis=1))
 

@@ -673,21 +673,21 @@ def needs_search(effect: Effect) -> bool:
     return {"phase", "shape"} <= roles or bool(effect.breakpoint)
 
 
-def found_starts(base: Fit, effects: Sequence[Effect], criteria: Criteria = DEFAULT) -> dict[str, float]:
+def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
     """Return initial values of the parameters of effects that are added to a fitted model, by their names in a fit.
 
     There are none for an effect that the base absorbs.
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     values: dict[str, float] = {}
-    for s in score(base, effects, cases, criteria, draws=_DRAWS):
+    for s in score(base, effects, cases, DEFAULT, draws=_DRAWS):
         if s.absorbed:
             continue
         if s.own_phase:
             # whether strength and phase are common to all cases is decided by the fit
             values |= initial_values_of(base, with_common_phase(s)) | initial_values_of(base, s)
             continue
-        found = refit(base, s, criteria) if s.effect.breakpoint else None
+        found = refit(base, s, DEFAULT) if s.effect.breakpoint else None
         values |= (
             initial_values_of(base, s)
             if found is None

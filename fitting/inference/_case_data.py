@@ -239,7 +239,7 @@ class CaseData:
         """
         record, found = self.record, [0.0]
         for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
-            for samples in (run.samples for run in runs):
+            for samples in (run.samples for run in runs if len(run.samples) > 1):
                 part = float(np.ptp(samples.time)) / _RUN_PARTS
                 if self.oscillation is not None:
                     part = min(part, self.oscillation.period / _PERIOD_PARTS)

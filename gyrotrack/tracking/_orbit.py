@@ -36,7 +36,7 @@ class Orbit:
     spread: float
 
 
-def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int = 400) -> Orbit | None:
+def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbit | None:
     """Find the common centre of the circles of groups of points, robust against outliers.
 
     Parameters
@@ -59,7 +59,7 @@ def common_centre(points: Floats, group: Integers, *, seed: int = 0, trials: int
     """
     if len(points) < 5:
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     best: tuple[int, npt.NDArray[np.bool_]] | None = None
     for _ in range(trials):
         first = rng.integers(len(points))
@@ -183,6 +183,7 @@ LEAST_OBSERVATIONS = 30
 CELL = np.pi / 6.0
 """Correlation length of errors by place [rad]; their sixth harmonic is as large as the first."""
 LEAST_COVER = 5.0
+_ROUNDS = 6
 """Smallest angle [rad] covered by the observations for which the orbit of a marker is fitted."""
 
 
@@ -230,7 +231,7 @@ class Flattening:
 NO_FLATTENING = Flattening({}, 0.0, 0.0)
 
 
-def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
+def fit_flattening(positions: dict[str, Floats]) -> Flattening:
     """Fit offsets and flattening to the orbits of one or more markers.
 
     Parameters
@@ -251,7 +252,7 @@ def fit_flattening(positions: dict[str, Floats], rounds: int = 6) -> Flattening:
         return NO_FLATTENING
     found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
     few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         found = _improved(found, few)
     return found
 

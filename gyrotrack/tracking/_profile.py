@@ -102,6 +102,7 @@ def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, floa
 # smallest length of the chroma vector (of 255) of a colour with a hue
 _LEAST_CHROMA = 14.0
 _BRIGHT = 110.0
+_LEAST_AREA = 3  # of a patch of colour [px]
 
 
 def colour_name(red: float, green: float, blue: float) -> str:
@@ -130,9 +131,7 @@ class Blob:
     fill: float
 
 
-def find_blobs(
-    score: npt.NDArray[np.float32], threshold: float, most: int = 4, least_area: int = 3
-) -> list[Blob]:
+def find_blobs(score: npt.NDArray[np.float32], threshold: float, most: int = 4) -> list[Blob]:
     """Find the strongest connected patches above a threshold, strongest first."""
     mask = (score > threshold).astype(np.uint8)
     count, found_labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -140,7 +139,7 @@ def find_blobs(
     areas = stats[1:count, cv2.CC_STAT_AREA]
     found = []
     for label in (np.argsort(-areas)[: 4 * most] + 1).tolist():
-        if areas[label - 1] < least_area:
+        if areas[label - 1] < _LEAST_AREA:
             break
         found.append(_blob(score, labels, np.asarray(stats[label], dtype=np.int32), label))
     return sorted(found, key=lambda blob: -blob.weight)[:most]

@@ -29,6 +29,7 @@ Area = tuple[int, int, int, int]
 TURN = 2 * np.pi
 _PHASES = 8  # copies of the template shifted by fractions of a column
 _ITERATIONS = 6
+_ROUNDS = 2
 _CLOSE = 1e-3  # columns; a step below this ends the iteration
 ALL = slice(None)
 
@@ -335,7 +336,6 @@ def learn(
     ring: Ring,
     *,
     separate: bool,
-    rounds: int = 2,
     counted: Floats | None = None,
     plain: bool = False,
 ) -> Template:
@@ -353,8 +353,6 @@ def learn(
         The ring.
     separate : bool
         Whether the motion is large enough (a turn and more) to distinguish the fixed picture from the body's.
-    rounds : int
-        Number of alternating updates of body and fixed picture.
     counted : ndarray, shape (n,), optional
         Weight of each frame.
     plain : bool
@@ -369,7 +367,7 @@ def learn(
         for polar, count in zip(polars, counted, strict=True):  # one by one, to limit memory
             fixed += np.float32(count / counted.sum()) * polar
         fixed -= fixed.mean(axis=1, keepdims=True)
-    for _ in range(rounds if separate else 1):
+    for _ in range(_ROUNDS if separate else 1):  # alternating updates of body and fixed picture
         total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)
         for polar, angle, count in zip(polars, angles, counted, strict=True):
             if count > 0:

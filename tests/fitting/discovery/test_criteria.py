@@ -80,6 +80,7 @@ def test_failure_sigma_decides_what_is_reported():
     assert not diagnose(base(), criteria=Criteria(failure_sigma=1e6, harmonic_sigma=1e6)).failures
 
 
+@pytest.mark.slow
 def test_excess_noise_compares_the_fit_with_the_recording():
     found = base()
     assert found.has_excess_noise(Criteria(excess_noise=0.0)) == any(n.level > n.pure for n in found.noise)

@@ -38,6 +38,7 @@ def test_the_limit_is_inversely_proportional_to_the_torque():
     assert weak.limit / strong.limit == pytest.approx(10, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_form_of_a_strong_drag_is_established():
     found = form_test(drag(2e-6), DRAG, DEFAULT)
     assert not found.any_in_time
@@ -45,6 +46,7 @@ def test_the_form_of_a_strong_drag_is_established():
     assert found.is_strong(DEFAULT)
 
 
+@pytest.mark.slow
 def test_a_significant_active_bound_is_reported():
     """The range of b2 is below its value: chi-square would fall above the bound."""
     base = drag(2e-6)

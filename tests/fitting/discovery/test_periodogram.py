@@ -33,6 +33,7 @@ def shaken():
     return found(SHAKEN, 3)
 
 
+@pytest.mark.slow
 def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
     assert shaken.verdict == "misfit"
     assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)

@@ -32,6 +32,7 @@ def base():
 
 
 @lru_cache(maxsize=1)
+@lru_cache(maxsize=1)
 def search():
     return Search(base())
 

@@ -132,6 +132,7 @@ def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
         assert e.stderr > quiet.estimates[key].stderr
 
 
+@pytest.mark.slow
 def test_deceleration_of_a_real_wheel_is_fitted():
     """A hand-held film of 1.4 s: the hub moves slowly, which is not a random torque of ten times the friction.
 

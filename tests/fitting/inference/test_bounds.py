@@ -35,6 +35,7 @@ def test_holding_parameters_at_the_truth_reduces_other_uncertainties(held):
             assert abs(e.value - TRUTH[key]) < 4 * e.stderr
 
 
+@pytest.mark.slow
 def test_a_parameter_held_far_off_is_a_misfit():
     assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "misfit"
 
@@ -64,6 +65,7 @@ def test_friction_is_not_negative_and_its_bound_is_marked():
         assert np.isnan(e.stderr)
 
 
+@pytest.mark.slow
 def test_general_model_in_the_ranges_of_the_paper():
     """Twenty percent on a2, b2, g and fifty on d, f about the reduced fit: a box in d and f themselves."""
     base = fitted(seed=0)
@@ -84,6 +86,7 @@ def test_general_model_in_the_ranges_of_the_paper():
     assert result.verdict in {"adequate", "not determined"}
 
 
+@pytest.mark.slow
 def test_a_range_that_excludes_the_truth_is_an_active_bound():
     low, high = 1.7e-7, 2.2e-7
     result = fit(Model.of(REDUCED), [data(seed=0)], ranges={"bearing.linear.d": (low, high)})
@@ -95,9 +98,8 @@ def test_a_range_that_excludes_the_truth_is_an_active_bound():
     assert result.deviance > fitted(seed=0).deviance + 4
 
 
-@pytest.mark.parametrize(
-    "seed", [2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0, 1, 3, 4, 5, 6, 7))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
 def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed):
     """With a strong random torque d, f or g is at a bound. Held, f would have a 20 times too small uncertainty."""
     result = fitted(seed=seed, ou=1e-6, ou_time=3.0)

@@ -136,6 +136,7 @@ def test_initial_values_have_the_right_order_of_magnitude():
     assert all(np.isfinite(list(theta.values())))
 
 
+@pytest.mark.slow
 def test_parameters_of_a_harmonic_law_may_be_held():
     """Strength or phase held at a value: the rows are those of the free law there, without its columns."""
     measured = data()

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
+from fitting.discovery._lack_of_fit import periodogram_peak, smooth_test
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
@@ -75,8 +76,11 @@ def recordings(torque):
     return made
 
 
-def pulls(records):
-    found = [fit(Model.of(REDUCED), [r]) for r in records]
+def fits(records):
+    return [fit(Model.of(REDUCED), [r]) for r in records]
+
+
+def pulls(found):
     return {
         key: np.array([
             (f.estimates[key].value - true) / f.estimates[key].stderr for f in found if not f.estimates[key].at_bound
@@ -86,23 +90,33 @@ def pulls(records):
 
 
 @pytest.mark.slow
-def test_intervals_have_the_stated_coverage():
+def test_intervals_have_the_stated_coverage_and_tests_the_stated_false_alarm_rate():
     """36 recordings. Fails where intervals that should hold 95 % hold 85 %, or are twice as wide as they need be.
 
-    They are a little wide by intention: the correlation time of the torque is taken half its error longer.
+    They are a little wide by intention: the correlation time of the torque is taken half its error longer. The smooth
+    tests are correlated: small p-values are accurate, large ones are upper bounds.
     """
-    seen = pulls(recordings(TORQUE))
+    found = fits(recordings(TORQUE))
+    seen = pulls(found)
     for key, z in seen.items():
         inside = int(np.sum(np.abs(z) < 1.96))
         assert inside >= binom.ppf(5e-4, len(z), 0.95), key
         assert 0.55 < np.std(z) < 1.35, key  # of 36: +- 0.12
         assert abs(np.mean(z)) < 4 / np.sqrt(len(z)), key
     assert np.mean(np.abs(np.concatenate(list(seen.values()))) < 1.96) > 0.92
+    strength = np.median([f.noise[0].pure * np.sqrt(f.noise[0].time / MEMORY) for f in found])
+    assert TORQUE / 1.25 < strength < 1.25 * TORQUE
+    for test in (smooth_test, periodogram_peak):
+        p = np.array([test(f).p_value for f in found[:18]])
+        for level in (0.02, 0.1, 0.3):
+            assert np.sum(p < level) <= binom.ppf(0.999, len(p), level)
+        # and not never
+        assert np.sum(p < 0.5) >= 2
 
 
 @pytest.mark.slow
 def test_intervals_from_smoothed_velocities_have_the_stated_coverage():
-    seen = pulls([prepared(r, "velocity") for r in recordings(0.0)[:24]])
+    seen = pulls(fits(prepared(r, "velocity") for r in recordings(0.0)[:24]))
     for key, z in seen.items():
         assert int(np.sum(np.abs(z) < 1.96)) >= binom.ppf(5e-4, len(z), 0.95), key
         assert 0.45 < np.std(z) < 1.4, key

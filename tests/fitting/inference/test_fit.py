@@ -73,7 +73,7 @@ def test_fitted_paths_agree_with_the_true_motion():
 
 # from four of them the way leads through casings that stop and turn back: seconds instead of tenths
 @pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {0, 7, 9, 11} else s for s in range(12)]
+    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {0, 1, 7, 9, 11} else s for s in range(12)]
 )
 def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
     base = fitted(seed=1)
@@ -155,20 +155,16 @@ SEEDS = 14
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ou", [0.0, 1e-7], ids=["calm", "random torque"])
-def test_uncertainties_have_the_stated_coverage(ou):
+def test_uncertainties_without_a_random_torque_have_the_stated_coverage():
     """Over 14 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
 
-    112 pulls, of which about 28 are independent: 95 +- 4 %. Their spread must be near 1.
+    112 pulls, of which about 28 are independent: 95 +- 4 %. Their spread must be near 1. With a random torque: see
+    test_coverage.py.
     """
-    table = np.array([list(pulls(fitted(seed=100 + s, ou=ou), TRUTH).values()) for s in range(SEEDS)])
+    table = np.array([list(pulls(fitted(seed=100 + s), TRUTH).values()) for s in range(SEEDS)])
     coverage = np.mean(np.abs(table) < 1.96)
     assert 0.85 <= coverage <= 1.0
     assert 0.7 < np.sqrt(np.mean(table**2)) < 1.35
     # a bias common to all recordings would show in the mean: standard deviation 1/sqrt(14) = 0.27
     assert np.abs(table.mean(axis=0)).max() < 4 / np.sqrt(SEEDS)
-    noises = [fitted(seed=100 + s, ou=ou).noise[0] for s in range(SEEDS)]
-    if ou:
-        assert 1e-7 / 1.25 < np.median([n.pure / np.sqrt(n.time) for n in noises]) < 1.25e-7
-    else:
-        assert max(n.pure for n in noises) < 1e-9
+    assert max(fitted(seed=100 + s).noise[0].pure for s in range(SEEDS)) < 1e-9

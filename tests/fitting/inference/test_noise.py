@@ -77,7 +77,7 @@ def test_neither_model_nor_moments_of_inertia_change_the_process_noise(model, ca
         assert found.held_out == pytest.approx(base.held_out, rel=0.2)
 
 
-@pytest.mark.parametrize(("hidden", "seed"), [("step", 0), ("drag", 1)])
+@pytest.mark.parametrize(("hidden", "seed"), [("step", 0), pytest.param("drag", 1, marks=pytest.mark.slow)])
 def test_a_missing_effect_does_not_count_as_process_noise(hidden, seed):
     """The process noise is unchanged; a missing effect raises the level of the fit."""
     result = fitted(seed=seed, hidden=hidden)
@@ -87,7 +87,8 @@ def test_a_missing_effect_does_not_count_as_process_noise(hidden, seed):
     assert result.verdict == "misfit"
 
 
-@pytest.mark.parametrize("hidden", ["step", pytest.param("drag", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["step", "drag"])
 def test_process_noise_is_estimated_with_a_missing_effect_present(hidden):
     (noise,) = fitted(seed=1, ou=1e-7, hidden=hidden).noise
     assert 1e-7 / 1.6 < strength(noise) < 1.6e-7

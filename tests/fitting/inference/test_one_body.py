@@ -55,7 +55,7 @@ def pull(found, name, truth):
     return (e.value - truth) / e.stderr
 
 
-@pytest.mark.parametrize("quantity", ["omega", "angle"])
+@pytest.mark.parametrize("quantity", ["omega", pytest.param("angle", marks=pytest.mark.slow)])
 def test_parameters_and_errors(quantity):
     pulls = []
     for seed in range(2):
@@ -106,6 +106,7 @@ def test_a_missing_effect_of_a_single_body_is_found():
     assert not any(name.startswith("initial.omega_r") for name in last.estimates)
 
 
+@pytest.mark.slow
 def test_residuals_of_a_wrong_law_depend_on_the_speed():
     measured = wheel(SQUARE, quantity="angle")
     cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [measured])

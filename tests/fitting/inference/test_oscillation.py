@@ -103,7 +103,7 @@ def test_the_motion_of_a_body_released_at_rest_does_not_depend_on_the_sign_of_it
 @pytest.mark.slow
 def test_quadratic_drag_of_a_pendulum_released_at_rest_is_the_second_effect():
     t, angle, _ = oscillators.motion(
-        lambda t, a, w: -12 * np.sin(a) - 0.01 * w - 0.008 * w * abs(w), (1.3, 0.0), 40.0, 50.0
+        lambda t, a, w: -12 * np.sin(a) - 0.01 * w - 0.008 * w * abs(w), (1.3, 0.0), 25.0, 50.0
     )
     history = improve(fit(Model.of(["touchpoint.constant", DRAG]), [oscillators.record(t, angle, 2e-3, 6)]))
     assert [s.change for s in history[1:3]] == ["+casing.gravity", "+casing.air.quadratic"]

@@ -16,7 +16,9 @@ from fitting.inference._profile import profile, weakly_determined
 TRUTH = twobody.truth()
 
 
-@pytest.mark.parametrize("name", ["touchpoint.constant.b1", "initial.omega_c@case1"])
+@pytest.mark.parametrize(
+    "name", ["touchpoint.constant.b1", pytest.param("initial.omega_c@case1", marks=pytest.mark.slow)]
+)
 def test_the_profile_of_a_linear_problem_gives_the_standard_error(name):
     result = fitted(seed=0, ou=1e-7)
     e, interval = result.estimates[name], profile(result, name)

@@ -59,6 +59,7 @@ def test_noise_of_a_running_median_agrees_with_simulation(reach):
     assert np.sqrt(count * np.var(np.concatenate(means)) / expected) == pytest.approx(0.95, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_method_of_the_paper_recovers_the_parameters(record):
     """Its uncertainties are much larger than those of angles, and are valid."""
     found = fit(Model.of(REDUCED), [CaseData.of(prepared(record, "velocity"))])

@@ -93,6 +93,7 @@ def test_no_word_becomes_a_formula(text, case, tmp_path):
     export_file(path, tmp_path / "a.csv", table="frames")
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(file, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(file.parent)
     blocks = re.findall(r"^```python\n(.*?)^```$", (DOCS / "how-to/notebook.md").read_text(), re.S | re.M)

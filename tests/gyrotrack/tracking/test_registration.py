@@ -102,9 +102,9 @@ def test_error_and_uncertainty(angles):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("radius", [100, 300])
-def test_error_and_uncertainty_of_large_discs(radius):
-    error, found, least = check(radius, SPIN_DOWN, 6.0, seed=3)
+@pytest.mark.parametrize(("radius", "frames"), [(100, 120), (300, 60)])
+def test_error_and_uncertainty_of_large_discs(radius, frames):
+    error, found, least = check(radius, SPIN_DOWN[:frames], 6.0, seed=3)
     assert error.std() < 1.5 * least
     assert 0.8 < (error / found.sigma).std() < 1.25
 

@@ -28,7 +28,7 @@ def far(parameters, truth):
     }
 
 
-def test_parameters_are_those_that_were_simulated(gyrotrack, case):
+def test_numbers_and_keys_of_the_document(gyrotrack, case):
     said = gyrotrack("fit", case("plain"), "--json")
     assert said.code == 0
     assert said.err == ""
@@ -38,10 +38,7 @@ def test_parameters_are_those_that_were_simulated(gyrotrack, case):
     # and the errors are small: a guess with huge errors would pass the lines above
     assert all(found["parameters"][k]["stderr"] < 0.1 * v for k, v in TRUTH.items())
     assert found["verdict"] == "adequate"
-
-
-def test_keys_that_other_programs_rely_on(gyrotrack, case):
-    found = gyrotrack("fit", case("plain"), "--json").json
+    # the keys are a contract: other programs rely on them
     assert {"fit_id", "model", "parameters", "cases", "n_eff", "bic", "verdict"} <= set(found)
     assert found["model"] == [
         "rotor.air.quadratic",
@@ -70,9 +67,15 @@ def test_keys_that_other_programs_rely_on(gyrotrack, case):
     assert math.isfinite(found["bic"])
 
 
-def test_for_people_the_verdict_comes_first(gyrotrack, case):
-    said = gyrotrack("fit", case("plain"))
+def test_for_people_the_verdict_comes_first_and_the_ledger_is_where_one_wants_it(gyrotrack, case, tmp_path):
+    ledger = tmp_path / "elsewhere.json"
+    said = gyrotrack("fit", case("plain"), "--ledger", ledger)
     assert said.code == 0
+    assert not (tmp_path / "plain.fits.json").exists()
+    document = json.loads(ledger.read_text())
+    assert document["format"] == "gyrotrack ledger"
+    assert document["fits"][0]["fit_id"] == "f1"
+    assert not list(tmp_path.glob("*.part"))
     assert said.out.startswith("fit f1: adequate")
     assert "x 10^-11 N m s2" in said.out
     assert max(map(len, said.out.splitlines())) <= 80
@@ -222,22 +225,13 @@ def test_a_model_from_a_file(gyrotrack, case, tmp_path):
     assert again.json["model"] == said.json["model"]
 
 
+@pytest.mark.slow
 def test_effects_of_ones_own_by_name(gyrotrack, study, tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('[[effect]]\nname = "my.drag"\nbody = "casing"\nlaw = "-k*omega_c*abs(omega_c)"\n')
     said = gyrotrack("fit", study, "--from", "f1", "--effects", file, "--add", "my.drag", "--json")
     assert said.code == 0
     assert far({"k": said.json["parameters"]["my.drag.k"]}, {"k": DRAG}) == {}
-
-
-def test_a_ledger_where_one_wants_it(gyrotrack, case, tmp_path):
-    ledger = tmp_path / "elsewhere.json"
-    assert gyrotrack("fit", case("plain"), "--ledger", ledger).code == 0
-    assert not (tmp_path / "plain.fits.json").exists()
-    document = json.loads(ledger.read_text())
-    assert document["format"] == "gyrotrack ledger"
-    assert document["fits"][0]["fit_id"] == "f1"
-    assert not list(tmp_path.glob("*.part"))
 
 
 class TestSeveralCases:

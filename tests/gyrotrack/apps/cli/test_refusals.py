@@ -98,6 +98,7 @@ def test_a_folder_that_may_not_be_written(gyrotrack, case, tmp_path):
     assert "cannot be written" in said.err
 
 
+@pytest.mark.slow
 def test_a_folder_that_refuses_to_be_written(gyrotrack, case, tmp_path, monkeypatch):
     """As on a read-only disk, whoever runs it."""
 

@@ -30,6 +30,7 @@ def test_tables_files_and_document(scanned):
     assert (folder / "s.tex").read_text().startswith("% made by gyrotrack scan")
 
 
+@pytest.mark.slow
 def test_nothing_is_kept_and_nothing_replaced(scanned, simulated, gyrotrack):
     folder = scanned[2]
     assert not list(simulated.glob("*.fits.json"))

@@ -14,6 +14,8 @@ from gyrotrack._errors import OutputError
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
 
+pytestmark = pytest.mark.slow  # the story of fits behind the page takes seconds
+
 HOSTILE = "<script>alert(1)</script> $\\frac{$ & \"quoted\" 'single' \u202e\U0001f300"
 _TAGS = """
 html head meta title style body header main footer section nav ul li a h1 h2 h3 p strong span br sub code div
@@ -135,7 +137,6 @@ def test_page_tells_the_story(page):
     assert abs(float(value) - 3) < 4 * float(error)
 
 
-@pytest.mark.slow
 def test_page_does_not_change_from_run_to_run(story, page, tmp_path):
     write_report(
         tmp_path / "again.html",
@@ -193,7 +194,6 @@ def _case():
     return Case(5e-5, 2e-5, HOSTILE, HOSTILE, series, series, {"r1": clip}, {"r1": placement})
 
 
-@pytest.mark.slow
 def test_names_from_files_appear_as_text(story, tmp_path):
     rungs, diagnosis = _hostile(story)
     path = write_report(
@@ -208,7 +208,6 @@ def test_names_from_files_appear_as_text(story, tmp_path):
     assert not [k for _, k, _ in seen.attributes if k.startswith("on")]
 
 
-@pytest.mark.slow
 def test_names_from_files_do_not_stop_the_pdf(story, tmp_path):
     rungs, diagnosis = _hostile(story)
     where = {HOSTILE: '#panic() #import "x" $ * _ \udcff'}
@@ -217,7 +216,6 @@ def test_names_from_files_do_not_stop_the_pdf(story, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["hostile.pdf"]
 
 
-@pytest.mark.slow
 def test_one_fit_alone_makes_a_report(story, tmp_path):
     path = write_report(tmp_path / "one.html", story.rungs[:1], None, recordings=[_case()])
     text = " ".join(_Page(path.read_text("utf-8")).text.split())
@@ -233,7 +231,6 @@ def test_one_fit_alone_makes_a_report(story, tmp_path):
     assert "2 of 22 not decoded" in text
 
 
-@pytest.mark.slow
 def test_an_existing_file_is_kept_unless_forced(story, tmp_path):
     path = tmp_path / "report.html"
     path.write_text("mine")

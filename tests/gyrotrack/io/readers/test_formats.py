@@ -188,6 +188,7 @@ def spin_down(per_turn, jitter=0.0, *, seed=0, turns=400):
     return times + np.random.default_rng(seed).normal(0, jitter, len(times)), angle
 
 
+@pytest.mark.slow
 def test_many_scattering_pulses_are_counted_in_little_memory(tmp_path):
     """Six of 30,000 pulses are missed; parts of the record are counted one after the other."""
     number = 30_000
