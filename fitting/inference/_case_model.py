@@ -97,37 +97,41 @@ def angle_dependent_rows(
     def torques(tape: Tape) -> Array:
         return np.stack([np.asarray(tape({**law, **known})[0]) * np.ones(len(inner)) for law in laws], axis=1)
 
-    def driven(torque: Array) -> tuple[Array, Array]:
-        return motion.driven(t, torque.reshape(len(half), _GAUSS, -1), direction)
+    respond = motion.driven(t, _GAUSS, direction)
 
-    tape, pieces = Tape([effect.expression]), 0
+    def driven(torque: Array) -> tuple[Array, Array]:
+        return respond(torque.reshape(len(half), _GAUSS, -1))
+
+    tape, observed = Tape([effect.expression]), int(data.is_angle)
     if measured is not None:
         start = 0.0 if data.is_angle else model.integral(*path.angle("omega_c"))[0]
         deviation = start + measured - model.integral(*path.angle("omega_c"))
         deviation = deviation if error is None else deviation + error(t)
         of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
     # speeds and angles of the casing by the law of the present strengths, and for the first derivatives none
-    own, search = np.zeros((2, len(t))), _FixedPoint()
+    own, search, pieces = np.zeros((2, len(t))), _FixedPoint(), [0]
     for _ in range(_PASSES):
         if measured is not None:
-            needed = pieces_needed(t, of_values - own[int(data.is_angle)])
-            search, pieces = (search if needed == pieces else _FixedPoint()), needed
-            smooth = np.interp(inner, t, smoothed(t, deviation - own[1], pieces))
+            if len(pieces) < 2 or pieces[-1] != pieces[-2]:
+                pieces.append(pieces_needed(t, of_values - own[observed]))
+                search = _FixedPoint()
+            smooth = np.interp(inner, t, smoothed(t, deviation - own[1], pieces[-1]))
             known["psi_c"] = psi + hermite(t, own[1], own[0], inner) + smooth
         unit = torques(tape)
         speed, angle = driven(unit)
         found = np.stack([speed[1] @ strength, angle[1] @ strength])
-        if measured is None or np.abs(found[1] - own[1]).max() < _NEGLIGIBLE * _unit_error(record.casing):
+        change = np.abs(found[observed] - own[observed]).max()
+        if measured is None or change < _NEGLIGIBLE * _unit_error(record.casing):
             break
         own = search.next(own, found)
     value = _observed(data, speed, angle) @ strength
-    if measured is not None and strength.any():
+    if measured is not None and error is None and strength.any():
         # the part of the response that is not in the smoothed deviation changes the argument
         stiffness = torques(Tape([derivative(effect.expression, "psi_c")])) @ strength
         for j in range(2):
             response, search = np.stack([speed[1][:, j], angle[1][:, j]]), _FixedPoint()
             for _ in range(_PASSES):
-                smooth = smoothed(t, response[1], pieces)
+                smooth = smoothed(t, response[1], pieces[-1])
                 fast = hermite(t, response[1], response[0], inner) - np.interp(inner, t, smooth)
                 w, a = driven(unit[:, j] + stiffness * fast)
                 found = np.stack([w[1][:, 0], a[1][:, 0]])

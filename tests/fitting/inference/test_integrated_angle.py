@@ -69,10 +69,10 @@ def test_strong_periodic_torque_does_not_count_as_noise(effect, order):
 
 
 def test_strong_periodic_torque_is_not_correlated_angle_noise():
-    record, phase = wheel(1.1, 0, quantity="angle", step=0.03)
+    record, phase = wheel(1.1, 0, quantity="angle", step=0.05)
     data = CaseData.of(record)
     found = fit(fitting.Model.of([*BASE, "casing.unbalance"]), [data])
-    # one amplitude k / omega^2 of 6 to 70 mrad, measured by 2000 angles with 2 mrad each
+    # one amplitude k / omega^2 of 6 to 70 mrad, measured by 1200 angles with 2 mrad each
     assert 0.0015 < found.estimates["casing.unbalance.k"].stderr < 0.01
     assert found.estimates["casing.unbalance.phi"].stderr < 0.01
     assert np.abs(pulls(found, 1.1, phase)).max() < 4
