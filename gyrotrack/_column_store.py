@@ -7,9 +7,12 @@ system does not support such files, are plain arrays.
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from tempfile import TemporaryFile
 from typing import Any, overload
 from weakref import WeakSet
@@ -73,7 +76,14 @@ def release_pages() -> None:
             file.madvise(_DONTNEED)
 
 
-_LEAST_READ = 16 << 20
+def release_memory() -> None:
+    """Return freed memory to the system; glibc retains it, and its heap is fragmented by freed frames."""
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another libc than glibc
+            ctypes.CDLL(None).malloc_trim(0)
+
+
+_LEAST_READ = 8 << 20
 """Bytes of pictures that are read between two releases of pages."""
 
 

@@ -63,54 +63,55 @@ def correlated_least_squares(
     both = np.column_stack([x / scale, z])
     known = 1.0 / (prior * scale) ** 2
     plain = (both[:, :-1] / white[:, None]).T
-    found: list[list[tuple[float, float, Floats, Floats]]] = [[] for _ in models]
     psi_binned = None if psi is None else np.interp(when, t, psi)
-    families = []
-    for family, _, _, root in _noise_models(white, when, psi_binned):
+    families, products, logs, scatter = [], [], [], []
+    for family, _, _, noise in _noise_models(white, when, psi_binned):
+        root = np.linalg.cholesky(noise)
+        solved = solve_triangular(root, both, lower=True, check_finite=False)
         families.append(family)
-        noise = root @ root.T
-        solved = solve_triangular(root, both, lower=True)
-        log_noise = 2 * float(np.sum(np.log(np.diag(root))))
-        gram = solved.T @ solved
-        for model, kept in zip(models, found, strict=True):
-            normal, right, rest = gram[np.ix_(model, model)], gram[model, -1], gram[-1, -1]
-            size, ridge = 1.0, 1e-12 * np.trace(normal) * np.eye(len(model))
-            # the prior is in units of y, the noise in units of its unknown variance
-            for _ in range(3 if known[model].any() else 1):
-                precision = normal + np.diag(known[model] * size)
-                inverse = np.linalg.inv(precision + ridge)
-                c = inverse @ right
-                free = max(n - float(np.sum(inverse * normal)), 1.0)
-                size = max(float(rest - 2 * c @ right + c @ normal @ c), 1e-12 * float(rest)) / free
-            likelihood = -0.5 * (n * math.log(size * free / n) + log_noise)
-            log_normal = float(np.linalg.slogdet(precision)[1])
-            restricted = -0.5 * (free * math.log(size) + log_noise + log_normal)
-            # the coefficients are those of weighted least squares, independent of the noise model; their covariance
-            # is that under this noise model
-            of_noise = plain[model] @ noise @ plain[model].T
-            plain_normal = plain[model] @ both[:, model]
-            weak = 1e-12 * np.trace(plain_normal) * np.eye(len(model))
-            inflation = float(np.trace(np.linalg.solve(plain_normal + weak, of_noise))) / len(model)
-            held = np.diag(known[model] * size * inflation)
-            inverse = np.linalg.inv(plain_normal + held + weak)
-            covariance = size * inverse @ (of_noise + held * inflation) @ inverse
-            units = scale[model]
-            kept.append(
-                (
-                    likelihood,
-                    restricted,
-                    inverse @ (plain[model] @ z) / units,
-                    covariance / np.outer(units, units),
-                )
-            )
+        products.append(solved.T @ solved)
+        logs.append(2 * np.sum(np.log(np.diag(root))))
+        scatter.append(plain @ noise @ plain.T)
+    # of each noise model: products of columns and values, log-determinant, covariance of the products `plain` @ y
+    grams, log_noise, noise_of_plain = np.array(products), np.array(logs), np.array(scatter)
+    plain_products = plain @ both
     estimates = []
-    for model, kept in zip(models, found, strict=True):
-        weights = _weights(np.array([k[1] for k in kept]), families)
-        values = np.array([k[2] for k in kept])
+    for model in models:
+        square = np.ix_(model, model)
+        normal, right, rest = grams[:, square[0], square[1]], grams[:, model, -1], grams[:, -1, -1]
+        one = np.eye(len(model))
+        size, ridge = np.ones(len(grams)), 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * one
+        # the prior is in units of y, the noise in units of its unknown variance
+        for _ in range(3 if known[model].any() else 1):
+            precision = normal + size[:, None, None] * np.diag(known[model])
+            inverse = np.linalg.inv(precision + ridge)
+            c = np.linalg.vecdot(inverse, right[:, None])
+            free = np.maximum(n - np.sum(inverse * normal, axis=(1, 2)), 1.0)
+            square_sum = (
+                rest
+                - 2 * np.linalg.vecdot(c, right)
+                + np.linalg.vecdot(c, np.linalg.vecdot(normal, c[:, None]))
+            )
+            size = np.maximum(square_sum, 1e-12 * rest) / free
+        likelihood = -0.5 * (n * np.log(size * free / n) + log_noise)
+        log_normal = np.linalg.slogdet(precision)[1]
+        restricted = -0.5 * (free * np.log(size) + log_noise + log_normal)
+        # the coefficients are those of weighted least squares, independent of the noise model; their covariance
+        # is that under this noise model
+        of_noise, plain_normal = noise_of_plain[:, square[0], square[1]], plain_products[square]
+        weak = 1e-12 * np.trace(plain_normal) * one
+        inflation = np.trace(np.linalg.solve(plain_normal + weak, of_noise), axis1=1, axis2=2) / len(model)
+        held = (size * inflation)[:, None, None] * np.diag(known[model])
+        inverse = np.linalg.inv(plain_normal + held + weak)
+        covariances = size[:, None, None] * (inverse @ (of_noise + held * inflation[:, None, None]) @ inverse)
+        values = inverse @ plain_products[model, -1] / scale[model]
+        weights = _weights(restricted, families)
         value = weights @ values
         spread = (weights[:, None] * (values - value)).T @ (values - value)
-        covariance = np.tensordot(weights, np.array([k[3] for k in kept]), axes=1) + spread
-        criterion = -2 * max(k[0] for k in kept) + len(model) * math.log(n)
+        covariance = (
+            np.tensordot(weights, covariances, axes=1) / np.outer(scale[model], scale[model]) + spread
+        )
+        criterion = -2 * float(likelihood.max()) + len(model) * math.log(n)
         estimates.append(Estimate(value, covariance, criterion))
     return estimates
 
@@ -129,8 +130,9 @@ def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) ->
     n = len(z)
     turn = min(2 * math.pi * float(np.median(np.diff(when))) / period, math.pi)
     found, families = [], []
-    for family, share, length, root in _noise_models(white, when):
+    for family, share, length, noise in _noise_models(white, when):
         families.append(family)
+        root = np.linalg.cholesky(noise)
         solved = solve_triangular(root, np.column_stack([x, z]), lower=True)
         gram = solved.T @ solved
         normal, right = gram[:-1, :-1], gram[:-1, -1]
@@ -160,7 +162,7 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
 def _noise_models(
     white: Floats, when: Floats, psi: Floats | None = None
 ) -> Iterator[tuple[int, float, float, Floats]]:
-    """Yield the family, q, tau in bins, and the Cholesky factor of the noise.
+    """Yield the family, q, tau in bins, and the covariance of the noise.
 
     Families: 0 white, 1 correlated in time, 2 harmonic in the angle, 3 both. The last two are yielded only where the
     bins resolve a turn.
@@ -176,11 +178,10 @@ def _noise_models(
         harmonic = [(p, c * len(when)) for p in _VARIANCE_RATIOS for c in _HARMONIC_TIMES]
         choices += [(2, 0.0, 1.0, p, c) for p, c in harmonic]
         choices += [(3, *first, *second) for first in correlated[::2] for second in harmonic[::2]]
+    decay = {tau: np.exp(-lag / tau) for tau in {c[2] for c in choices} | {c[4] for c in choices}}
     for family, q, tau, p, length in choices:
-        noise = np.diag(white) + level * (
-            q * np.exp(-lag / tau) + (p * cosine * np.exp(-lag / length) if p else 0.0)
-        )
-        yield family, q, tau, np.asarray(np.linalg.cholesky(noise))
+        noise = np.diag(white) + level * (q * decay[tau] + (p * cosine * decay[length] if p else 0.0))
+        yield family, q, tau, noise
 
 
 def _weights(logs: Floats, families: Sequence[int]) -> Floats:

@@ -176,6 +176,12 @@ _DECAYING = {
     "casing": ("omega_c", "omega_c*abs(omega_c)", "omega_r"),
     "bearing": ("delta", "delta*abs(delta)"),
 }
+# drag that begins, ends or changes at one moment: a brake, a seal, a lubricant
+_SWITCHED = {
+    "rotor": ("omega_r", "omega_r*abs(omega_r)"),
+    "casing": ("omega_c", "omega_c*abs(omega_c)"),
+    "bearing": ("delta", "delta*abs(delta)"),
+}
 _HARMONICS = (3, 4)
 
 
@@ -250,6 +256,11 @@ def _products(body: Joint, span: float, *, single: bool) -> Iterator[LawForm]:
         variable = factor.partition("*")[0]
         form = _Form("product", "", (("w", "time"),), 4 + factor.count("*"))
         yield _law(form, body, f"exp(-t/w)*{factor}", (_shape("w", "time", 1.0, span),), (variable, "t"))
+    for factor in _SWITCHED[body]:
+        form = _Form("switched drag", "", (("t0", "moment"),), 4 + factor.count("*"))
+        shapes = (_shape("t0", "moment", 1.0, span),)
+        variables = (factor.partition("*")[0], "t")
+        yield _law(form, body, f"heaviside(t - t0)*{factor}", shapes, variables, moment=True)
 
 
 def _of_angle(n: int) -> LawForm:
@@ -273,7 +284,7 @@ def _law(
     law = f"k*{text}" if not text.startswith("1/") else f"k/{text[2:]}"
     strength = Parameter("k", _unit(text, shapes), lower=lower, meaning="strength")
     name = f"law.{body}.{'_'.join(variables)}.{_word(form.name)}"
-    jump = "t0" if form.name == "step in time" else ""
+    jump = "t0" if form.name in {"step in time", "switched drag"} else ""
     effect = Effect(
         name, body, law, (strength, *shapes, *phase), state=state, breakpoint=jump, per_case=moment,
         signature=f"{form.name} of {' and '.join(variables)}" if "time" not in form.name else form.name,

@@ -91,16 +91,22 @@ class Nuisance:
 class Torques:
     """Net torques of several fits of the same data along the motion of the most complete one, `end`.
 
-    With `residual` the unmodelled torque of `end` is added: it has a significant lack of fit.
+    With `residual` the unmodelled torque of `end` is added: it has a significant lack of fit. Where it is larger than
+    that of the base, an effect has not made the fit more complete, and the base takes its place.
     """
 
     def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
+        curves = residual_torques(end) if residual else []
+        if residual and end is not base:
+            of_base = residual_torques(base)
+            if _mean_square(of_base) < _mean_square(curves):
+                end, curves = base, of_base
         self._base, self._end = base, end
         self._time = [np.linspace(*d.record.span, _POINTS) for d in end.problem.data]
         self.unmodelled = self._difference(end)
         if residual:
             slow = {d.record.label: _slow_residual(end, i) for i, d in enumerate(end.problem.data)}
-            for curve in residual_torques(end):
+            for curve in curves:
                 if slow[curve.label] is None:
                     self._add(curve)
             for label, torque in slow.items():
@@ -116,19 +122,21 @@ class Torques:
     def remaining(self, named: Fit) -> tuple[float, float]:
         """Return the unexplained share of the mean square, and the rms of it on the body with more of it [N m]."""
         explained = self._difference(named)
-        total, unexplained, bodies = 0.0, 0.0, np.zeros(2)
+        whole, bodies = np.zeros(2), np.zeros(2)
         for (smooth, harmonics), (fitted, fitted_harmonics) in zip(self.unmodelled, explained, strict=True):
             for body in (0, 1):
                 names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body}
-                total += float(np.mean(smooth[body] ** 2)) + 0.5 * sum(
+                mean = float(np.mean(smooth[body] ** 2)) + 0.5 * sum(
                     abs(harmonics.get(k, 0)) ** 2 for k in names
                 )
+                whole[body] += mean / len(self.unmodelled)
                 rest = float(np.mean((smooth[body] - fitted[body]) ** 2)) + 0.5 * sum(
                     abs(harmonics.get(k, 0) - fitted_harmonics.get(k, 0)) ** 2 for k in names
                 )
-                unexplained += rest
                 bodies[body] += rest / len(self.unmodelled)
-        return min(unexplained / total, 1.0) if total > 0 else 0.0, float(np.sqrt(bodies.max()))
+        if bodies.sum() >= whole.sum():  # it explains nothing: all of the torque remains
+            return float(whole.sum() > 0), float(np.sqrt(whole.max()))
+        return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def shape_error(self, law: Effect, freed: Effect) -> tuple[float, float]:
         """Return share and rms of the difference of a law with a free shape and that of the library, best scaled."""
@@ -184,6 +192,10 @@ class Torques:
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
         return numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]
+
+
+def _mean_square(curves: Sequence[ResidualTorque]) -> float:
+    return float(sum(np.mean(curve.torque**2) for curve in curves))
 
 
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:

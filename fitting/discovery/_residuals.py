@@ -100,7 +100,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     residual = data.z - prediction.rows
     time = _SHARE * float(response.edges[-1] - response.edges[0])
     slow = response.whitener(TorqueNoise(0.0, time))
-    level, _ = remaining_level(slow, residual, data.nuisance)
+    level = min(remaining_level(slow, residual, data.nuisance)[0], data.largest_torque)
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
     # covariance of the rows with the torque of each body, for a torque of rms 1 N m

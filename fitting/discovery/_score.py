@@ -484,11 +484,12 @@ def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -
     size = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))[..., None]
     scaled = gram / (size * size.transpose(0, 2, 1))
     inverse = np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) if width > 1 else np.sign(scaled)
+    product = np.matmul if width > 1 else np.multiply
     projected = projected / size
-    gamma = inverse @ projected
+    gamma = product(inverse, projected)
     if bounds != (-np.inf, np.inf):
         gamma = np.clip(gamma, bounds[0] * size, bounds[1] * size)
-    score = np.sum(gamma * (2 * projected - scaled @ gamma), axis=1)
+    score = np.sum(gamma * (2 * projected - product(scaled, gamma)), axis=1)
     gamma = gamma / size
     return (score, gamma) if r.ndim > 1 else (score[:, 0], gamma[..., 0])
 

@@ -157,12 +157,12 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     if not all(len(s.projected) for s in stretches):
         return AngleNoise()  # the nuisance parameters describe all of a short recording
     white = sum(s.likelihood(None) for s in stretches)
-    with_torque = StretchLikelihood(stretches, None).marginal(torque_times)
+    with_torque = StretchLikelihood.of(stretches, None).marginal(torque_times)
     credible = max(s.most_likely_level(torque_times) for s in stretches) < mean_acceleration(run)
 
     def gain(covariance: Array) -> float:
         if credible:
-            return 2 * (StretchLikelihood(stretches, covariance).marginal(torque_times) - with_torque)
+            return 2 * (StretchLikelihood.of(stretches, covariance).marginal(torque_times) - with_torque)
         return 2 * (sum(s.likelihood(covariance) for s in stretches) - white)
 
     times = block * np.array(_TIMES)
@@ -307,7 +307,7 @@ def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
 
 def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
     """Return P R P' of the rows for R = cos(psi - psi') exp(-|t - t'| / T), for each T [s]."""
-    operators = run.binned_operators(max(_FEWEST_BINS, _ALL_BINS // len(run.lift)))
+    operators = run.operators_of_bins(max(_FEWEST_BINS, _ALL_BINS // len(run.lift)))
     rows = block_diagonal([p for _, p in operators])
     t = np.concatenate([t for t, _ in operators])
     psi = np.interp(t, run.samples.time, run.samples.value)
@@ -317,7 +317,7 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
 
 def _row_covariance(run: Compressed, time: float) -> Array:
     """Return P R P' of the polynomial rows of a run."""
-    operators = run.binned_operators()
+    operators = run.binned_operators
     rows = block_diagonal([p for _, p in operators])
     t = np.concatenate([t for t, _ in operators])
     return np.asarray(rows @ np.exp(-np.abs(t[:, None] - t) / time) @ rows.T)
@@ -330,7 +330,7 @@ def _row_covariance_beyond_white(run: Compressed, time: float) -> Array:
     """
     blocks, k, _ = run.lift.shape
     forward, backward, first, last, diagonal = [], [], [], [], []
-    for (where, _), (middle, p) in zip(run.operators, run.binned_operators(), strict=True):
+    for (where, _), (middle, p) in zip(run.operators, run.binned_operators, strict=True):
         t = run.samples.time[where]
         diagonal.append(p @ np.exp(-np.abs(middle[:, None] - middle) / time) @ p.T)
         forward.append(p @ np.exp((middle - t[-1]) / time))

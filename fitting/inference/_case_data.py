@@ -234,6 +234,24 @@ class CaseData:
         return None if self.oscillation is not None and not self.is_angle else _turning_angle(self.record)
 
     @cached_property
+    def largest_torque(self) -> float:
+        """Largest net torque on a body in the recording [N m], from its mean accelerations over short parts.
+
+        These are fiftieths of a run, or sixteenths of the period of an oscillation.
+        """
+        record, found = self.record, [0.0]
+        for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
+            for samples in (run.samples for run in runs):
+                part = float(np.ptp(samples.time)) / _RUN_PARTS
+                if self.oscillation is not None:
+                    part = min(part, self.oscillation.period / _PERIOD_PARTS)
+                time = np.arange(samples.time[0], samples.time[-1], part)
+                value = np.interp(time, samples.time, samples.value)
+                speed = np.gradient(value, time) if self.is_angle else value
+                found.append(inertia * float(np.abs(np.gradient(speed, time)).max()))
+        return max(found)
+
+    @cached_property
     def harmonic_responses(self) -> Array:
         """Rows of the responses to torques of the first two harmonics of the angle, (rows, columns).
 
@@ -627,6 +645,7 @@ def _gradients(speeds: Samples) -> Array:
 # columns of `camera_columns` that belong to each nuisance effect, in the order of the library
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
+_RUN_PARTS, _PERIOD_PARTS = 50, 16
 # standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
 _CENTRE, _TILT = 0.15, 0.05
 # longest step of the integral of speeds from sample to sample [rad]

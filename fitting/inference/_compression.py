@@ -10,6 +10,7 @@ correlation between neighbouring samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -146,8 +147,13 @@ class Compressed:
         harmonic = np.concatenate([p[k:] for p in parts])
         return polynomial, harmonic
 
-    def binned_operators(self, bins: int = _BINS) -> list[tuple[Array, Array]]:
-        """Return for each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+    @cached_property
+    def binned_operators(self) -> list[tuple[Array, Array]]:
+        """For each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+        return self.operators_of_bins(_BINS)
+
+    def operators_of_bins(self, bins: int) -> list[tuple[Array, Array]]:
+        """Return `binned_operators` for another number of groups in each block."""
         k, found = self.lift.shape[1], []
         for where, operator in self.operators:
             t = self.samples.time[where]

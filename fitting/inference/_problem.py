@@ -321,6 +321,9 @@ def refine_level(
     A model of an oscillation that fails grossly keeps the level of the recording: at the level of its residuals the
     phase would be random, and the period, which is known best, would have no weight (measured: the torque of a pendulum
     6 % too small). The uncertainties are scaled by the residuals instead.
+
+    A random torque is never larger than the largest torque of the recording. Residuals after the model has come to rest
+    do not respond to a torque, and would be explained by torques without limit.
     """
     found = []
     moving = ~problem.layout.at_bound(theta) & (not fixed)
@@ -330,6 +333,7 @@ def refine_level(
             [p.columns[:, moving[p.places]], data.nuisance, data.harmonic_responses], axis=1
         )
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns)
+        level = min(level, data.largest_torque or np.inf)
         grossly = restoring and fails_grossly(data, p, n)
         found.append(replace(n.at(n.pure if grossly else level), excess=excess))
     return tuple(found)

@@ -21,6 +21,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +105,7 @@ def estimate_process_noise(
 
     def divided(count: int, degree: int) -> StretchLikelihood:
         parts = np.array_split(np.arange(blocks), max(1, count))
-        return StretchLikelihood([stretch(p, degree) for p in parts], angle_covariance)
+        return StretchLikelihood.of([stretch(p, degree) for p in parts], angle_covariance)
 
     found = divided(min(_MOST_STRETCHES, blocks // _SHORT_BLOCKS), _DEGREE)
     if blocks // _SHORT_BLOCKS > _MOST_STRETCHES:
@@ -111,23 +113,21 @@ def estimate_process_noise(
         if not found.is_consistent_with(fine, times):
             found = fine
     # longer stretches, where they describe the motion as well, determine slower noise
-    while len(found.stretches) > 1:
-        pairs = list(zip(found.stretches[::2], found.stretches[1::2], strict=False))
-        merged: list[Stretch] = []
+    while len(found.parts) > 1:
+        pairs = list(zip(found.parts[::2], found.parts[1::2], strict=False))
+        merged: list[WhitenedStretch] = []
         for pair in pairs:
-            both = np.concatenate([p.blocks for p in pair])
+            both = np.concatenate([p.stretch.blocks for p in pair])
             joint = (
-                StretchLikelihood([stretch(both, _DEGREE)], angle_covariance)
+                StretchLikelihood.of([stretch(both, _DEGREE)], angle_covariance)
                 if len(both) * k <= _MOST_ROWS
                 else None
             )
-            merged += (
-                joint.stretches if joint is not None and joint.is_consistent_with(found, times) else pair
-            )
-        merged += found.stretches[2 * len(pairs) :]
-        if len(merged) == len(found.stretches):
+            merged += joint.parts if joint is not None and joint.is_consistent_with(found, times) else pair
+        merged += found.parts[2 * len(pairs) :]
+        if len(merged) == len(found.parts):
             break
-        found = StretchLikelihood(merged, angle_covariance)
+        found = StretchLikelihood(merged)
     return _process_noise(found, times, typical)
 
 
@@ -196,34 +196,49 @@ def mean_acceleration(run: Compressed) -> float:
     return float(np.abs(np.diff(speed)).sum() / np.ptp(t))
 
 
-class StretchLikelihood:
-    """The restricted likelihood of process noise of a run whose motion is a polynomial in each stretch.
+class WhitenedStretch:
+    """A stretch whose rows are whitened by the angle noise; the process noise is diagonalised once for each time.
 
-    Parameters
-    ----------
-    stretches : sequence of Stretch
-        The stretches.
-    angle_covariance : ndarray or None
-        Covariance of the rows by correlated angle noise, in addition to the unit white noise.
+    `angle_covariance` is the covariance of the rows by correlated angle noise, in addition to the unit white noise.
     """
 
-    def __init__(self, stretches: Sequence[Stretch], angle_covariance: Array | None) -> None:
-        self.stretches = list(stretches)
-        self._whitening = [s.whitening(angle_covariance) for s in stretches]
+    def __init__(self, stretch: Stretch, angle_covariance: Array | None) -> None:
+        self.stretch = stretch
+        self.whitening = stretch.whitening(angle_covariance)
+        self._spectra: dict[float, tuple[Array, Array, float]] = {}
+
+    def spectrum(self, time: float) -> tuple[Array, Array, float]:
+        """Return independent rows, the variance of each by process noise, and its rms [rad/s2]."""
+        if time not in self._spectra:
+            covariance, unit = self.stretch.torque_covariance(time)
+            values, vectors = np.linalg.eigh(self.whitening @ covariance @ self.whitening.T)
+            rows = vectors.T @ (self.whitening @ self.stretch.projected)
+            self._spectra[time] = rows, np.maximum(values, 0.0), unit
+        return self._spectra[time]
+
+
+class StretchLikelihood:
+    """The restricted likelihood of process noise of a run whose motion is a polynomial in each stretch."""
+
+    def __init__(self, parts: Sequence[WhitenedStretch]) -> None:
+        self.parts = list(parts)
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch], angle_covariance: Array | None) -> Self:
+        """Return the likelihood of stretches with this covariance of the rows by correlated angle noise."""
+        return cls([WhitenedStretch(s, angle_covariance) for s in stretches])
 
     def unit(self, time: float) -> float:
         """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
-        return float(np.median([s.torque_covariance(time)[1] for s in self.stretches]))
+        return float(np.median([p.stretch.torque_covariance(time)[1] for p in self.parts]))
 
     def __call__(self, time: float, levels: Array) -> Array:
         """Return the log-likelihood of each level [rad/s2] at a correlation time."""
         total = np.zeros(len(levels))
-        for stretch, whitening in zip(self.stretches, self._whitening, strict=True):
-            covariance, unit = stretch.torque_covariance(time)
-            values, vectors = np.linalg.eigh(whitening @ covariance @ whitening.T)
-            values, rows = np.maximum(values, 0.0), vectors.T @ (whitening @ stretch.projected)
+        for part in self.parts:
+            rows, values, unit = part.spectrum(time)
             found = _log_likelihood(rows, values, levels / unit)
-            if len(self.stretches) > _FEW_STRETCHES:
+            if len(self.parts) > _FEW_STRETCHES:
                 any_level = _log_likelihood(rows, values, _LEVELS)
                 average = float(np.logaddexp.reduce(any_level)) - np.log(len(any_level))
                 found = np.logaddexp(np.log1p(-_OWN_LEVEL_SHARE) + found, np.log(_OWN_LEVEL_SHARE) + average)
@@ -243,7 +258,7 @@ class StretchLikelihood:
             prior = _log_prior(levels, time, resolution)
             found = np.logaddexp(found, np.logaddexp.reduce(self(time, levels) + prior))
             total = np.logaddexp(total, np.logaddexp.reduce(prior))
-        log_determinant = float(sum(np.log(np.diag(w)).sum() for w in self._whitening))
+        log_determinant = float(sum(np.log(np.diag(p.whitening)).sum() for p in self.parts))
         return float(found - total) + log_determinant
 
     def is_consistent_with(self, finer: StretchLikelihood, times: Array) -> bool:
@@ -312,14 +327,19 @@ class Stretch:
             self._torques[time] = self._torque_covariance(time)
         return self._torques[time]
 
-    def _torque_covariance(self, time: float) -> tuple[Array, float]:
+    @cached_property
+    def _response(self) -> tuple[Array, Array]:
+        """Times of cells, and the response of the projected rows to a unit acceleration in each."""
         cells = np.linspace(self._nodes.min(), self._nodes.max(), int(_CELLS_PER_ROW * len(self.rows)))
         width = float(cells[1] - cells[0])
         since = np.maximum(self._nodes[..., None] - cells, 0.0)
         if not self._angle:
             # a speed changes only while the torque of the cell acts
             since = np.minimum(since / width, 1.0)
-        response = self._complement.T @ self._rows_of(since) * width
+        return cells, self._complement.T @ self._rows_of(since) * width
+
+    def _torque_covariance(self, time: float) -> tuple[Array, float]:
+        cells, response = self._response
         total = response @ np.exp(-np.abs(cells[:, None] - cells) / time) @ response.T
         size = float(np.median(np.diag(total)))
         return np.asarray(total / size), 1 / float(np.sqrt(size))

@@ -98,7 +98,7 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
         return np.zeros((len(run.z), 0))
     start, rates = run.samples.time[0], np.asarray(rates)
     parts = []
-    for middle, operator in run.binned_operators():
+    for middle, operator in run.binned_operators:
         phase = np.outer(middle - start, rates)
         parts.append(operator @ np.concatenate([np.cos(phase), np.sin(phase)], axis=1))
     return np.concatenate(parts)

@@ -77,15 +77,15 @@ class SpindownOptions:
 
 def read_source(
     source: Path, options: SpindownOptions, progress: Progress | None = None
-) -> tuple[Case, Tracked | None]:
-    """Make a case of one body from a film, a recording or a table.
+) -> tuple[Case, tuple[Film, Tracked] | None]:
+    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture.
 
     A UsageError is raised if columns, marker or centre of a table are given for a film.
     """
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
-    tracked = None
+    body = None
     is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
     if is_film and (options.columns or options.marker or options.centre):
         raise UsageError(
@@ -93,7 +93,7 @@ def read_source(
             "Give the centre of rotation in a film by --hub X,Y.",
         )
     if is_film:
-        recording, tracked = _film(source, options, progress)
+        recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
@@ -121,7 +121,7 @@ def read_source(
                 "excluded. --keep-all keeps them."
             )
         series = _rows(series, slice(first, last))
-    return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), tracked
+    return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), body
 
 
 def _reading(options: SpindownOptions) -> ReadOptions:
@@ -182,7 +182,7 @@ def _recording_in(path: Path) -> Recording | None:
 
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
-) -> tuple[Recording, Tracked | None]:
+) -> tuple[Recording, tuple[Film, Tracked] | None]:
     """Track a film by its profile if one is given, else by the first of these that succeeds.
 
     The texture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
@@ -197,7 +197,7 @@ def _film(
         ), None
     film = Film(source)
     try:
-        return film_recording(film, options, progress)
+        recording, tracked = film_recording(film, options, progress)
     except SeveralBodiesError:  # the user selects one
         raise
     except TrackingError:
@@ -209,8 +209,10 @@ def _film(
                     note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
                     return replace(found, warnings=(*warnings, note, *found.warnings)), None
         with suppress(TrackingError):
-            return film_recording(film, options, progress, free=True)
+            recording, tracked = film_recording(film, options, progress, free=True)
+            return recording, (film, tracked)
         raise
+    return recording, (film, tracked)
 
 
 def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
@@ -382,11 +384,11 @@ def _analysed(
     from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
-    case, tracked = read_source(source, options, progress)
+    case, body = read_source(source, options, progress)
     series = case.casing
     motion = motion_of(series.time, series.angle, series.sigma)
-    if tracked is not None:
-        motion = _with_view_errors(motion, series, case.recordings["casing"], tracked)
+    if body is not None:
+        motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
     if motion.turns * TURN < 10 * float(np.median(series.sigma)):
         raise TrackingError(f"No rotation was found in {source}.", "Check that it is the right file.")
     settings = {
@@ -397,9 +399,11 @@ def _analysed(
     }
     write_case(target, case, command=command, settings=settings, force=force)
     picture = None
-    if tracked is not None:
+    ambiguous = body is not None and body[1].ambiguous
+    if body is not None:
         picture = target.with_suffix(".png")
-        write_body_picture(picture, Film(source), tracked, force=True)
+        write_body_picture(picture, *body, force=True)
+        body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
     diagnosis: dict[str, Any] | None = None
@@ -463,7 +467,7 @@ def _analysed(
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
-        "ambiguous": tracked is not None and tracked.ambiguous,
+        "ambiguous": ambiguous,
     }
 
 

@@ -80,8 +80,7 @@ def _body_rows(film: Film, tracked: Tracked, width: int) -> list[Pixels]:
         y = hub[1] + radius * (q * np.cos(phi) + (1 - p) * np.sin(phi))
         return np.stack([x, y], axis=-1).clip(-30000, 30000).round().astype(np.int32)
 
-    for k in index:
-        (picture,) = film.some(tracked.frame[k : k + 1])
+    for k, picture in zip(index, film.some(tracked.frame[index]), strict=True):
         tile = np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         hub = np.array(ring.hub) + tracked.hub_path[k]
         for radius in (ring.inner, ring.outer):
@@ -91,10 +90,10 @@ def _body_rows(film: Film, tracked: Tracked, width: int) -> list[Pixels]:
         theta = -tracked.angle[k] + ring.start
         hand = places(hub, np.array([ring.inner, ring.outer]), theta)
         cv2.line(tile, hand[0].tolist(), hand[1].tolist(), _HAND, 2)
-        tiles.append(tile)
+        size = (width // 4, round(tile.shape[0] * width / (4 * tile.shape[1])))
+        tiles.append(np.asarray(cv2.resize(tile, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
     row = np.hstack(tiles)
-    size = (width, round(row.shape[0] * width / row.shape[1]))
-    row = np.asarray(cv2.resize(row, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    row = np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)))
     learnt = np.clip(tracked.template.body, 0, 255).astype(np.uint8)
     learnt = np.asarray(cv2.resize(cv2.cvtColor(learnt, cv2.COLOR_GRAY2BGR), (width, 160)), dtype=np.uint8)
     x, y = ring.hub

@@ -20,7 +20,7 @@ from gyrotrack._column_store import StoredPictures, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
-from gyrotrack.tracking._hub_search import Motion, Proposal, propose_hubs, ring_for
+from gyrotrack.tracking._hub_search import Motion, Proposal, distance_from, propose_hubs, ring_for
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
     TURN,
@@ -222,8 +222,7 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
 
     The moving area outside the ring of the best candidate is searched by itself.
     """
-    rows, columns = np.indices(motion.moving.shape)
-    distance = np.hypot(columns - best.ring.hub[0], rows - best.ring.hub[1])
+    distance = distance_from(best.ring.hub, motion.moving.shape)
     outside = motion.moving & (distance > 1.1 * best.ring.outer)
     if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():
         return None
@@ -568,7 +567,7 @@ def _finish(
         angle=angle[kept],
         sigma=np.hypot(scale * inflated[kept], correlated),
         ring=ring,
-        template=template,
+        template=replace(template, _phases=[], _shifts=[]),  # without what was computed for registration
         hub_path=np.array([p.shift for p in poses])[kept],
         explained=best.score,
         way=best.way,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import in_file, new_columns, row_blocks
+from gyrotrack._column_store import in_file, new_columns, release_memory, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
@@ -29,7 +29,6 @@ from gyrotrack.tracking._film_tracker import (
     FilmObservations,
     FilmTracker,
     Progress,
-    release_memory,
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles, wrapped

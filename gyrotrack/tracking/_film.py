@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import StoredPictures, new_columns, release_pages
+from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
 from gyrotrack.video._decoder import Reader
 
 Floats = npt.NDArray[np.float64]
@@ -297,6 +297,7 @@ class Film:
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
         release_pages()
+        release_memory()
         self.changes = np.array(changes)
         self.count = len(changes)
 
@@ -318,12 +319,15 @@ class Film:
                     release_pages()
                 yield self._still(self._files[index // rows][index % rows], index)
             return
-        with Reader(self.path, self._threads) as reader:
-            for frame in reader:
-                if frame.index >= stop:
-                    return
-                if frame.index >= first:
-                    yield self._still(np.ascontiguousarray(frame.y), frame.index)
+        try:
+            with Reader(self.path, self._threads) as reader:
+                for frame in reader:
+                    if frame.index >= stop:
+                        return
+                    if frame.index >= first:
+                        yield self._still(np.ascontiguousarray(frame.y), frame.index)
+        finally:  # also if the consumer ends before
+            release_memory()
 
     def _still(self, plane: Plane, index: int) -> Plane:
         return plane if self._shake is None else self._shake.stabilised(plane, index)

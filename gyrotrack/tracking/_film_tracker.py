@@ -3,17 +3,11 @@
 A body is tracked coarsely by all its markers together, then each marker is measured. Its angle is predicted, and only
 the neighbourhood of each predicted marker is searched. If the uncertainty of the prediction is too large, or the
 markers are not found there, the whole rings are searched.
-
-The allocator of glibc retains freed memory, and its heap becomes fragmented by frames that are allocated and freed.
-`release_memory` returns it to the system after many frames.
 """
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -279,13 +273,6 @@ def _moved(motion: Motion | None, frames: float) -> Motion | None:
 
 def _run_on(motion: Motion, frames: float) -> Motion:
     return Motion(motion.angle + frames * motion.step, motion.step, motion.missed + round(frames))
-
-
-def release_memory() -> None:
-    """Return freed memory to the system."""
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):  # another libc than glibc
-            ctypes.CDLL(None).malloc_trim(0)
 
 
 Rows = dict[str, npt.NDArray[Any]]

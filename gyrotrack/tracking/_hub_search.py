@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack.tracking._registration import TURN, Ring
+from gyrotrack.tracking._registration import TURN, Picture, Ring
 
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
@@ -38,8 +38,8 @@ class Motion:
     """The moving part of a film."""
 
     # shape (height, width); mean brightness and its standard deviation in time, in grey levels
-    mean: Floats
-    deviation: Floats
+    mean: Picture
+    deviation: Picture
     noise: float  # standard deviation where nothing moves
     moving: npt.NDArray[np.bool_]  # shape (height, width); where the brightness changes by more than noise
     # the part (left, top, right, bottom) of the frame that the picture fills, without uniform bars at its sides
@@ -48,14 +48,17 @@ class Motion:
     @classmethod
     def of(cls, frames: Sequence[Plane], margin: int = 0) -> Motion:
         """Compare frames from the whole film; at every edge `margin` px are excluded."""
-        total = np.zeros(frames[0].shape)
-        square = np.zeros(frames[0].shape)
+        # sums of integers are exact, and small beside those in double precision
+        total = np.zeros(frames[0].shape, np.uint32)
+        square = np.zeros(frames[0].shape, np.uint32)
         for frame in frames:
-            shown = frame.astype(np.float64)
-            total += shown
-            square += shown**2
-        mean = total / len(frames)
-        deviation = np.sqrt(np.maximum(square / len(frames) - mean**2, 0.0))
+            total += frame
+            square += np.square(frame, dtype=np.uint16)
+        mean = np.divide(total, len(frames), dtype=np.float32)
+        deviation = np.empty_like(mean)
+        for row, (one, two) in enumerate(zip(total, square, strict=True)):
+            deviation[row] = np.sqrt(len(frames) * two.astype(np.float64) - one.astype(np.float64) ** 2)
+        deviation /= len(frames)
         noise = max(min(float(np.quantile(deviation, 0.3)), spatial_noise(frames)), 0.5)
         smooth = cv2.blur(deviation, (3, 3))
         moving = cv2.morphologyEx(
@@ -69,7 +72,7 @@ class Motion:
         return cls(mean, deviation, noise, moving & inside, (left, top, right, bottom))
 
 
-def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:
+def _without_bars(mean: Picture, deviation: Picture) -> tuple[int, int]:
     """Return the first and the last-plus-one column of a picture without constant uniform bars."""
     uniform = (mean.std(axis=0) < _UNIFORM) & (deviation.mean(axis=0) < _UNIFORM)
     ends = []
@@ -81,9 +84,9 @@ def _without_bars(mean: Floats, deviation: Floats) -> tuple[int, int]:
 
 def spatial_noise(frames: Sequence[Plane]) -> float:
     """Return the noise of single frames by the difference of two Laplacians (Immerkaer 1996)."""
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float64)
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     found = [
-        float(np.mean(np.abs(cv2.filter2D(f.astype(np.float64), -1, kernel))))
+        cv2.norm(cv2.filter2D(f, cv2.CV_32F, kernel), cv2.NORM_L1) / f.size
         for f in frames[:: max(1, len(frames) // 8)]
     ]
     return math.sqrt(math.pi / 2) / 6 * float(np.median(found))
@@ -100,11 +103,10 @@ class Proposal:
 def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
     """Return the ring about a hub in which the picture moves; an arc if the hub is outside the picture."""
     height, width = motion.mean.shape
-    y, x = np.mgrid[0:height, 0:width]
-    distance = np.hypot(x - hub[0], y - hub[1])
-    bins = np.minimum(distance.astype(int), int(distance.max()))
+    distance = distance_from(hub, motion.moving.shape)
+    bins = distance.astype(np.int32)
     count = np.bincount(bins.ravel())
-    share = np.bincount(bins.ravel(), motion.moving.ravel().astype(float)) / np.maximum(count, 1)
+    share = np.bincount(bins[motion.moving], minlength=len(count)) / np.maximum(count, 1)
     share = np.convolve(share, np.ones(3) / 3, mode="same")
     enough = count >= 20
     if not enough.any():
@@ -120,12 +122,18 @@ def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | 
         return Ring.about(hub, inner, outer, finest=finest) if outer > inner + 5 else None
     inner = max(float(good[0]) - 2.0, float(distance.min()))
     towards = math.atan2(height / 2 - hub[1], width / 2 - hub[0])
-    angle = np.arctan2(y - hub[1], x - hub[0]) - towards
-    angle = ((angle + np.pi) % TURN - np.pi)[motion.moving & (distance > inner) & (distance < outer)]
+    y, x = np.nonzero(motion.moving & (distance > inner) & (distance < outer))
+    angle = (np.arctan2(y - hub[1], x - hub[0]) - towards + np.pi) % TURN - np.pi
     low, high = float(np.quantile(angle, 0.002)), float(np.quantile(angle, 0.998))
     margin = 0.6 * (high - low)
     span = min(high - low + 2 * margin, TURN)
     return Ring.about(hub, inner, outer, finest=finest, start=towards + low - margin, span=span)
+
+
+def distance_from(place: tuple[float, float], shape: tuple[int, ...]) -> Picture:
+    """Return the distance of every pixel of a picture from a place (x, y) [px]."""
+    y, x = np.ogrid[0 : shape[0], 0 : shape[1]]
+    return np.hypot((x - place[0]).astype(np.float32), (y - place[1]).astype(np.float32))
 
 
 def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
@@ -160,8 +168,8 @@ def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
 
 def edge_hub(motion: Motion) -> tuple[float, float] | None:
     """Return the point of convergence of the gradients of the mean picture in the moving area."""
-    grad_x = cv2.Sobel(motion.mean, cv2.CV_64F, 1, 0, ksize=3) / 8
-    grad_y = cv2.Sobel(motion.mean, cv2.CV_64F, 0, 1, ksize=3) / 8
+    grad_x = cv2.Sobel(motion.mean, cv2.CV_32F, 1, 0, scale=1 / 8)
+    grad_y = cv2.Sobel(motion.mean, cv2.CV_32F, 0, 1, scale=1 / 8)
     size = np.hypot(grad_x, grad_y)
     near = cv2.dilate(motion.moving.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     y, x = np.nonzero(near & (size > 0.5))
@@ -186,7 +194,7 @@ def orbit_hub(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | 
     x, y = [], []
     limit = max(6.0 * motion.noise, 0.35 * float(np.quantile(motion.deviation, 0.999)))
     for frame in frames[:: max(1, len(frames) // 200)]:
-        away = np.abs(frame - motion.mean)
+        away = cv2.absdiff(frame.astype(np.float32), motion.mean)
         count, _, stats, middle = cv2.connectedComponentsWithStats((away > 1.5 * limit).astype(np.uint8))
         if count < 2:
             continue

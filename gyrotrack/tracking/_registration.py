@@ -134,10 +134,15 @@ class Ring:
     def unwrap(self, picture: npt.NDArray[np.uint8], shift: Sequence[float] = (0.0, 0.0)) -> Picture:
         """Return the polar picture, (rows, columns)."""
         x, y = self.grid(shift)
+        height, width = picture.shape
         step = (self.outer - self.inner) / self.rows
         if step > 1.5:  # average over the area of a sample
             picture = cv2.blur(picture, (2 * round((step - 1) / 2) + 1,) * 2).astype(np.uint8)
-        found = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        # the part of the picture that is needed, with the margin of the interpolation
+        left, top = (int(np.clip(v.min() - 4, 0, n - 1)) for v, n in ((x, width), (y, height)))
+        right, bottom = (int(np.clip(v.max() + 5, 1, n)) for v, n in ((x, width), (y, height)))
+        part = picture[top : max(bottom, top + 1), left : max(right, left + 1)].astype(np.float32)
+        found = cv2.remap(part, x - left, y - top, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
 
 

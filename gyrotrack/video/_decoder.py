@@ -39,7 +39,9 @@ from gyrotrack.video._time_base import stamp_warnings
 T = TypeVar("T")
 
 CHUNK = 8
-"""Frames transferred at a time; waking a thread for each one would take longer than its decoding."""
+"""Frames transferred at a time; waking a thread for each one would take longer than its decoding ..."""
+_CHUNK_BYTES = 5_000_000
+"""... unless they are large: several chunks are in memory at a time."""
 WAITING = 2
 """Largest number of waiting chunks."""
 _PATIENCE = 0.05
@@ -210,7 +212,8 @@ class Reader:
                 break
         decoded = decode_past_damage(packets or iter(()), 100 + 2 * self.info.frames_declared)
         if self._threads > 1:
-            self._ahead = ReadAhead(decoded)
+            picture = max(self.info.width * self.info.height * 3 // 2, 1)
+            self._ahead = ReadAhead(decoded, int(np.clip(_CHUNK_BYTES // picture, 1, CHUNK)))
             return iter(self._ahead)
         return decoded
 

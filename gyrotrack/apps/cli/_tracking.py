@@ -604,7 +604,9 @@ def _lines(document: dict[str, Any]) -> list[str]:
     from fitting._numbers import rounded
 
     motion = document["motion"]
-    lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
+    faster = motion.kind == "spin-down" and abs(motion.omega["last"]) > abs(motion.omega["first"])
+    kind = "spin-up" if faster else motion.kind
+    lines = [kind if math.isnan(motion.turns) else f"{kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
         quantities = [
             ("period", motion.period, "s"),

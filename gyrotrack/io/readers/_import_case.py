@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, speed_warnings, windows_of
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, scatter
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
@@ -49,6 +50,12 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
+_JUMP = 20.0
+"""Change of the angle [changes before, after and usual] above which it is not a motion."""
+_DATES = 1e8
+"""Times above this limit [s] (three years) are seconds since 1970, not since the start of a record."""
+
+
 @dataclass(frozen=True)
 class Piece:
     """A part of a table without gaps; all arrays have shape (n,), in s, rad and rad/s."""
@@ -62,14 +69,38 @@ class Piece:
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
-    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`."""
-    if table.quantity != "angle" or table.counted or not is_wrapped(table.value):
+    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`.
+
+    A DatasetError says that the angle jumps.
+    """
+    if table.quantity != "angle" or table.counted:
+        return table.value
+    if not is_wrapped(table.value):
+        _refuse_jumps(table)
         return table.value
     value, uncertain = unwrap(table.time, table.value)
     notes += [
         f"{table.path.name}: the number of turns is uncertain in the gap after {t:.3f} s" for t in uncertain
     ]
     return value
+
+
+def _refuse_jumps(table: MotionTable) -> None:
+    """Refuse an angle that changes between two samples by far more than before, after, and usually."""
+    interval, step = np.diff(table.time), np.abs(np.diff(table.value))
+    step[interval > 1.5 * np.median(interval)] = 0.0
+    usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
+    beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
+    jumps = np.flatnonzero(step > _JUMP * np.maximum(beside, usual))
+    if len(jumps) and usual:
+        first = jumps[0]
+        raise DatasetError(
+            f"{table.path}, line {table.line[first + 1]}: the angle jumps by "
+            f"{table.value[first + 1] - table.value[first]:.5g} rad at {table.time[first + 1]:.6g} s, which no motion "
+            f"does ({len(jumps)} such jump{'s' * (len(jumps) > 1)}).",
+            "Counts of an encoder are read with --pulses-per-turn N, which continues a counter that overflows; else "
+            "use a part of the record with --from and --to.",
+        )
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
@@ -213,7 +244,8 @@ def import_case(
         replace(o, body=o.body or ("rotor" if k else "casing"))
         for k, o in enumerate(options or [ReadOptions()] * len(paths))
     ]
-    tables = [limited(read_motion(p, o), limits or Limits()) for p, o in zip(paths, given, strict=True)]
+    tables = _from_origin([read_motion(p, o) for p, o in zip(paths, given, strict=True)])
+    tables = [limited(table, limits or Limits()) for table in tables]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
     body, *rotor = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
@@ -274,7 +306,7 @@ def import_body(
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
-    read = limited(read_motion(table, options), limits)
+    read = limited(_from_origin([read_motion(table, options)])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
@@ -296,6 +328,20 @@ def import_body(
         warnings=tuple(notes),
         extra=_origins([read], parts, sense),
     )
+
+
+def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
+    """Return tables whose times are dates (seconds since 1970) with times from the first second of the first one."""
+    first = min(float(table.time[0]) for table in tables)
+    if first < _DATES:
+        return tables
+    origin = float(np.floor(first))
+    date = datetime.fromtimestamp(origin, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    note = f"times are counted from {date} ({origin:.0f} s)"
+    return [
+        replace(table, time=table.time - origin, notes=(*table.notes, f"{table.path.name}: {note}"))
+        for table in tables
+    ]
 
 
 def _common_quantity(tables: list[MotionTable]) -> str:

@@ -84,6 +84,7 @@ class MotionTable:
 
 
 COORDINATES = ("x", "y")
+_TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
 _DAY = 86400.0
 _STEADY = 100.0
 """Ratio of squared mean and variance of a speed from which on it is constant."""
@@ -123,7 +124,8 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
     for index, name in enumerate(raw.names):
         base, unit = header_of(name)
         below = clean(raw.units[index])
-        if below and unit and clean(unit).casefold() != below.casefold():
+        named_by_unit = clean(base).casefold() == unit
+        if below and unit and not named_by_unit and clean(unit).casefold() != below.casefold():
             raise DatasetError(
                 f"{raw.path}, line {raw.header_line}: the unit of '{name}' is '{below}' in the next line.",
                 "Correct one of them.",
@@ -143,6 +145,13 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
             )
             if role == "omega" and factor("omega", units[index]) is None:
                 role = None
+        if role in {None, "revolutions"} and units[index].casefold() in UNITS["t"] and base == name:
+            role = "t"
+        if role in {"angle", "revolutions"} and clean(base).casefold() in _TURNS:
+            # a column `turns` is a counter if its numbers are whole
+            values = raw.numeric(index)
+            whole = values is not None and bool((values == np.round(values))[np.isfinite(values)].all())
+            role, units[index] = ("revolutions", "") if whole else ("angle", "turns")
         if role in {"angle", "omega"} and units[index].casefold() in {
             "km/h",
             "m/s",
@@ -248,6 +257,14 @@ def times_of(
     raise DatasetError(f"{where}: there is no column for the time.", EXPECTED)
 
 
+def _unit_since_1970(raw: RawTable, column: int) -> str:
+    """Return the unit of times since 1970, by their size (dates from 1973 to 5138); "" for seconds or other times."""
+    values = raw.numeric(column)
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
+    size = float(np.median(np.abs(known))) if len(known) else 0.0
+    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if size >= least), "")
+
+
 def frame_rate(path: Path, options: ReadOptions) -> float:
     """Return the frame rate given by the user; a UsageError says that it is not given or not positive."""
     if not (options.fps and options.fps > 0):
@@ -284,12 +301,15 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
             f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.",
             EXPECTED + " Times of events need --pulses-per-turn.",
         )
+    notes = list(raw.notes)
+    if "t" in columns and not units["t"] and (unit := _unit_since_1970(raw, columns["t"])):
+        units["t"] = unit
+        notes.append(f"{raw.path.name}: the times are assumed to be counted in {unit} since 1970")
     time = times_of(raw, columns, units, options)
     if quantity not in columns:
         raise DatasetError(
             f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.", EXPECTED
         )
-    notes = list(raw.notes)
     value = without_spikes(raw.numbers(columns[quantity], quantity), quantity, notes, raw.line)
     unit = units[quantity]
     if quantity == "angle" and not unit and _wraps_at_360(value):

@@ -580,10 +580,31 @@ def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, opti
     if not unit and not raw.headed and (scale := clock_scale(time)) != 1.0:
         unit = _TICK_UNITS[scale]
         note = (f"{raw.path.name}: times are integers and are assumed to be in {unit}",)
-    angle = raw.numbers(counts, "counts") * (TURN / (options.pulses_per_turn or 1.0))
+    per_turn = options.pulses_per_turn or 1.0
+    values = raw.numbers(counts, "counts")
+    known = np.isfinite(values)
+    if np.ptp(values[known]) >= per_turn:
+        values[known], bits = _continued_count(values[known])
+        if bits:
+            note += (f"{raw.path.name}: the {bits}-bit counter overflows; the count was continued",)
+    angle = values * (TURN / per_turn)
     return replace(
         raw, names=("t", "angle"), units=(unit, "rad"), columns=(time, angle), notes=(*raw.notes, *note)
     )
+
+
+def _continued_count(count: Floats) -> tuple[Floats, int]:
+    """Return counts without the overflows of a binary counter, and the width of the counter [bit]; 0 if it has none.
+
+    A counter of n bits changes by more than half of 2^n only where it overflows.
+    """
+    low, high = float(count.min()), float(count.max())
+    for bits in (8, 16, 24, 32):
+        size = 2.0**bits
+        in_range = (low >= 0 and high < size) or (low >= -size / 2 and high < size / 2)
+        if in_range and (np.abs(np.diff(count)) > size / 2).any():
+            return np.unwrap(count, period=size), bits
+    return count, 0
 
 
 def counters_of(raw: RawTable) -> list[int]:

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +94,8 @@ def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) ->
         return value if math.isfinite(value) else math.nan  # loggers write inf after a division by zero
     if times and ":" in text:
         try:
-            return datetime.fromisoformat(text).timestamp()
+            date = datetime.fromisoformat(text)
+            return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
         except ValueError:
             clock = re.fullmatch(r"(?:(\d+):)?(\d+):(\d+(?:\.\d*)?)", text)
             if clock:
@@ -318,7 +319,7 @@ UNITS: dict[str, dict[str, float]] = {
 
 _HEADER_WORDS = {
     "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed",
-          "millis", "micros"},
+          "millis", "micros", "datetime", "epoch", "unixtime"},
     "angle": {"angle", "angles", "psi", "phi", "theta", "ψ", "φ", "θ", "winkel", "yaw", "heading", "azimuth", "alpha"},
     "omega": {"omega", "w", "ω", "speed", "angularvelocity", "gyro", "gyroscope", "gyr", "drehzahl", "rpm",
               "winkelgeschwindigkeit", "rotationrate", "angularspeed", "angularrate",
@@ -328,6 +329,11 @@ _HEADER_WORDS = {
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 """Words in a header for each quantity; the first match is used."""
+
+_NAMED_BY_UNIT = {
+    unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
+} | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
+"""Units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else."""
 
 _TICKS = {"millis": "ms", "micros": "us"}
 """Functions of microcontrollers that give times, and their units."""
@@ -380,7 +386,9 @@ def _by_pint(role: str, unit: str) -> float | None:
 
 
 def header_of(name: str) -> tuple[str, str]:
-    """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one)."""
+    """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one); ``rpm`` is both."""
+    if clean(name).casefold() in _NAMED_BY_UNIT:
+        return name.strip(), clean(name).casefold()
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
     unit = unit or _TICKS.get(word.strip().casefold(), "")
@@ -396,7 +404,7 @@ def header_of(name: str) -> tuple[str, str]:
 def role_of(name: str) -> str | None:
     """Return the quantity of a column by its name without unit; None if it is unknown."""
     text = name.casefold()
-    if "accel" in text:
+    if re.search(r"accel|(^|_)(acc|mag|magnet\w*)_", text):
         return None
     if text.startswith(("sigma_", "err_", "d_", "u_")) or text.endswith(
         ("_sigma", "_err", "_error", " error")

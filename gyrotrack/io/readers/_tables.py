@@ -56,6 +56,11 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
             return None
     else:
         return None
+    if {"x", "y", "z"} <= set(names):
+        raise DatasetError(
+            f"{path}, line {lines[above][0]}: the columns x, y and z may be coordinates or axes of a gyroscope.",
+            "Give --column omega=z for the rate about z, or --column x=x --column y=y for a path in this plane.",
+        )
     titles = split(lines[above - 1][1], delimiter) if above else []
     roles = [role_of(header_of(n)[0]) for n in names]
     time = [i for i, r in enumerate(roles) if r == "t"] or [i for i, r in enumerate(roles) if r == "frame"]
@@ -86,7 +91,13 @@ def _axis(name: str) -> tuple[str, str]:
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)
     if found is None:
         return "", ""
-    return (found[1] or found[4]).casefold(), (found[2] or found[3] or "").strip()
+    axis, track = (found[1] or found[4]).casefold(), (found[2] or found[3] or "").strip()
+    sensor = role_of(track) == "omega" or bool(_SENSOR.match(track))
+    return ("", "") if sensor else (axis, track)
+
+
+_SENSOR = re.compile(r"(lin(ear)?[_ ]?)?(acc|accel\w*|mag|magnet\w*|gravity|grav)$", re.IGNORECASE)
+"""Vectors of the sensors of a phone or an inertial unit, other than the angular velocity."""
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:

@@ -321,3 +321,36 @@ def test_a_saturating_drag_of_a_single_body_is_found():
     assert {k.rpartition(".")[2]: e.value for k, e in best.estimates.items()} == pytest.approx(
         {"k": 0.15, "w": 5.0}, rel=0.01
     )
+
+
+@pytest.mark.slow
+def test_a_brake_that_is_switched_on_is_found_and_its_torque_is_that_of_the_motion():
+    """The brake k omega acts from 30 s on; speed and angle are those of two exponentials."""
+    b1, b2, k, moment, first = 0.3, 0.004, 0.15, 30.0, 60.0
+
+    def decaying(since, drag, speed):
+        limit = -b1 / drag
+        gone = np.exp(-drag * since)
+        return limit + (speed - limit) * gone, limit * since + (speed - limit) * (1 - gone) / drag
+
+    t = np.arange(0, 50, 0.02)
+    early, late = t[t < moment], t[t >= moment]
+    speed, turned = decaying(moment, b2, first)
+    angle = np.concatenate(
+        [decaying(early, b2, first)[1], turned + decaying(late - moment, b2 + k, speed)[1]]
+    )
+    angle = angle[: int(np.argmax(angle))]
+    noise = 3e-3 * np.random.default_rng(3).standard_normal(len(angle))
+    samples = (t[: len(angle)], angle + noise, np.full(len(angle), 3e-3))
+    record = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=1.0, single=True)
+    base = fit(Model.of(REDUCED).alone, [record])
+    answer = diagnose(base)
+    assert answer.verdict == "unexplained"
+    # the true torque is k times a speed below 60 rad/s
+    assert 0 < answer.remainder.torque_rms_Nm < k * first
+    best = laws(base).laws[0]
+    assert best.formula == "casing: -k*heaviside(t - t0)*omega_c"
+    for name, true in {"k": k, "t0": moment}.items():
+        (estimate,) = (e for n, e in best.estimates.items() if n.endswith(f".{name}") or f".{name}@" in n)
+        assert abs(estimate.value - true) < 4 * estimate.stderr
+        assert estimate.stderr < 1e-3 * true

@@ -10,6 +10,7 @@ import twobody
 
 from fitting._criteria import Criteria
 from fitting.discovery._remainder import Grade, Remainder, nuisance_parameters, smooth_law
+from fitting.discovery._residuals import residual_torques
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import _verdict, _with_both, diagnose
 from fitting.dynamics._model import Model
@@ -225,3 +226,24 @@ def test_an_effect_that_is_dropped_after_it_was_named_has_no_freed_shape():
         named=model_of("casing.spring.linear", "casing.unbalance"), final=model_of("casing.spring.linear")
     )
     assert not _is_freed("casing.unbalance", selection)
+
+
+def test_the_unmodelled_torque_of_a_pendulum_of_large_amplitude_is_finite():
+    """A base model without a restoring torque leaves the whole torque; the largest is 20 N m (k sin, k = 20)."""
+    from scipy.integrate import solve_ivp
+
+    t = np.arange(0, 30, 0.03)
+    motion = solve_ivp(
+        lambda _, y: [y[1], -20 * math.sin(y[0]) - 0.03 * y[1] * abs(y[1])],
+        (0, 30), [1.8, 0.0], t_eval=t, rtol=1e-9, atol=1e-9,
+    )  # fmt: skip
+    angle = motion.y[0] + 5e-3 * np.random.default_rng(1).standard_normal(len(t))
+    record = make_record(
+        casing=(t, angle, np.full(len(t), 5e-3)), rotor=[], I_rotor=1.0, I_casing=1.0, single=True
+    )
+    base = fit(Model.of(REDUCED).alone, [record])
+    assert base.problem.data[0].largest_torque == pytest.approx(20, rel=0.15)
+    assert base.noise[0].level <= base.problem.data[0].largest_torque
+    (curve,) = residual_torques(base)
+    assert np.isfinite(curve.torque).all()
+    assert np.isfinite(curve.sigma).all()

@@ -46,6 +46,10 @@ def options(*columns, **others):
         (rows(TIME, np.degrees(ANGLE)), {"names": ["t=1", "angle=2 [deg]"]}),
         (rows(np.degrees(ANGLE), 1e6 * TIME), {"names": ["t=2 [us]", "angle=1 [deg]"]}),
         ("frame,theta_rad\n" + rows(np.arange(400), ANGLE), {"fps": 100.0}),
+        ("ms,turns\n" + rows(1e3 * TIME, ANGLE / TURN), {}),
+        ("time_ms,revolutions\n" + rows(1e3 * TIME, ANGLE / TURN), {}),
+        ("s,run\n" + rows(TIME, ANGLE / TURN), {"names": ["t=s", "angle=run [turns]"]}),
+        ("t,turns\n" + rows(TIME, ANGLE / TURN), {"names": ["angle=turns"]}),
     ],
 )
 def test_texts_of_any_header_and_unit(tmp_path, text, given):
@@ -54,6 +58,52 @@ def test_texts_of_any_header_and_unit(tmp_path, text, given):
     assert read.quantity == "angle"
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
     np.testing.assert_allclose(read.value, ANGLE, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "factor"), [("rpm", TURN / 60), ("dps", math.pi / 180), ("rad/s", 1.0)])
+def test_a_column_named_by_its_unit_has_this_unit(tmp_path, name, factor):
+    read = read_motion(write(tmp_path / "a", f"t,{name}\n" + rows(TIME, ANGLE / factor)))
+    assert read.quantity == "omega"
+    np.testing.assert_allclose(read.value, ANGLE, rtol=1e-12)
+
+
+def test_times_with_dates_are_counted_from_the_first_second(tmp_path):
+    speed = np.linspace(14, 5, 400)
+    stamps = [f"2026-05-04T10:11:{12 + k // 100:02d}.{k % 100:02d}0" for k in range(400)]
+    since_1970 = 1777889472.0  # date -u -d 2026-05-04T10:11:12 +%s
+    lines = [f"{stamp},{w!r}\n" for stamp, w in zip(stamps, speed.tolist(), strict=True)]
+    for head, text in (
+        ("timestamp,omega", "".join(lines)),
+        ("epoch,omega", rows(since_1970 + TIME, speed)),
+        ("timestamp,omega", rows((since_1970 + TIME) * 1e3, speed)),
+        ("timestamp,omega", rows((since_1970 + TIME) * 1e9, speed)),
+    ):
+        case = import_body(write(tmp_path / "a", f"{head}\n{text}"), 1.0)
+        np.testing.assert_allclose(case.casing.time, TIME, atol=1e-6)
+        assert any("counted from 2026-05-04 10:11:12 (1777889472 s)" in note for note in case.warnings)
+
+
+def test_an_inertial_unit_is_not_a_table_of_points(tmp_path):
+    axis = np.array([0.6, 0.0, 0.8])
+    speed = np.linspace(14, 5, 400)
+    noise = np.random.default_rng(1).normal(0, 1e-6, (400, 2))
+    text = "t,acc_x,acc_y,gyro_x,gyro_y,gyro_z\n" + rows(TIME, *noise.T, *np.outer(axis, speed))
+    read = read_motion(write(tmp_path / "a", text))
+    assert read.quantity == "omega"
+    np.testing.assert_allclose(read.value, speed, rtol=1e-9)
+    with pytest.raises(DatasetError, match="coordinates or axes of a gyroscope"):
+        read_motion(write(tmp_path / "b", "t,x,y,z\n" + rows(TIME, *noise.T, speed)))
+
+
+@pytest.mark.parametrize(("bits", "low"), [(16, 0), (16, -(2**15)), (32, 0)])
+def test_the_overflows_of_a_binary_counter_are_no_motion(tmp_path, bits, low):
+    turns = -6e3 * TIME / TURN if bits == 16 else 2**32 / 360 - 1 + 20 * TIME
+    count = (np.floor(360 * turns) - low) % 2**bits + low
+    read = read_motion(
+        write(tmp_path / "a", "t,count\n" + rows(TIME, count)), ReadOptions(pulses_per_turn=360.0)
+    )
+    np.testing.assert_allclose(read.value - read.value[0], TURN * (turns - turns[0]), atol=TURN / 360)
+    assert any(f"{bits}-bit counter overflows" in note for note in read.notes)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrotrack.io.readers._import_case import is_wrapped, unwrap
+from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._import_case import import_body, is_wrapped, unwrap
 from gyrotrack.io.readers._motion_table import pieces
 from gyrotrack.io.readers._raw_table import TURN
 
@@ -65,3 +66,21 @@ def test_wrapped_angles_stay_within_a_turn():
     assert is_wrapped(np.angle(np.exp(1j * np.linspace(0, 20, 50))))
     assert not is_wrapped(np.linspace(-3, 3, 50))
     assert not is_wrapped(np.linspace(0, 7, 50))
+
+
+def test_an_angle_that_jumps_is_refused(tmp_path):
+    time = np.arange(2000) / 50
+    angle = 80 * time - 0.7 * time**2 + np.random.default_rng(0).normal(0, 5e-3, 2000)
+    path = tmp_path / "a.csv"
+
+    def read(values):
+        path.write_text("t,angle\n" + "".join(f"{t},{a}\n" for t, a in zip(time, values, strict=True)))
+        return import_body(path, 1.0)
+
+    read(angle)
+    # a sample that a logger has lost is a gap, not a jump; a body that is at rest most of the time may turn
+    read(np.where(np.arange(2000) % 400 == 7, np.nan, angle))
+    pushed = np.interp(time, [0, 30, 30.2, 40], [0, 0, 3, 3]) + np.random.default_rng(1).normal(0, 1e-3, 2000)
+    read(pushed)
+    with pytest.raises(DatasetError, match=r"line 1202: the angle jumps by 1144.7 rad at 24 s.*1 such jump"):
+        read(angle + 2**16 * 2 * np.pi / 360 * (time >= 24))
