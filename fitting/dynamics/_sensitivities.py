@@ -19,7 +19,7 @@ All solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,39 +100,45 @@ class LinearMotion:
         """Return 1 where the casing responds to a torque, 0 where friction holds it."""
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
-    def driven(self, times: Array, torque: Array, direction: Array) -> tuple[Array, Array]:
-        """Return d omega and d psi of both bodies at sample times, for a torque between them.
+    def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
+        """Return the response of both bodies at sample times to a torque between them.
 
         Parameters
         ----------
         times : ndarray, shape (n,)
             Sample times [s].
-        torque : ndarray, shape (n - 1, q, columns)
-            Torques [N m] at the q Gauss nodes of each interval between samples.
+        nodes : int
+            Number q of Gauss nodes of each interval between samples.
         direction : ndarray, shape (2,)
             Rates of both speeds that a unit torque gives.
 
         Returns
         -------
-        tuple of ndarray, each of shape (2, n, columns)
-            The rotor first, the casing second.
+        callable
+            From torques [N m] at the nodes, (n - 1, q, columns), to d omega and d psi, each of shape (2, n, columns),
+            the rotor first, the casing second.
         """
-        gauss = rule(torque.shape[1])
+        gauss = rule(nodes)
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
         sampler = Sampler(self._mesh, inner.ravel())
         impulses = self._impulses(sampler, direction).reshape(*inner.shape, -1)
         psi_inner = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
         impulses *= (half[:, None] * gauss.w)[..., None]
-        changes = impulses.transpose(0, 2, 1) @ torque
-        delayed = (psi_inner @ impulses[..., None])[..., 0]
-        sums = np.concatenate([np.zeros((1, *changes.shape[1:])), np.cumsum(changes, axis=0)])
-        late = np.moveaxis(delayed.transpose(0, 2, 1) @ torque, 1, 0)
-        late = np.concatenate([np.zeros((2, 1, late.shape[2])), np.cumsum(late, axis=1)], axis=1)
+        change = np.ascontiguousarray(impulses.transpose(0, 2, 1))
+        delay = np.ascontiguousarray((psi_inner @ impulses[..., None])[..., 0].transpose(0, 2, 1))
         sampler = Sampler(self._mesh, times)
-        phi, psi = sampler.value(self._nodes), sampler.integral(self._starts, self._nodes)
-        speed, angle = (np.moveaxis(m[:, :2] @ sums, 1, 0) for m in (phi, psi))
-        return speed, angle - late
+        maps = sampler.value(self._nodes)[:, :2], sampler.integral(self._starts, self._nodes)[:, :2]
+
+        def response(torque: Array) -> tuple[Array, Array]:
+            sums, late = (
+                np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
+                for x in (change @ torque, delay @ torque)
+            )
+            speed, angle = (np.moveaxis(m @ sums, 1, 0) for m in maps)
+            return speed, angle - np.moveaxis(late, 1, 0)
+
+        return response
 
 
 def _fundamental(propagator: Propagator) -> Array:

@@ -57,6 +57,8 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _SIGNIFICANT = DEFAULT.correlated_noise
+# share of it that a coarse search, or the sum of two kinds alone, does not reach where there is no such noise
+_UNLIKELY = 0.25
 # correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 _LEVELS = np.geomspace(0.3, 300.0, 13)
@@ -167,13 +169,16 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     covariances = [_row_covariance_beyond_white(run, t) for t in times]
     first = max(gain((_unit(k) * _LEVELS[j]) ** 2 * k) for k in covariances for j in _FIRST_LEVELS)
     few_turns = abs(float(np.ptp(run.samples.value))) / (2 * np.pi * len(run.lift)) < _TURNS_PER_BLOCK
-    if first < 0.25 * _SIGNIFICANT and not few_turns:
+    if first < _UNLIKELY * _SIGNIFICANT and not few_turns:
         return AngleNoise(gain=float(first))
     least = max(_SIGNIFICANT, 0.0 if credible else 2 * (with_torque - white) - _SIGNIFICANT)
     exponential = _Kind.of(times, covariances, gain)
     if few_turns:
         slow = np.geomspace(block, 2 * span, _PERIODIC_TIMES)
-        found = _with_periodic_part(exponential, _Kind.of(slow, _periodic_covariances(run, slow), gain), gain)
+        periodic = _Kind.of(slow, _periodic_covariances(run, slow), gain)
+        if max(exponential.gain, 0) + max(periodic.gain, 0) < _UNLIKELY * _SIGNIFICANT:
+            return AngleNoise(gain=max(exponential.gain, periodic.gain))
+        found = _with_periodic_part(exponential, periodic, gain)
         if found is not None:
             return found if found.gain >= least else AngleNoise(gain=found.gain)
     if exponential.gain < least:

@@ -230,8 +230,10 @@ class _Linearised:
         for data, noise, block in zip(self.fit.problem.data, self.noise, blocks, strict=True):
             gain = covariance @ block.T
             w = noise.whitener
-            roots = np.zeros((len(data.z), len(w.values)))
-            roots[: len(w.values)] = w.vectors * (w.level * np.sqrt(np.maximum(w.values, 0.0)))
+            m, n = len(w.vectors), len(w.values)
+            roots = np.eye(len(data.z), n)
+            roots[:m, :m] = w.vectors
+            roots *= w.level * np.sqrt(np.maximum(w.values, 0.0))
             process += np.sum((gain @ w(roots)) ** 2, axis=1)
             for rows, direction, size in data.start_time_noise.parts:
                 column = np.zeros(len(data.z))

@@ -35,6 +35,8 @@ from fitting.inference._compression import (
     ROTOR_DEGREE,
     Compressed,
     compress,
+    integrated,
+    responses_to_harmonics,
 )
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
@@ -251,20 +253,44 @@ class CaseData:
 
     @cached_property
     def harmonic_responses(self) -> Array:
-        """Rows of the speeds that torques of the first two harmonics of the angle cause, (rows, columns).
+        """Rows of the responses to torques of the first two harmonics of the angle, (rows, columns).
 
         A torque that is periodic in the angle is not random: these functions are free where a level of process noise
-        is estimated. Of angles, the camera's nuisance functions are similar.
+        or of angle noise is estimated.
         """
         return self.casing_rows(self._harmonic_functions)
 
-    @property
+    @cached_property
     def _harmonic_functions(self) -> Array:
         """The same functions at the samples, (samples, columns)."""
-        psi = None if self.is_angle else self.measured_angle
-        if psi is None:
+        psi = self.measured_angle
+        if psi is None or self.oscillation is not None:
             return np.zeros((len(self.record.casing), 0))
-        return _responses_to_harmonics(self.record.casing, psi)
+        speeds, angles = responses_to_harmonics(self.record.casing.time, psi)
+        return angles if self.is_angle else speeds
+
+    @cached_property
+    def harmonic_row_responses(self) -> tuple[Array, Array]:
+        """Integral of the squared response of each row of a harmonic to an acceleration, and its frequency [rad/s].
+
+        A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
+        times the integral. The angle may be that of few turns in a block: the covariance with its polynomial rows, up
+        to 0.4 of both standard deviations, is neglected.
+        """
+        psi = self.measured_angle
+        if psi is None or not len(self.casing.harmonic):
+            return np.zeros(len(self.casing.harmonic)), np.zeros(len(self.casing.harmonic))
+        responses, frequencies = [], []
+        k = self.casing.lift.shape[1]
+        for where, operator in self.casing.operators:
+            t, rows = self.casing.samples.time[where], operator[k:]
+            # a speed is the integral of the acceleration since then; the response of an angle increases with the time
+            later = np.cumsum(rows[:, ::-1], axis=1)[:, ::-1]
+            if self.is_angle:
+                later = np.cumsum((rows * (t - t[0]))[:, ::-1], axis=1)[:, ::-1] - later * (t - t[0])
+            responses.append(later**2 @ np.gradient(t))
+            frequencies.append(np.repeat([1.0, 2.0], 2) * abs(np.ptp(psi[where]) / np.ptp(t)))
+        return np.concatenate(responses), np.concatenate(frequencies)
 
     @cached_property
     def node_times(self) -> Array:
@@ -353,9 +379,6 @@ class CaseData:
                 bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
                 motion = np.concatenate([motion, bias], axis=1)
             free = np.concatenate([free, FLAT_PRIOR_SIGMA * motion], axis=1)
-        else:
-            harmonic = self.casing.at_samples(self._harmonic_functions)[0]
-            free = np.concatenate([free, FLAT_PRIOR_SIGMA * harmonic], axis=1)
         # the acceleration of an oscillation is mainly that of its restoring torque
         known = self.is_angle and self.oscillation is None
         typical = mean_acceleration(self.casing) if known else math.inf
@@ -378,14 +401,11 @@ class CaseData:
 
     @cached_property
     def _nuisance_rows(self) -> Array:
-        """Polynomial rows of the camera's nuisance functions and of spectral lines."""
-        return np.concatenate(
-            [
-                self._camera_rows,
-                FLAT_PRIOR_SIGMA * line_rows(self.casing, [line.rate for line in self.spectral_lines]),
-            ],
-            axis=1,
-        )
+        """Polynomial rows of the camera's nuisance functions, and of the responses to lines and to harmonics."""
+        lines = line_rows(self.casing, [line.rate for line in self.spectral_lines])
+        harmonics = self.casing.at_samples(self._harmonic_functions)[0]
+        free = np.concatenate([lines, harmonics], axis=1)
+        return np.concatenate([self._camera_rows, FLAT_PRIOR_SIGMA * free], axis=1)
 
     @cached_property
     def camera_columns(self) -> Array:
@@ -611,26 +631,14 @@ def _turning_angle(record: Record) -> Array | None:
     """Return the angle whose harmonics are distinguished: measured, or by integration of frequently measured speeds."""
     if record.quantity == "angle":
         return record.casing.value
-    psi = _integrated(record.casing)
+    psi = integrated(record.casing.time, record.casing.value)
     resolved = float(np.median(np.abs(np.diff(psi)))) < _LONGEST_STEP
     return psi if resolved and not record.gradients else None
 
 
-def _integrated(speeds: Samples) -> Array:
-    steps = 0.5 * (speeds.value[1:] + speeds.value[:-1]) * np.diff(speeds.time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _responses_to_harmonics(speeds: Samples, psi: Array) -> Array:
-    """Return the speeds by torques of the first two harmonics of the angle, sin(m psi) / omega, (samples, 4)."""
-    omega = np.abs(speeds.value)
-    slow = np.maximum(omega, _SLOWEST * omega.max())
-    return np.stack([wave(m * psi) / slow for m in (1, 2) for wave in (np.cos, np.sin)], axis=1)
-
-
 def _gradients(speeds: Samples) -> Array:
     """Return the time derivatives of `camera_columns`, with the angle by integration of the speeds."""
-    angle = Samples(speeds.time, _integrated(speeds), speeds.sigma)
+    angle = Samples(speeds.time, integrated(speeds.time, speeds.value), speeds.sigma)
     return np.asarray(np.gradient(camera_columns(angle), speeds.time, axis=0))
 
 
@@ -642,8 +650,6 @@ _RUN_PARTS, _PERIOD_PARTS = 50, 16
 _CENTRE, _TILT = 0.15, 0.05
 # longest step of the integral of speeds from sample to sample [rad]
 _LONGEST_STEP = 1.0
-# smallest speed, over the largest, down to which the response to a harmonic torque increases
-_SLOWEST = 0.02
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -26,18 +26,29 @@ from fitting.dynamics._mesh import Mesh, Path, Sampler, rule
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
 from fitting.effects._effect import Effect
-from fitting.effects._expression import Tape
+from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import Compressed
 from fitting.inference._parameters import ParameterLayout
-from fitting.inference._record import hermite
+from fitting.inference._record import Samples, hermite
 
 _GAUSS = 3
-_PIECES = (480, 240, 120, 60, 30, 15)
+_PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
 _MIN_PIECE = 12
 _CUBIC = 4
+# iterations of the argument of a law that it changes itself; change of the angle at convergence, relative to the
+# uncertainty of a mean of all samples; that of a derivative, relative to its fast part; iterations remembered
+_PASSES, _NEGLIGIBLE, _CHANGE, _MEMORY = 20, 0.01, 1e-3, 6
 # parts of the error of an integrated angle: seven eighths of the variance are in the first two
 _ERRORS = 6
+
+
+class AngleRows(NamedTuple):
+    """Rows of a law of an angle, linearised about its present strengths at phase 0 and at a quarter period."""
+
+    columns: Array  # (rows, 2), derivatives by the two strengths
+    strength: Array  # the present strengths
+    value: Array  # (rows,), response at these strengths
 
 
 def angle_dependent_rows(
@@ -47,8 +58,8 @@ def angle_dependent_rows(
     motion: LinearMotion,
     numbers: Mapping[str, float],
     error: Callable[[Array], Array] | None = None,
-) -> tuple[Array, Array]:
-    """Return the response of the rows to a law of strength 1, at phase 0 and at a quarter period.
+) -> AngleRows:
+    """Return the response of the rows to a law of an angle.
 
     Parameters
     ----------
@@ -62,9 +73,10 @@ def angle_dependent_rows(
         Small motions about the solution.
     numbers : mapping of str to float
         Parameters by key. The law changes the angle that is its argument, which gives a mean torque of second order in
-        its strength.
+        its strength. At a constant argument a change of the phase would give a mean torque of first order, which it
+        does not.
     error : callable, optional
-        An error of the angle of the casing [rad] as a function of time, to compute its effect.
+        An error of the measured angle of the casing [rad] as a function of time, to compute its effect.
     """
     record = data.record
     t = record.casing.time
@@ -77,38 +89,83 @@ def angle_dependent_rows(
     known["psi_c"] = psi = sampler.integral(*path.angle("omega_c"))
     known["t"] = inner
     measured, model = data.measured_angle, Sampler(path.mesh, t)
-    if measured is not None:
-        start = 0.0 if data.is_angle else model.integral(*path.angle("omega_c"))[0]
-        deviation = start + measured - model.integral(*path.angle("omega_c"))
-        of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
-
-    def measured_angle(own_angle: Array, own_speed: Array) -> Array:
-        """Return the angle of the model, with the response to the law, plus the smoothed deviation of the measured."""
-        pieces = pieces_needed(t, of_values - (own_angle if data.is_angle else own_speed))
-        smooth = np.interp(inner, t, smoothed(t, deviation - own_angle, pieces))
-        return np.asarray(psi + hermite(t, own_angle, own_speed, inner) + smooth)
-
-    if measured is not None:
-        known["psi_c"] = measured_angle(np.zeros(len(t)), np.zeros(len(t)))
-    tape = Tape([effect.expression])
     on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
     on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
     direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
     laws, strength = _unit_laws(effect, numbers)
 
-    def driven() -> tuple[Array, Array]:
-        torque = [np.asarray(tape({**law, **known})[0]) * np.ones(len(inner)) for law in laws]
-        return motion.driven(t, np.stack(torque, axis=-1).reshape(len(half), _GAUSS, -1), direction)
+    def torques(tape: Tape) -> Array:
+        return np.stack([np.asarray(tape({**law, **known})[0]) * np.ones(len(inner)) for law in laws], axis=1)
 
-    speed, angle = driven()
-    if measured is not None and strength.any():
-        known["psi_c"] = measured_angle(angle[1] @ strength, speed[1] @ strength)
-        speed, angle = driven()
-    if error is not None:
-        known["psi_c"] = known["psi_c"] + error(inner)
-        speed, angle = driven()
-    rows = data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
-    return rows[:, 0], rows[:, 1]
+    respond = motion.driven(t, _GAUSS, direction)
+
+    def driven(torque: Array) -> tuple[Array, Array]:
+        return respond(torque.reshape(len(half), _GAUSS, -1))
+
+    tape, observed = Tape([effect.expression]), int(data.is_angle)
+    if measured is not None:
+        start = 0.0 if data.is_angle else model.integral(*path.angle("omega_c"))[0]
+        deviation = start + measured - model.integral(*path.angle("omega_c"))
+        deviation = deviation if error is None else deviation + error(t)
+        of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
+    # speeds and angles of the casing by the law of the present strengths, and for the first derivatives none
+    own, search, pieces = np.zeros((2, len(t))), _FixedPoint(), [0]
+    for _ in range(_PASSES):
+        if measured is not None:
+            if len(pieces) < 2 or pieces[-1] != pieces[-2]:
+                pieces.append(pieces_needed(t, of_values - own[observed]))
+                search = _FixedPoint()
+            smooth = np.interp(inner, t, smoothed(t, deviation - own[1], pieces[-1]))
+            known["psi_c"] = psi + hermite(t, own[1], own[0], inner) + smooth
+        unit = torques(tape)
+        speed, angle = driven(unit)
+        found = np.stack([speed[1] @ strength, angle[1] @ strength])
+        change = np.abs(found[observed] - own[observed]).max()
+        if measured is None or change < _NEGLIGIBLE * _unit_error(record.casing):
+            break
+        own = search.next(own, found)
+    value = _observed(data, speed, angle) @ strength
+    if measured is not None and error is None and strength.any():
+        # the part of the response that is not in the smoothed deviation changes the argument
+        stiffness = torques(Tape([derivative(effect.expression, "psi_c")])) @ strength
+        for j in range(2):
+            response, search = np.stack([speed[1][:, j], angle[1][:, j]]), _FixedPoint()
+            for _ in range(_PASSES):
+                smooth = smoothed(t, response[1], pieces[-1])
+                fast = hermite(t, response[1], response[0], inner) - np.interp(inner, t, smooth)
+                w, a = driven(unit[:, j] + stiffness * fast)
+                found = np.stack([w[1][:, 0], a[1][:, 0]])
+                if np.abs(found[1] - response[1]).max() < _CHANGE * np.std(response[1] - smooth):
+                    break
+                response = search.next(response, found)
+            speed[..., j], angle[..., j] = w[..., 0], a[..., 0]
+    return AngleRows(_observed(data, speed, angle), strength, value)
+
+
+class _FixedPoint:
+    """Anderson's acceleration of an iteration x = g(x) (D. G. Anderson, J. ACM 12, 547 (1965))."""
+
+    def __init__(self) -> None:
+        self._steps: list[Array] = []
+        self._values: list[Array] = []
+
+    def next(self, x: Array, value: Array) -> Array:
+        """Return the next x from x and g(x): the mean of earlier values whose steps g(x) - x cancel best."""
+        self._steps.append((value - x).ravel())
+        self._values.append(value.ravel())
+        steps, values = (np.stack(v[-_MEMORY:], axis=1) for v in (self._steps, self._values))
+        weights = np.linalg.lstsq(np.diff(steps), steps[:, -1], rcond=1e-10)[0]
+        return np.asarray((values[:, -1] - np.diff(values) @ weights).reshape(x.shape))
+
+
+def _unit_error(samples: Samples) -> float:
+    """Return the standard uncertainty of a mean of all samples."""
+    return float(1 / np.sqrt(np.sum(1 / samples.sigma**2)))
+
+
+def _observed(data: CaseData, speed: Array, angle: Array) -> Array:
+    """Return the rows of speeds and angles of both bodies at the samples of the casing."""
+    return data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
 
 
 def pieces_needed(time: Array, values: Array) -> int:
@@ -242,7 +299,7 @@ class CaseModel:
             )
         )
         self._last: tuple[Array, Path] | None = None
-        self._columns: dict[str, tuple[Array, Array]] = {}
+        self._columns: dict[str, AngleRows] = {}
 
     def solve(self, theta: Array) -> Path:
         """Integrate the smooth part of the model."""
@@ -334,7 +391,7 @@ class CaseModel:
         columns[:, : self._moving] = observed[:, 1:]
         for effect in (*self.layout.model.angle_dependent, *self.layout.model.measurement):
             if effect.name not in self._columns:
-                self._columns[effect.name] = self.unit_columns(effect, path, sensitivity, numbers)
+                self._columns[effect.name] = self._rows_of(effect, path, sensitivity, numbers)
             self._add(effect, numbers, rows, columns)
         if self._prior is not None:
             names, mean, inverse = self._prior
@@ -350,14 +407,15 @@ class CaseModel:
         self._columns.clear()
 
     def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, columns: Array) -> None:
-        sine, cosine = self._columns[effect.name]
+        known = self._columns[effect.name]
+        sine, cosine = known.columns.T
         # a held parameter has no column
         keys = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
         places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in keys.items()}
         k = numbers[keys["amplitude"]] if "amplitude" in keys else 1.0
         phi = numbers[keys["phase"]] if "phase" in keys else 0.0
         row = np.cos(phi) * sine + np.sin(phi) * cosine
-        rows += k * row
+        rows += known.value - known.columns @ known.strength + k * row
         if "amplitude" in keys:
             columns[:, self._own[places["amplitude"]]] = row
         if "phase" in keys:
@@ -366,18 +424,20 @@ class CaseModel:
     def unit_columns(
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
     ) -> tuple[Array, Array]:
-        """Return the rows for strength 1 at phase 0 and at a quarter period."""
+        """Return the derivatives of the rows by the strengths at phase 0 and at a quarter period."""
+        sine, cosine = self._rows_of(effect, path, sensitivity, numbers).columns.T
+        return sine, cosine
+
+    def _rows_of(
+        self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
+    ) -> AngleRows:
         if effect.mechanical:
             return angle_dependent_rows(
                 self.data, effect, path, LinearMotion(path, sensitivity.propagator), numbers
             )
-        rows = []
-        for phi in (0.0, np.pi / 2):
-            values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
-            values |= {p.symbol: 1.0 for p in effect.parameters if p.role == "amplitude"}
-            values |= {p.symbol: phi for p in effect.parameters if p.role == "phase"}
-            rows.append(self._camera(effect, path, values))
-        return rows[0], rows[1]
+        laws, strength = _unit_laws(effect, numbers)
+        columns = np.stack([self._camera(effect, path, law) for law in laws], axis=1)
+        return AngleRows(columns, strength, columns @ strength)
 
     def integration_errors(self, prediction: Prediction, theta: Array) -> Array:
         """Return the effect of the error of an integrated angle on the rows, one column for each independent part.
@@ -395,10 +455,9 @@ class CaseModel:
         def rows(error: Callable[[Array], Array] | None) -> Array:
             total = np.zeros(len(prediction.rows))
             for effect in effects:
-                unit = angle_dependent_rows(
+                total += angle_dependent_rows(
                     self.data, effect, prediction.path, prediction.motion, numbers, error
-                )
-                total += np.stack(unit, axis=1) @ _unit_laws(effect, numbers)[1]
+                ).value
             return total
 
         def part(w: float) -> Callable[[Array], Array]:

@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 
 HARMONICS = 4
 _MIN_INDEPENDENCE = 0.2
+# largest step of the integrals of harmonics of the angle [rad]
+_HARMONIC_STEP = 0.2
+# share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than rounding
+_MIN_RESPONSE = 1e-6
 
 
 def _harmonics(y: Array) -> Array:
@@ -39,6 +43,29 @@ def independent_harmonics(y: Array, polynomials: Array) -> Array:
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
     keep = r[polynomials.shape[1] :] > _MIN_INDEPENDENCE * np.sqrt(len(y) / 2)
     return np.asarray(np.where(keep, waves, 0.0))
+
+
+def integrated(time: Array, values: Array) -> Array:
+    """Return the integral of values over time by the trapezoidal rule, along the first axis."""
+    steps = 0.5 * (values[1:] + values[:-1]).T * np.diff(time)
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(steps, axis=-1).T])
+
+
+def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
+    """Return speeds and angles by accelerations cos(m psi) and sin(m psi), m = 1 and 2, (samples, 4) each.
+
+    Between samples the angle is interpolated, in steps that resolve the second harmonic. The initial state is that of
+    no drift, up to an error of the order of an amplitude over the number of turns.
+    """
+    steps = np.maximum(1, np.ceil(np.abs(np.diff(psi)) / _HARMONIC_STEP)).astype(int)
+    at = np.concatenate([[0], np.cumsum(steps)])
+    t, angle = (np.interp(np.arange(at[-1] + 1), at, x) for x in (time, psi))
+    waves = np.stack([wave(m * angle) for m in (1, 2) for wave in (np.cos, np.sin)], axis=1)
+    speeds = integrated(t, waves)
+    speeds, angles = speeds[at], integrated(t, speeds)[at]
+    drift = np.stack([np.ones_like(time), time - time.mean()], axis=1)
+    speeds = speeds - speeds.mean(axis=0)
+    return speeds, angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
 
 
 def harmonic_scatter(rows: Array) -> Array:
@@ -256,19 +283,25 @@ def _block(
     extra = min(skipped + noise_rows, max(0, len(t) - k - HARMONICS - 6))
     skipped = min(skipped, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
-    periodic = np.zeros((len(t), 0))
+    periodic, responses = np.zeros((len(t), 0)), np.zeros((len(t), 0))
     if angle is not None:
-        psi = angle[where]
-        if angle is samples.value:
-            # smoothed: the noise of the measured angle would be correlated with the harmonics, and where these are
-            # nearly polynomials it would enter the rows that measure the noise
-            smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
-            psi = smooth @ (smooth.T @ (y / sigma)) * sigma
+        # smoothed: the noise of the measured angle would be correlated with the harmonics, and where these are nearly
+        # polynomials it would enter the rows that measure the noise
+        smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
+        smoothed = smooth @ (smooth.T @ (angle[where] / sigma)) * sigma
+        psi = smoothed if angle is samples.value else angle[where]
+        responses = responses_to_harmonics(t, smoothed)[int(angle is samples.value)]
         # a harmonic that is the same in all pulses would, of the smoothed angle, be the error of their times
         varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
-    design = np.concatenate([powers[:, :k], periodic[:, chosen], powers[:, k:]], axis=1) / sigma[:, None]
+    # a torque periodic in the angle is not noise: its response is no harmonic where the speed changes
+    model = np.concatenate([powers[:, :k], periodic[:, chosen]], axis=1) / sigma[:, None]
+    responses = responses / sigma[:, None]
+    rest_of = responses - model @ np.linalg.lstsq(model, responses, rcond=None)[0]
+    independent = np.linalg.norm(rest_of, axis=0) > _MIN_RESPONSE * np.linalg.norm(responses, axis=0)
+    responses = rest_of[:, independent & (extra > 0)]
+    design = np.concatenate([model, responses, powers[:, k:] / sigma[:, None]], axis=1)
     q, r = np.linalg.qr(design)
     # the same sign in all blocks, so that a constant harmonic gives constant rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
@@ -279,7 +312,7 @@ def _block(
     x = np.cos(np.pi * (np.arange(k) + 0.5) / k)
     lift = r[:k, :k] @ np.linalg.inv(chebyshev.chebvander(x, degree))
     projected = q.T @ (y / sigma)
-    fixed = kept + skipped
+    fixed = kept + responses.shape[1] + skipped
     noise = projected[fixed:]
     rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:fixed] ** 2))
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring

@@ -2,7 +2,8 @@
 
 Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K, K their response to an
 Ornstein-Uhlenbeck torque of rms 1 N m on the casing and another one between the bodies, with the correlation time of
-the process noise of the recording.
+the process noise of the recording. Rows of harmonics of the angle respond to the torque of their frequency alone, with
+a variance each.
 
 Two levels matter. The *pure* level is that of the recording (`fitting.inference._process_noise`): no model enters,
 and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is the
@@ -35,8 +36,10 @@ class Whitener:
 
     Attributes
     ----------
-    vectors, values : ndarray
-        Eigenvectors (m, m) and eigenvalues (m,) of K for the first m rows; the others are white.
+    vectors : ndarray, shape (m, m)
+        Eigenvectors of K for the first m rows.
+    values : ndarray, shape (n,), n >= m
+        Eigenvalues of K for these rows, then variances of independent rows that follow them; the others are white.
     level : float
         s [N m].
     """
@@ -47,21 +50,27 @@ class Whitener:
 
     def __call__(self, rows: Array) -> Array:
         """Return C^(-1/2) rows."""
-        m = len(self.values)
-        if self.level == 0 or m == 0:
+        m, n = len(self.vectors), len(self.values)
+        if self.level == 0 or n == 0:
             return rows
+        rotated = self.rotated(rows)
         gain = 1 / np.sqrt(1 + self.level**2 * self.values)
-        inner = self.vectors.T @ rows[:m]
-        inner = inner * (gain if rows.ndim == 1 else gain[:, None])
-        return np.concatenate([self.vectors @ inner, rows[m:]])
+        rotated[:n] *= gain if rows.ndim == 1 else gain[:, None]
+        rotated[:m] = self.vectors @ rotated[:m]
+        return rotated
+
+    def rotated(self, rows: Array) -> Array:
+        """Return rows along the principal axes of K."""
+        m = len(self.vectors)
+        return np.concatenate([self.vectors.T @ rows[:m], rows[m:]])
 
     def share(self, rows: Array) -> float:
         """Return the share of the random torque in the variance along orthonormal columns of whitened rows."""
-        m = len(self.values)
-        if not m or not rows.size:
+        n = len(self.values)
+        if not n or not rows.size:
             return 0.0
         torque = self.level**2 * self.values
-        square = np.sum((self.vectors.T @ rows[:m]) ** 2, axis=1)
+        square = np.sum(self.rotated(rows)[:n] ** 2, axis=1)
         return float(square @ (torque / (1 + torque)) / np.sum(rows**2))
 
     @property
@@ -218,7 +227,8 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
-    responding = values[values > _ROUNDING * values.max(initial=0.0)]
+    smooth = values[: len(whitener.vectors)]
+    responding = smooth[smooth > _ROUNDING * smooth.max(initial=0.0)]
     levels = LEVELS / np.sqrt(np.median(responding)) if len(responding) else np.zeros(1)
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))
@@ -256,11 +266,10 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
 
 def _rotated(whitener: Whitener, residual: Array, free: Array) -> tuple[Array, Array]:
     """Return scaled free columns and residual along the principal axes of K, and the eigenvalues of all rows."""
-    m = len(whitener.values)
     size = np.linalg.norm(free, axis=0)
     columns = np.concatenate([free[:, size > 0] / size[size > 0], residual[:, None]], axis=1)
-    rotated = np.concatenate([whitener.vectors.T @ columns[:m], columns[m:]])
-    return rotated, np.concatenate([whitener.values, np.zeros(len(residual) - m)])
+    values = np.concatenate([whitener.values, np.zeros(len(residual) - len(whitener.values))])
+    return whitener.rotated(columns), values
 
 
 def _peak(levels: Array, likelihood: Array) -> float:
@@ -306,7 +315,7 @@ class TorqueResponse:
     """
 
     def __init__(self, data: CaseData, motion: LinearMotion) -> None:
-        self.data = data
+        self.data, self._motion = data, motion
         self._smooth = data.slices["smooth"]
         count = int(_CELLS_PER_ROW * self._smooth.stop)
         self.edges = np.linspace(*data.record.span, count + 1)
@@ -354,7 +363,20 @@ class TorqueResponse:
     def whitener(self, noise: TorqueNoise) -> Whitener:
         """Return the whitener of rows with this noise."""
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
-        return Whitener(vectors, np.maximum(values, 0.0), noise.rms)
+        values = np.concatenate([np.maximum(values, 0.0), self._harmonic_variances(noise.time)])
+        return Whitener(vectors, values, noise.rms)
+
+    def _harmonic_variances(self, time: float) -> Array:
+        """Return the variances of the rows of harmonics for torques of rms 1 N m.
+
+        Such a row responds to the torque of its frequency, m times the speed, of which neighbouring blocks are
+        independent.
+        """
+        record = self.data.record
+        directions = (0.0, 1 / record.I_casing), (-1 / record.I_rotor, 1 / record.I_casing)
+        square = sum(float(self._motion.accelerations(np.array(d))[1] ** 2) for d in directions)
+        response, frequency = self.data.harmonic_row_responses
+        return np.asarray(square * response * 2 * time / (1 + (frequency * time) ** 2))
 
 
 def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:

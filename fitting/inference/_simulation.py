@@ -204,7 +204,7 @@ class _RandomTorque:
             return np.zeros(len(time))
         total = np.zeros(len(self._times))
         for torque, direction in self._parts:
-            total += self._motion.driven(self._times, torque[:, None, None], direction)[1][state, :, 0]
+            total += self._motion.driven(self._times, 1, direction)(torque[:, None, None])[1][state, :, 0]
         from scipy.interpolate import CubicSpline
 
         return np.asarray(CubicSpline(self._times, total)(time))

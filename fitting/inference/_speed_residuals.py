@@ -155,12 +155,13 @@ def _spread(whitener: Whitener, free: Array) -> Array:
     u, s, _ = np.linalg.svd(whitener(free[:, size > 0] / size[size > 0]), full_matrices=False)
     q = u[:, s > 1e-10 * s[0]]
     inner = np.eye(len(q)) - q @ q.T
-    m = len(whitener.values)
-    if whitener.level == 0 or m == 0:
+    m, n = len(whitener.vectors), len(whitener.values)
+    if whitener.level == 0 or n == 0:
         return np.asarray(inner)
-    root = np.sqrt(1 + whitener.level**2 * whitener.values)
-    upper = whitener.vectors @ (root[:, None] * (whitener.vectors.T @ inner[:m]))
-    return np.concatenate([upper, inner[m:]])
+    rotated = whitener.rotated(inner)
+    rotated[:n] *= np.sqrt(1 + whitener.level**2 * whitener.values)[:, None]
+    rotated[:m] = whitener.vectors @ rotated[:m]
+    return rotated
 
 
 def _slopes(run: Compressed, parts: int, *, is_angle: bool) -> tuple[Array, Array, Array]:

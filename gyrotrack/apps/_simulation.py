@@ -57,6 +57,8 @@ def write_record(
     case = Case(
         I_rotor=record.I_rotor,
         I_casing=record.I_casing,
+        I_rotor_u=record.I_rotor_u,
+        I_casing_u=record.I_casing_u,
         label=record.label,
         surface=surface,
         casing=Series(**{**vars(casing), "window": None}),

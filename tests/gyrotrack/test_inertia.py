@@ -93,7 +93,10 @@ def test_a_batch_takes_the_manifest_before_the_option(tmp_path):
     assert with_inertias([single], nothing) == (single,)
 
 
-def test_simulate_names_the_inertias_of_the_paper(tmp_path, capsys):
+def test_simulate_names_the_inertias_of_the_paper_and_stores_a_stated_uncertainty(tmp_path, capsys):
     words = ["simulate", "-o", str(tmp_path / "a.h5"), "--duration", "12", "--window-length", "1"]
-    assert app.run(words) == 0
+    assert app.run([*words, "--inertia-rotor", "(554 +- 6) g cm2"]) == 0
     assert "rotor 5.54e-5, casing 2.06e-5 kg m2" in capsys.readouterr().err
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert file.attrs["I_rotor_u"] == pytest.approx(6e-7)
+        assert "I_casing_u" not in file.attrs

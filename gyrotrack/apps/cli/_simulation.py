@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -97,7 +98,8 @@ def simulate_command(
 ) -> None:
     """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
 
-    The default moments of inertia are those of the paper, 5.54e-5 and 2.06e-5 kg m2.
+    The default moments of inertia are those of the paper, 5.54e-5 and 2.06e-5 kg m2. A stated uncertainty is stored in
+    the case; the simulated bodies have the stated values.
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
@@ -132,11 +134,9 @@ def simulate_command(
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
     if inertia_rotor is None or inertia_casing is None:
         out.note("Default moments of inertia are those of the paper: rotor 5.54e-5, casing 2.06e-5 kg m2.")
-    inertias = (
-        Inertia.of(inertia_rotor or _PAPER_ROTOR, "rotor").value,
-        Inertia.of(inertia_casing or _PAPER_CASING, "casing").value,
-    )
-    run = SimulatedRun.of(model, strength, experiment, inertias, seed, set_values or ())
+    rotor = Inertia.of(inertia_rotor or _PAPER_ROTOR, "rotor")
+    casing = Inertia.of(inertia_casing or _PAPER_CASING, "casing")
+    run = SimulatedRun.of(model, strength, experiment, (rotor.value, casing.value), seed, set_values or ())
     films = run.film_files(film) if film is not None else []
     if film is not None and film.is_dir():
         for path in films:
@@ -144,6 +144,7 @@ def simulate_command(
     with out.progress("simulating") as progress:
         progress(0, None)
         record = run.record(label if label is not None else output.stem)
+    record = replace(record, I_rotor_u=rotor.u, I_casing_u=casing.u)
     with all_or_nothing(output, sealed, *films):
         if sealed is None or hidden is None:
             stated: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}

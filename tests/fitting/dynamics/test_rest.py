@@ -175,7 +175,7 @@ def test_small_torques_act_on_a_moving_casing_only():
     exact = (more - less) / (2 * push)
     half = 0.5 * np.diff(times)
     unit = np.ones((len(half), 3, 1))
-    driven, turned = (v[1] for v in motion.driven(times, unit, np.array([0.0, 1 / I_C])))
+    driven, turned = (v[1] for v in motion.driven(times, unit.shape[1], np.array([0.0, 1 / I_C]))(unit))
     away = (np.abs(times - stop) > 2) & (np.abs(times - go) > 2)
     size = np.abs(exact[1]).max()
     np.testing.assert_allclose(driven[away, 0], exact[1][away], atol=2e-3 * size)

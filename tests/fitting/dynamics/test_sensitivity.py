@@ -136,7 +136,7 @@ def test_driven_motion_matches_direct_integration(body):
     gauss, half = rule(3), 0.5 * np.diff(times)
     inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
     both = np.stack([torque(inner), np.ones_like(inner) * 1e-6], axis=-1)
-    speed, angle = (v[body] for v in motion.driven(times, both, direction))
+    speed, angle = (v[body] for v in motion.driven(times, both.shape[1], direction)(both))
     exact = directly(PAPER, path, torque, direction, times)
     np.testing.assert_allclose(speed[:, 0], exact[:, body], atol=1e-5 * np.abs(exact[:, body]).max())
     np.testing.assert_allclose(angle[:, 0], exact[:, 2 + body], atol=1e-5 * np.abs(exact[:, 2 + body]).max())
@@ -167,7 +167,7 @@ def test_driven_motion_contains_the_states_of_effects(name):
     motion = LinearMotion(path, found.propagator)
     times = np.arange(0, 150.0, 1 / 50)
     unit = np.ones((len(times) - 1, 3, 1))
-    speed, _ = motion.driven(times, unit, np.array([0.0, 1 / INERTIA["inertia.casing"]]))
+    speed, _ = motion.driven(times, unit.shape[1], np.array([0.0, 1 / INERTIA["inertia.casing"]]))(unit)
     exact = Sampler(path.mesh, times).value(
         found.nodes[..., dynamics.parameters.index("external.constant.k")]
     )
@@ -197,7 +197,7 @@ def test_driven_motion_of_a_light_casing_is_accurate_until_the_end(name):
     motion = LinearMotion(path, found.propagator)
     times = np.arange(0, 150.0, 1 / 50)
     unit = np.ones((len(times) - 1, 3, 1))
-    speed, angle = motion.driven(times, unit, np.array([0.0, 1 / light["inertia.casing"]]))
+    speed, angle = motion.driven(times, unit.shape[1], np.array([0.0, 1 / light["inertia.casing"]]))(unit)
     sampler = Sampler(path.mesh, times)
     column = dynamics.parameters.index("external.constant.k")
     exact = sampler.value(found.nodes[..., column])[:, 1]

@@ -63,7 +63,7 @@ def test_a_torque_on_one_rolling_body_accelerates_both():
     drag = RATIO**2 * NUMBERS["rotor.air.linear.a1"]
     inertia = I_DRUM + RATIO**2 * I_WHEEL
     for direction, strength in (((0.0, 1 / I_DRUM), 1.0), ((1 / I_WHEEL, 0.0), RATIO)):
-        speed, _ = motion.driven(times, push, np.array(direction))
+        speed, _ = motion.driven(times, push.shape[1], np.array(direction))(push)
         expected = strength * 1e-3 / drag * (1 - np.exp(-drag * times / inertia))
         np.testing.assert_allclose(speed[1, :, 0], expected, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(speed[0, :, 0], RATIO * expected, rtol=1e-6, atol=1e-12)
