@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
@@ -38,6 +39,7 @@ from fitting.inference._compression import (
     integrated,
     responses_to_harmonics,
 )
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
 from fitting.inference._process_noise import (
@@ -267,7 +269,27 @@ class CaseData:
         if psi is None or self.oscillation is not None:
             return np.zeros((len(self.record.casing), 0))
         speeds, angles = responses_to_harmonics(self.record.casing.time, psi)
-        return angles if self.is_angle else speeds
+        if not self.is_angle:
+            return speeds
+        return angles if self._shows_periodic_torque(angles) else angles[:, :0]
+
+    def _shows_periodic_torque(self, responses: Array) -> bool:
+        """Return whether harmonics of the angle contain the response to a torque of the angle beside those of a camera.
+
+        The amplitude of the response decreases with the square of the speed; those of a camera are constant, or
+        increase with the speed. An F test of the harmonics of all blocks.
+        """
+        z = self.casing.harmonic
+        camera, found = (
+            self.casing.at_samples(c)[1] for c in (camera_columns(self.casing.samples), responses)
+        )
+        basis = orthonormal(camera, _ROUNDING)
+        both = orthonormal(np.concatenate([camera, found], axis=1), _ROUNDING)
+        more, free = both.shape[1] - basis.shape[1], len(z) - both.shape[1]
+        if more <= 0 or free <= 0:
+            return False
+        without, with_ = (float(np.sum(orthogonal_to(b, z) ** 2)) for b in (basis, both))
+        return bool(fdtrc(more, free, (without / with_ - 1) * free / more) < _PERIODIC)
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
@@ -652,6 +674,8 @@ _CENTRE, _TILT = 0.15, 0.05
 _LONGEST_STEP = 1.0
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
+# probability below which harmonics of the angle are not noise
+_PERIODIC = 1e-3
 
 
 def camera_columns(samples: Samples) -> Array:

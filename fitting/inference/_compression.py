@@ -294,6 +294,7 @@ def _block(
         # a harmonic that is the same in all pulses would, of the smoothed angle, be the error of their times
         varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
+        responses = responses * np.repeat(varies.reshape(2, 2).any(axis=1), 2)
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
     # a torque periodic in the angle is not noise: its response is no harmonic where the speed changes
     model = np.concatenate([powers[:, :k], periodic[:, chosen]], axis=1) / sigma[:, None]

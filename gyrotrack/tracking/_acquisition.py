@@ -171,10 +171,11 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     """Find a coloured marker in rings about the centre.
 
     The background is the median over the samples at every pixel. If the marker is at one angle in more than
-    `LONGEST_DWELL` of the samples, it is the median along each row.
+    `LONGEST_DWELL` of the samples, it is the median along each row; so it is where the patch has not the size of a
+    marker, such as the residue of a marker at rest that a codec leaves.
     """
     seen = _locate(rings.foreground, rings.ring, wanted)
-    if seen is None or seen.marker.dwell > LONGEST_DWELL:
+    if seen is None or seen.marker.dwell > LONGEST_DWELL or not is_marker_sized(seen.marker):
         by_ring = _locate(rings.ring_difference, rings.ring, wanted)
         seen = by_ring if by_ring is not None else seen
     return seen

@@ -30,7 +30,7 @@ HIDDEN = {
         casing=lambda t, wr, wc, pr, pc: -3e-6 * (0.5 + 0.5 * math.tanh((t - 88.0) / 1.5))
     ),
     "unbalance": twobody.Hidden(
-        casing=lambda t, wr, wc, pr, pc: 6e-5 * math.sin(pc - 0.7) + 1.8e-6 * math.sin(3 * pc - 0.2)
+        casing=lambda t, wr, wc, pr, pc: 6e-5 * math.sin(pc - 0.7) + 6e-6 * math.sin(3 * pc - 0.2)
     ),
     "saturating": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * math.tanh(wc / 40)),
     "resonance": twobody.Hidden(

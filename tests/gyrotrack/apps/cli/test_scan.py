@@ -1,6 +1,7 @@
 """`gyrotrack scan` as a user runs it."""
 
 import csv
+import shutil
 
 import pytest
 
@@ -15,7 +16,9 @@ def scanned(simulated, tmp_path_factory, request):
     with pytest.MonkeyPatch.context() as patch:
         said = []
         patch.setattr("gyrotrack.apps.cli._output.print_json", said.append)
-        code = app.run(["scan", str(simulated / "plain.h5"), *outputs, "--json", "-q"])
+        # a copy: other tests write a ledger beside the shared case
+        source = shutil.copy(simulated / "plain.h5", folder)
+        code = app.run(["scan", str(source), *outputs, "--json", "-q"])
     (document,) = said
     return code, document, folder
 
@@ -33,7 +36,7 @@ def test_tables_files_and_document(scanned):
 @pytest.mark.slow
 def test_nothing_is_kept_and_nothing_replaced(scanned, simulated, gyrotrack):
     folder = scanned[2]
-    assert not list(simulated.glob("*.fits.json"))
+    assert not list(folder.glob("*.fits.json"))
     said = gyrotrack("scan", simulated / "plain.h5", "--csv", folder / "s.csv", "--json")
     assert said.code == 1
     assert "exists" in said.error["message"]
