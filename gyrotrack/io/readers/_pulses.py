@@ -581,7 +581,7 @@ def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, opti
         unit = _TICK_UNITS[scale]
         note = (f"{raw.path.name}: times are integers and are assumed to be in {unit}",)
     per_turn = options.pulses_per_turn or 1.0
-    values = raw.numbers(counts, "counts")
+    values = raw.numbers(counts, "counts").copy()
     known = np.isfinite(values)
     if np.ptp(values[known]) >= per_turn:
         values[known], bits = _continued_count(values[known])
