@@ -299,7 +299,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     if quantity not in columns and ("t" in columns or "frame" in columns):
         raise DatasetError(
             f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.",
-            EXPECTED + " Times of events need --pulses-per-turn.",
+            EXPECTED + " Times of events and signals of a light gate need --pulses-per-turn.",
         )
     notes = list(raw.notes)
     if "t" in columns and not units["t"] and (unit := _unit_since_1970(raw, columns["t"])):
