@@ -71,37 +71,17 @@ _TESTS: dict[Joint, tuple[tuple[str, ...], ...]] = {
 
 @dataclass(frozen=True)
 class Dependence:
-    """The unmodelled torque as a smooth function of one variable, or of two.
+    """The unmodelled torque as a smooth function of one variable, or of two."""
 
-    Attributes
-    ----------
-    variable : str
-        "omega_c", "t", ...; two joined by "*".
-    body : str
-        Where the torque acts: "casing", "rotor", or "bearing" (internal).
-    p_value : float
-        Of no dependence, over all variables that were tried.
-    explained : float
-        Share of the lack of fit (excess of chi-square over its degrees of freedom) that it explains (0-1).
-    score : float
-        Fall of the deviance.
-    columns : int
-        Functions of the spline that the base cannot represent.
-    value : ndarray, shape (points,)
-        Values of the variable [s, rad/s or rad]; empty for two variables.
-    torque, sigma : ndarray, shape (points,)
-        Torque and its standard uncertainty there, the part that the base cannot represent [N m].
-    """
-
-    variable: str
-    body: str
-    p_value: float
-    explained: float
-    score: float
-    columns: int
-    value: Array = field(repr=False)
-    torque: Array = field(repr=False)
-    sigma: Array = field(repr=False)
+    variable: str  # "omega_c", "t", ...; two joined by "*"
+    body: str  # "casing", "rotor", or "bearing" (internal)
+    p_value: float  # of no dependence, over all variables that were tried
+    explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
+    score: float  # fall of the deviance
+    columns: int  # functions of the spline that the base cannot represent
+    value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
+    torque: Array = field(repr=False)  # the part that the base cannot represent [N m]
+    sigma: Array = field(repr=False)  # its standard uncertainty [N m]
     identified: Array = field(repr=False)
 
     @property

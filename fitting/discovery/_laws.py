@@ -97,78 +97,34 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Difference:
-    """The largest difference of two laws of a set within the recordings.
+    """The largest difference of two laws of a set within the recordings."""
 
-    Attributes
-    ----------
-    formula : str
-        The other law.
-    torque_Nm : float
-        Largest difference of the net torque on a body, base included [N m].
-    label : str
-        The case in which it occurs.
-    t_start, t_stop : float
-        Times between which it is more than half of that [s].
-    omega_c, omega_r : (float, float)
-        Speeds there [rad/s].
-    """
-
-    formula: str
-    torque_Nm: float  # noqa: N815 - the unit's own capitals
-    label: str
-    t_start: float
+    formula: str  # the other law
+    torque_Nm: float  # noqa: N815 - of the net torque on a body, base included [N m]
+    label: str  # the case in which it occurs
+    t_start: float  # [s]; from then to t_stop it is more than half of that
     t_stop: float
-    omega_c: tuple[float, float]
+    omega_c: tuple[float, float]  # speeds there [rad/s]
     omega_r: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Law:
-    """A law that explains the unmodelled torque, and the evidence for it.
+    """A law that explains the unmodelled torque, and the evidence for it."""
 
-    Attributes
-    ----------
-    formula : str
-        Its terms as ``body: law``, joined by " + "; `fit --add` takes a single term.
-    form : str
-        Its form in words.
-    effects : tuple of Effect
-        Its terms, one or two.
-    score : float
-        Fall of the deviance when it is added to the base.
-    delta_bic : float
-        BIC with it minus BIC without.
-    description_length : float
-        What the length of its formula adds to BIC in the ranking.
-    p_value : float
-        Family-wise p-value: probability of such a score anywhere in the search if nothing is missing.
-    torque_rms_Nm : float
-        Rms of its torque along the measured motion [N m].
-    estimates : dict
-        Its parameters by ``<effect>.<symbol>``.
-    indistinguishable_from : tuple of str
-        Formulas of the other laws within the equivalence width.
-    same_torque_as : tuple of str
-        Those of them that have the same torque along the recorded motion.
-    differences : tuple of Difference
-        Where it differs from the others.
-    fit : Fit
-        The refit of base and law.
-    """
-
-    formula: str
-    form: str
-    effects: tuple[Effect, ...]
-    score: float
-    delta_bic: float
-    description_length: float
-    p_value: float
-    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
-    estimates: dict[str, Estimate]
-    indistinguishable_from: tuple[str, ...]
-    same_torque_as: tuple[str, ...]
-    differences: tuple[Difference, ...]
-    fit: Fit = field(repr=False)
+    formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
+    form: str  # in words
+    effects: tuple[Effect, ...]  # its terms, one or two
+    score: float  # fall of the deviance when it is added to the base
+    delta_bic: float  # BIC with it minus BIC without
+    description_length: float  # what the length of its formula adds to BIC in the ranking
+    p_value: float  # of such a score anywhere in the search if nothing is missing (family-wise)
+    torque_rms_Nm: float  # noqa: N815 - along the measured motion [N m]
+    estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
+    indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
+    same_torque_as: tuple[str, ...]  # those of them with the same torque along the recorded motion
+    differences: tuple[Difference, ...]  # where it differs from the others
+    fit: Fit = field(repr=False)  # the refit of base and law
 
     @property
     def body(self) -> str:
@@ -185,41 +141,20 @@ class Law:
 class Laws:
     """The answer of `laws`.
 
-    Attributes
-    ----------
-    fit : Fit
-        The base.
-    verdict : {"law", "library", "parameter", "none"}
-        A law was found; an effect of the library describes the data; a shared parameter differs between the recordings;
-        no law is significant.
-    sentence : str
-        The answer in words.
-    laws : tuple of Law
-        Laws, best first; those within the equivalence width of the first are the answer.
-    library : Candidate or None
-        The effect of the library that describes the data as well as any law.
-    depends_on : tuple of Dependence
-        The unmodelled torque as a function of each variable, the largest explained share first.
-    next_experiment : str
-        The run that separates the laws of the set; empty if there is only one.
-    trials : int
-        How many columns were scored.
-    diagnosis : Diagnosis or None
-        The diagnosis of the base; None where the search did without it.
-    differs : DifferentParameter or None
-        The shared parameter whose difference between the recordings describes the data as well as the laws do.
+    `verdict`: "law" (one was found), "library" (an effect of the library describes the data), "parameter" (a shared
+    parameter differs between the recordings), or "none" (no law is significant).
     """
 
-    fit: Fit
+    fit: Fit  # the base
     verdict: str
     sentence: str
-    laws: tuple[Law, ...]
-    library: Candidate | None
-    depends_on: tuple[Dependence, ...]
-    next_experiment: str
-    trials: int
-    diagnosis: Diagnosis | None = field(default=None, repr=False)
-    differs: DifferentParameter | None = None
+    laws: tuple[Law, ...]  # best first; those within the equivalence width of the first are the answer
+    library: Candidate | None  # the effect of the library that describes the data as well as any law
+    depends_on: tuple[Dependence, ...]  # torque against each variable, the largest share first
+    next_experiment: str  # the run that separates the laws of the set; empty for one law
+    trials: int  # how many columns were scored
+    diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if made
+    differs: DifferentParameter | None = None  # its difference describes the data as well as the laws do
 
     @property
     def answer(self) -> tuple[Law, ...]:

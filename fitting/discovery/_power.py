@@ -81,54 +81,22 @@ _RARE = 0.5
 
 @dataclass(frozen=True)
 class EffectLimits:
-    """Detection limit, upper limit and power of some recordings for one effect.
-
-    Attributes
-    ----------
-    effect : Effect
-        The effect.
-    strength : str
-        Symbol of its strength.
-    unit : str
-        Unit of its strength.
-    shape : dict of str to float
-        Shape constants for which the limits hold: those with the median detection limit.
-    stderr : float
-        Standard error of the strength when it is added to the model [unit]; infinite if the base absorbs it.
-    torque : float
-        Rms torque along the motion for a strength of 1 [N m / unit], of the body with the larger one; NaN for a camera.
-    detection_limit : float
-        Strength found with 90 % probability [unit].
-    detection_range : tuple of float
-        The smallest and the largest detection limit over the shapes tried, as rms torques [N m].
-    upper_limit : float
-        95 % upper limit of the strength [unit]; NaN if the effect is significant.
-    power : float
-        Probability of finding an effect of `size`.
-    size : float
-        Strength of this size [unit].
-    runs_needed : float
-        Runs like these, these included, that find it with 90 % probability; infinite if none do.
-    indistinguishable_from : tuple of str
-        Effects that these recordings would not separate from it at the larger of `size` and `detection_limit`.
-    curve : ndarray, shape (points, 2)
-        Noncentrality and power.
-    """
+    """Detection limit, upper limit and power of some recordings for one effect."""
 
     effect: Effect
-    strength: str
-    unit: str
-    shape: dict[str, float]
-    stderr: float
-    torque: float
-    detection_limit: float
-    detection_range: tuple[float, float]
-    upper_limit: float
-    power: float
-    size: float
-    runs_needed: float
-    indistinguishable_from: tuple[str, ...]
-    curve: Array = field(repr=False)
+    strength: str  # symbol
+    unit: str  # of the strength
+    shape: dict[str, float]  # shape constants with the median detection limit, for which the limits hold
+    stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
+    torque: float  # rms torque for a strength of 1 [N m / unit], the larger of both bodies; NaN for a camera
+    detection_limit: float  # strength found with 90 % probability [unit]
+    detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
+    upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
+    power: float  # probability of finding an effect of `size`
+    size: float  # strength of this size [unit]
+    runs_needed: float  # runs like these, these included, that find it with 90 % probability
+    indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
+    curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
     @property
     def absorbed(self) -> bool:
@@ -148,23 +116,13 @@ class EffectLimits:
 
 @dataclass(frozen=True)
 class UpperLimit:
-    """An effect that could still be hidden in the recordings.
-
-    Attributes
-    ----------
-    effect, symbol, unit : str
-        The effect, its strength, the unit of the strength.
-    upper_limit : float
-        95 % upper limit of the strength [unit].
-    torque_Nm : float
-        The same as an rms torque along the motion [N m].
-    """
+    """An effect that could still be hidden in the recordings."""
 
     effect: str
-    symbol: str
-    upper_limit: float
-    unit: str
-    torque_Nm: float  # noqa: N815 - the unit's own capitals
+    symbol: str  # of the strength
+    upper_limit: float  # 95 % upper limit of the strength [unit]
+    unit: str  # of the strength
+    torque_Nm: float  # noqa: N815 - the same as an rms torque along the motion [N m]
 
 
 @dataclass(frozen=True)

@@ -55,25 +55,12 @@ _POINTS = 2000
 
 @dataclass(frozen=True)
 class Remainder:
-    """The unmodelled torque that is still significant with the named effect.
+    """The unmodelled torque that is still significant with the named effect."""
 
-    Attributes
-    ----------
-    torque_rms_Nm : float
-        Rms of the remaining torque on the body that has more of it [N m].
-    share : float
-        Share of the mean square unmodelled torque (0-1).
-    p_value : float
-        Of the freed shape constant or second effect that describes it (likelihood ratio), or of the most significant
-        lack-of-fit test.
-    sentence : str
-        Its size and what it depends on.
-    """
-
-    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
-    share: float
-    p_value: float
-    sentence: str
+    torque_rms_Nm: float  # noqa: N815 - on the body that has more of it [N m]
+    share: float  # of the mean square unmodelled torque (0-1)
+    p_value: float  # of what describes it (likelihood ratio), or of the most significant lack-of-fit test
+    sentence: str  # its size and what it depends on
 
 
 @dataclass(frozen=True)

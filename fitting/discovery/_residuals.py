@@ -228,48 +228,21 @@ _SHORTEST, _MOST = 1 / 100, 6
 
 @dataclass(frozen=True)
 class Failure:
-    """An interval with a significant unmodelled torque.
-
-    Attributes
-    ----------
-    label, body : str
-        Case and body.
-    t_start, t_stop : float
-        When [s].
-    kind : str
-        "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle.
-    where : str
-        In words: in the rise, near the peak, in the tail; at the start, in the middle of a spin-down; once or twice a
-        turn.
-    size_sigma : float
-        Largest distance from zero in standard deviations.
-    residual_rad_s : float
-        Largest speed residual in the interval, with its sign; of a harmonic, where the casing is slowest.
-    residual_torque_Nm : float
-        Mean unmodelled torque, weighted by the inverse variances; amplitude of a harmonic.
-    omega_c : tuple of float
-        The casing's lowest and highest speed in the interval [rad/s].
-    called : str
-        "body" for the casing where only one body was recorded.
-    torque_sigma_Nm : float
-        Standard uncertainty of the torque; of the mean over an interval an upper bound (full correlation).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
+    """An interval with a significant unmodelled torque."""
 
     label: str
     body: str
-    t_start: float
-    t_stop: float
-    kind: str
-    where: str
-    size_sigma: float
-    residual_rad_s: float
-    residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
-    omega_c: tuple[float, float]
-    called: str
-    torque_sigma_Nm: float = float("nan")  # noqa: N815
-    unit: str = TORQUE
+    t_start: float  # [s]
+    t_stop: float  # [s]
+    kind: str  # "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle
+    where: str  # in words: in the rise, near the peak, in the tail; once or twice a turn
+    size_sigma: float  # largest distance from zero in standard deviations
+    residual_rad_s: float  # largest speed residual, with its sign; of a harmonic where the casing is slowest
+    residual_torque_Nm: float  # noqa: N815 - mean, weighted by inverse variances; amplitude of a harmonic
+    omega_c: tuple[float, float]  # the casing's lowest and highest speed in the interval [rad/s]
+    called: str  # "body" for the casing where only one body was recorded
+    torque_sigma_Nm: float = float("nan")  # noqa: N815 - of the mean over an interval an upper bound
+    unit: str = TORQUE  # "N m", or "rad/s2" per unit of inertia
 
     def __str__(self) -> str:
         torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm, self.unit)

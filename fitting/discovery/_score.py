@@ -505,9 +505,7 @@ class NullDistribution:
 
     An error of the noise level scales the scores of all trials, and of all candidates, by the same factor. So the
     correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
-    levels.
-
-    `weights` (levels,) are the probabilities of the levels.
+    levels, with their probabilities `weights` (levels,).
     """
 
     def __init__(self, score: Score) -> None:

@@ -117,16 +117,8 @@ class Segments:
     ) -> Path | None:
         """Return the path between two events from that of a known solution; None if it has another sequence of events.
 
-        Parameters
-        ----------
-        start, time, sense
-            State, time, and sense of motion at the event.
-        end : float
-            Where the record ends.
-        known : Path
-            This stretch of the known solution.
-        stops : bool
-            Whether it ended with the casing at rest, and not with the record.
+        `known` is this stretch of the known solution; with `stops` it ended with the casing at rest, not with the
+        record.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -160,15 +152,8 @@ class Segments:
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
         """Return the stretches of a motion through many reversals, as far as its events are those of a known solution.
 
-        Parameters
-        ----------
-        start : ndarray, shape (states,)
-            State at the first edge.
-        sense : float
-            Sense of motion there.
-        known : Path
-            A solution for similar numbers, or the measured motion: its jumps are at the edges where the casing
-            reverses.
+        `known` is a solution for similar numbers, or the measured motion: its jumps are at edges where the casing
+        reverses.
         """
         adapted = self._with_beginning(start, sense, known)
         if adapted is None or len(adapted.breaks) != len(self.breaks):
@@ -491,33 +476,12 @@ def solve(
     *,
     most: int = _MAX_EVENTS,
 ) -> Path:
-    """Integrate the equations of motion.
+    """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The equations.
-    numbers : mapping of str to float
-        Parameters by key, and both inertias [kg m2].
-    start : ndarray, shape (states,)
-        State at the first edge.
-    mesh : Mesh
-        Initial intervals; they are halved where necessary, and divided at the model's changepoints and where the casing
-        stops, reverses or starts.
-    guess : Path, optional
-        A solution for similar numbers, or the measured motion.
-    most : int
-        Largest number of stretches that are integrated one by one because the sequence of events has changed.
-
-    Returns
-    -------
-    Path
-        Exact to about 1e-9 of the largest value of each state.
-
-    Raises
-    ------
-    SimulationError
-        If Newton's method does not converge, the states leave the finite numbers, or `most` stretches are not enough.
+    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints and where the casing
+    stops, reverses or starts. `guess` is a solution for similar numbers, or the measured motion; where the sequence
+    of events has changed, at most `most` stretches are integrated one by one. SimulationError: these are not enough,
+    Newton's method does not converge, or the states leave the finite numbers.
     """
     breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
     mesh = mesh.with_breakpoints(breaks)

@@ -152,15 +152,7 @@ class Path:
 
 
 class Sampler:
-    """Values and integrals of node data at any times, as sparse rows.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh of the node data.
-    times : ndarray
-        Times inside the mesh [s].
-    """
+    """Values and integrals of node data of a mesh at any times inside it [s], as sparse rows."""
 
     def __init__(self, mesh: Mesh, times: Array) -> None:
         edges = mesh.edges

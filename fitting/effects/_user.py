@@ -68,10 +68,8 @@ def formula(
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
 
-    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate.
-
-    An EffectError or ExpressionError says that the law is not understood, has no strength to fit, or does not come out
-    in its unit.
+    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate. An EffectError
+    or ExpressionError says that the law is not understood, has no strength to fit, or does not come out in its unit.
     """
     if body not in _BODIES:
         raise EffectError(

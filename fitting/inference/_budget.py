@@ -49,26 +49,15 @@ _RANK, _ROUNDING = 1e-7, 1e-12
 class Contribution:
     """One source of uncertainty of one parameter.
 
-    Attributes
-    ----------
-    source : str
-        "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
-        "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
-    type : {"A", "B"}
-        Evaluated from the data, or from other knowledge.
-    u : float
-        Contribution to the standard uncertainty, in the unit of the parameter.
-    sensitivity : float or None
-        Change of the parameter per unit of the input, for inputs of type B; of an inertia the mean slope.
-    share : float
-        Share of the combined variance.
+    `source` is "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
+    "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
     """
 
     source: str
-    type: Literal["A", "B"]
-    u: float
-    sensitivity: float | None
-    share: float
+    type: Literal["A", "B"]  # evaluated from the data (A), or from other knowledge (B)
+    u: float  # contribution to the standard uncertainty, in the unit of the parameter
+    sensitivity: float | None  # change per unit of an input of type B; of an inertia the mean slope
+    share: float  # of the combined variance
 
 
 @dataclass(frozen=True)
@@ -155,11 +144,6 @@ def combined_uncertainties(fit: Fit) -> dict[str, float]:
     """Return the combined standard uncertainty of every parameter, with the moments of inertia to first order.
 
     That of `budget` without its refits, for the numbers of a sentence.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
     """
     linear = _Linearised(fit)
     cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
@@ -304,12 +288,8 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
 def propagated(values: Array, inputs: Sequence[tuple[str, float]]) -> dict[str, tuple[Array, Array | None]]:
     """Return the standard uncertainty by each input, its mean slope, and the uncertainty by their interaction.
 
-    Parameters
-    ----------
-    values : ndarray, shape (3, ..., results)
-        Results at the nodes of the Gauss-Hermite rule; one axis per input.
-    inputs : sequence of (str, float)
-        Name and standard uncertainty of each.
+    `values` (3, ..., results) are results at the nodes of the Gauss-Hermite rule, one axis for each (name, u) of
+    `inputs`.
     """
     weights, found = np.array(_WEIGHTS), {}
     mean, square = values, values**2

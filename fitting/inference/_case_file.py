@@ -81,13 +81,7 @@ _HEADER = 16
 
 
 def check_intact(path: Path) -> None:
-    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end.
-
-    Raises
-    ------
-    RecordError
-        It is damaged.
-    """
+    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end."""
     content = path.read_bytes()
     line = content[-_CHECKSUM_LENGTH:]
     stated = line[len(_CHECKSUM_PREFIX) : -1] if line.startswith(_CHECKSUM_PREFIX) else None
@@ -120,18 +114,7 @@ MAJOR = 1
 
 
 def read_record(path: str | Path) -> Record:
-    """Read a case file.
-
-    Parameters
-    ----------
-    path : str or Path
-        An HDF5 file of kind "case", layout version 1.
-
-    Raises
-    ------
-    RecordError
-        If the file is missing, not of this format, newer, damaged, or has too few samples.
-    """
+    """Read an HDF5 file of kind "case", layout version 1, or say why it cannot be read."""
     import h5py
 
     path = Path(path)

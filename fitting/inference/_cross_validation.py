@@ -21,26 +21,14 @@ from fitting.inference._result import Fit
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recording, predicted from the others.
-
-    Attributes
-    ----------
-    label : str
-        The recording.
-    casing, rotor : float
-        Rms error over the noise; 1 = noise limit.
-    r2, rmse : float
-        Of the casing's smoothed speed [1, rad/s].
-    others : Fit
-        The fit of the others, from which the shared parameters come.
-    """
+    """One recording, predicted from the others."""
 
     label: str
-    casing: float
+    casing: float  # rms error over the noise; 1 = noise limit
     rotor: float
-    r2: float
-    rmse: float
-    others: Fit
+    r2: float  # of the casing's smoothed speed
+    rmse: float  # of the casing's smoothed speed [rad/s]
+    others: Fit  # the fit of the others, from which the shared parameters come
 
 
 def predict_recordings(

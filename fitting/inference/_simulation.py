@@ -68,13 +68,7 @@ class Experiment:
 def simulate_path(
     model: Model, numbers: Mapping[str, float], experiment: Experiment
 ) -> tuple[Dynamics, Path]:
-    """Integrate a model over the length of an experiment.
-
-    Raises
-    ------
-    SimulationError
-        If the motion has no bounded solution.
-    """
+    """Integrate a model over the length of an experiment."""
     angles = bool(model.angle_dependent)
     dynamics = Dynamics(model, angles=angles)
     smooth = Dynamics(model.smooth)

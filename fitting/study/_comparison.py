@@ -61,35 +61,17 @@ class Repeat:
 
 @dataclass(frozen=True)
 class ParameterComparison:
-    """One parameter over several runs.
-
-    Attributes
-    ----------
-    name, unit : str
-        Key of the parameter, and its SI unit.
-    repeats : tuple of Repeat
-        Its value in each run that determines it.
-    difference_sigma : float or None
-        Of two runs: second minus first, over its standard uncertainty.
-    p_value : float
-        Of equal values in all runs.
-    mean, mean_u : float
-        Mean of the random-effects model and its standard uncertainty [unit].
-    spread : float
-        Standard deviation between the runs, beyond the uncertainties [unit].
-    spread_interval : tuple of float
-        Its 68 % interval [unit].
-    """
+    """One parameter over several runs."""
 
     name: str
-    unit: str
-    repeats: tuple[Repeat, ...]
-    difference_sigma: float | None
-    p_value: float
-    mean: float
-    mean_u: float
-    spread: float
-    spread_interval: tuple[float, float]
+    unit: str  # SI
+    repeats: tuple[Repeat, ...]  # its value in each run that determines it
+    difference_sigma: float | None  # of two runs: second minus first, over its standard uncertainty
+    p_value: float  # of equal values in all runs
+    mean: float  # of the random-effects model [unit]
+    mean_u: float  # its standard uncertainty [unit]
+    spread: float  # standard deviation between the runs, beyond the uncertainties [unit]
+    spread_interval: tuple[float, float]  # 68 % [unit]
 
     def total(self, repeat: Repeat) -> float:
         """Return the standard uncertainty of one run's value with the spread between the runs [unit]."""
@@ -98,24 +80,12 @@ class ParameterComparison:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What several runs have in common.
+    """What several runs have in common: the parameters that at least two of them determine."""
 
-    Attributes
-    ----------
-    runs : tuple of str
-        Their names.
-    parameters : tuple of ParameterComparison
-        The parameters that at least two runs determine, the most significant difference first.
-    effects : dict of str to tuple of str
-        The runs that have each effect which not all of them have.
-    bounds : dict of str to tuple of str
-        For each parameter that is at its bound in some runs, these.
-    """
-
-    runs: tuple[str, ...]
-    parameters: tuple[ParameterComparison, ...]
-    effects: dict[str, tuple[str, ...]]
-    bounds: dict[str, tuple[str, ...]]
+    runs: tuple[str, ...]  # their names
+    parameters: tuple[ParameterComparison, ...]  # the most significant difference first
+    effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
+    bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
 
     @property
     def sentences(self) -> list[str]:

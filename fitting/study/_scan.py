@@ -126,32 +126,19 @@ _ROBUST, _UNSTABLE = 0.1, 0.5
 class Robustness:
     """One parameter of one model across cases.
 
-    Attributes
-    ----------
-    symbol, key, unit : str
-        The parameter.
-    mean : float
-        Over the separate fits, in SI units.
-    spread : float
-        Largest minus smallest value of the separate fits, over their mean; nan for a single case.
-    shift : float
-        Relative change from the separate fits to the joint one: of their mean, or the largest one where each case has
-        its own value; nan without a joint fit.
-    sigma : float
-        Largest difference of two separate fits over its standard error; nan where an error is not known.
-    verdict : str
-        By the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable"; for a
-        touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
-        fits agree; "not known" for a single case.
+    `verdict` is by the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable";
+    for a touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
+    fits agree; "not known" for a single case. `shift` is the relative change from the separate fits to the joint one:
+    of their mean, or the largest one where each case has its own value.
     """
 
     symbol: str
     key: str
     unit: str
-    mean: float
-    spread: float
-    shift: float
-    sigma: float
+    mean: float  # over the separate fits, in SI units
+    spread: float  # largest minus smallest value over their mean; nan for a single case
+    shift: float  # nan without a joint fit
+    sigma: float  # largest difference of two fits over its standard error; nan where one is not known
     verdict: str
 
 
@@ -231,26 +218,12 @@ class Row:
 
 @dataclass(frozen=True)
 class ModelFits:
-    """One of the paper's models on all cases.
+    """One of the paper's models on all cases."""
 
-    Attributes
-    ----------
-    name : str
-        "reduced" or "general".
-    separate : tuple of Fit
-        On each case.
-    joint : Fit or None
-        On all together; None for a single case.
-    predicted : tuple of Predicted
-        Each case predicted from the others; empty for a single case.
-    robustness : tuple of Robustness
-        Robustness of each parameter.
-    """
-
-    name: str
-    separate: tuple[Fit, ...]
-    joint: Fit | None
-    predicted: tuple[Predicted, ...]
+    name: str  # "reduced" or "general"
+    separate: tuple[Fit, ...]  # on each case
+    joint: Fit | None  # None for a single case
+    predicted: tuple[Predicted, ...]  # each case from the others; empty for a single case
     robustness: tuple[Robustness, ...]
 
 

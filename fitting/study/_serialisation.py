@@ -271,17 +271,7 @@ class SavedNoise:
 
 @dataclass(frozen=True, repr=False)
 class SavedFit(FitSummary):
-    """A fit read from a file, without the data.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The variables, in the order of `covariance`.
-    covariance : ndarray, shape (n, n)
-        Of the variables, in SI units.
-    sources, digests : tuple of str
-        Files and SHA-256 of the data that were fitted.
-    """
+    """A fit read from a file, without the data."""
 
     model: Model
     labels: tuple[str, ...]
@@ -294,10 +284,10 @@ class SavedFit(FitSummary):
     bic: float
     verdict: str
     noise: tuple[SavedNoise, ...]
-    names: tuple[str, ...]
-    covariance: Array
-    sources: tuple[str, ...]
-    digests: tuple[str, ...]
+    names: tuple[str, ...]  # variables, in the order of `covariance`
+    covariance: Array  # (n, n), in SI units
+    sources: tuple[str, ...]  # files of the data that were fitted
+    digests: tuple[str, ...]  # their SHA-256
 
     def _origin(self) -> Origin:
         return self.names, self.covariance, self.sources, self.digests
