@@ -100,12 +100,7 @@ _OF_SPEED = (
     _Form("saturation", "{x}/(abs({x}) + w)", (("w", "speed"),), 3),
     _Form("saturation", "atan({x}/w)", (("w", "speed"),), 3),
     _Form("saturation", "{x}/sqrt({x}**2 + w**2)", (("w", "speed"),), 5),
-    _Form(
-        "saturation",
-        "abs({x})**n/(abs({x})**n + w**n){s}",
-        (("w", "speed"), ("n", "steepness")),
-        6,
-    ),
+    _Form("saturation", "abs({x})**n/(abs({x})**n + w**n){s}", (("w", "speed"), ("n", "steepness")), 6),
     _Form("peak", "{x}/(1 + ({x}/w)**2)", (("w", "speed"),), 4),
     _Form("peak", "{x}*exp(-abs({x})/w)", (("w", "speed"),), 4),
     _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3),

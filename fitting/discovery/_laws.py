@@ -508,11 +508,7 @@ class _Search:
         ]
 
     def _refits(
-        self,
-        chosen: Sequence[_Chosen],
-        about: Fit,
-        noise: Sequence[Noise],
-        replaced: Sequence[LawForm] = (),
+        self, chosen: Sequence[_Chosen], about: Fit, noise: Sequence[Noise], replaced: Sequence[LawForm] = ()
     ) -> list[_Refitted]:
         """Return the refits of laws that replace some effects of a fit, from its values."""
         model = about.model

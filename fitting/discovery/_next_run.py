@@ -184,9 +184,7 @@ _FEW = 24
 
 
 def separating_run(
-    fit: Fit,
-    explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]],
-    criteria: Criteria,
+    fit: Fit, explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]], criteria: Criteria
 ) -> str:
     """Return the run that separates rival explanations, in words; empty with fewer than two.
 

@@ -219,11 +219,7 @@ def read_planned(path: str | Path) -> PlannedRecordings:
         if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
             raise EstimationError(f"{name}: bounds.{key} is not positive.", "Give (smallest, largest).")
     return PlannedRecordings(
-        model,
-        dict(table.parameters),
-        (table.inertia.rotor, table.inertia.casing),
-        tuple(experiments),
-        given,
+        model, dict(table.parameters), (table.inertia.rotor, table.inertia.casing), tuple(experiments), given
     )
 
 

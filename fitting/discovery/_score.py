@@ -419,12 +419,7 @@ def rows_of_case(context: ScoreContext, trials: list[Trial], case: int) -> list[
 
 
 def best_group(
-    context: ScoreContext,
-    effect: Effect,
-    groups: list[Group],
-    levels: list[Level],
-    *,
-    null: bool = True,
+    context: ScoreContext, effect: Effect, groups: list[Group], levels: list[Level], *, null: bool = True
 ) -> Score:
     """Return the best group of columns over all levels of process noise; `null` also scores the null data."""
     bounds = _bounds(effect)

@@ -291,14 +291,7 @@ TOUCHPOINT = (
         "-k*heaviside(t - t0)*sign(omega_c)",
         (
             Parameter("k", "N m", lower=_ANY, meaning="jump of the friction"),
-            Parameter(
-                "t0",
-                "s",
-                "shape",
-                grid=MOMENTS,
-                relative=True,
-                meaning="time of the jump",
-            ),
+            Parameter("t0", "s", "shape", grid=MOMENTS, relative=True, meaning="time of the jump"),
         ),
         signature="a kink in the casing's speed at one moment",
         confused_with=("touchpoint.drift",),

@@ -197,14 +197,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     grid = given or (tuple(start * factor for factor in _GRID_FACTORS) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
     return Parameter(
-        symbol,
-        keys.get("unit", "1"),
-        role,
-        lower,
-        upper,
-        start,
-        grid,
-        meaning=keys.get("meaning", ""),
+        symbol, keys.get("unit", "1"), role, lower, upper, start, grid, meaning=keys.get("meaning", "")
     )
 
 

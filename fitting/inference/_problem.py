@@ -14,14 +14,7 @@ from fitting._criteria import DEFAULT
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
-from fitting.inference._noise import (
-    WHITE,
-    Noise,
-    TorqueNoise,
-    TorqueResponse,
-    Whitener,
-    remaining_level,
-)
+from fitting.inference._noise import WHITE, Noise, TorqueNoise, TorqueResponse, Whitener, remaining_level
 from fitting.inference._parameters import (
     ParameterLayout,
     PowerLaw,
