@@ -62,6 +62,7 @@ from fitting.discovery._score import (
     best_group,
     score,
     score_of_columns,
+    stacked,
 )
 from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
@@ -73,7 +74,7 @@ from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit_like
-from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -344,15 +345,8 @@ class _Scored(NamedTuple):
 
     def start(self, about: Fit, s: Score) -> dict[str, float]:
         """Return the variables of a fit, changed to first order by a law of the strength of its score."""
-        if len(self.cases) > 1 and (s.effect.per_case or s.own_phase):
-            columns = block_diagonal(
-                [
-                    c.trials(s.effect, [shape])[0].columns
-                    for c, shape in zip(self.cases, s.shape, strict=False)
-                ]
-            )
-        else:
-            columns = np.concatenate([c.trials(s.effect, [s.shape[0]])[0].columns for c in self.cases])
+        trials = [c.trials(s.effect, [x])[:1] for c, x in zip(self.cases, s.shape, strict=True)]
+        ((_, columns),) = stacked(trials, per_case=s.effect.per_case or s.own_phase)
         layout = about.problem.layout
         theta = about.theta
         if columns.shape[1] == len(s.gamma):
@@ -536,10 +530,9 @@ class _Search:
         names = {t.effect.name for t in r.terms}
         estimates = {k: e for k, e in r.fit.estimates.items() if k.rpartition(".")[0] in names}
         for now, t in zip(effects, r.terms, strict=True):
-            for key in [
-                k for k in estimates if k.partition("@")[0] == f"{now.name}.k" and now.law != t.effect.law
-            ]:
-                estimates[key] = replace(estimates[key], value=-estimates[key].value)
+            for key, e in estimates.items():
+                if now.law != t.effect.law and key.partition("@")[0] == f"{now.name}.k":
+                    estimates[key] = replace(e, value=-e.value)
         return Law(
             " + ".join(formula_of(e) for e in effects),
             " + ".join(t.form for t in r.terms),
@@ -581,10 +574,7 @@ def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns
         ]
         choices = [{shapes[0].symbol: float(a), shapes[1].symbol: float(b)} for a in axes[0] for b in axes[1]]
         trials = [c.trials(s.effect, choices) for c in cases]
-        groups = [
-            (tuple(t.shape for t in each), np.concatenate([t.columns for t in each]))
-            for each in zip(*trials, strict=True)
-        ]
+        groups = stacked(trials, per_case=False)
         found = best_group(context, s.effect, groups, context.levels, null=False)
         if found.score > best.score:
             best = replace(found, null=s.null, trials=s.trials)
@@ -732,9 +722,8 @@ def _difference(one: Law, other: Law) -> Difference | None:
             low -= 1
         while high < len(t) - 1 and difference[high + 1] > 0.5 * difference[peak]:
             high += 1
-        y = Sampler(one.fit.predictions[case].path.mesh, t[low : high + 1]).value(
-            one.fit.predictions[case].path.y
-        )
+        path = one.fit.predictions[case].path
+        y = Sampler(path.mesh, t[low : high + 1]).value(path.y)
         worst = Difference(
             other.formula,
             float(difference[peak]),

@@ -632,10 +632,8 @@ def _shape_refined(
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
     """Return the points of a grid next to a value."""
     ordered = np.sort(np.array(grid))
-    below, above = (
-        ordered[ordered < value - 1e-12 * abs(value)],
-        ordered[ordered > value + 1e-12 * abs(value)],
-    )
+    near = 1e-12 * abs(value)
+    below, above = ordered[ordered < value - near], ordered[ordered > value + near]
     step = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1)
     low = below[-1] if len(below) else max(value - step, 0.3 * value)
     return float(low), float(above[0] if len(above) else value + step)
@@ -667,18 +665,17 @@ def _score(
     levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
-            best_group(context, effect, _stack(trials, per_case=each), levels, null=False).score
+            best_group(context, effect, stacked(trials, per_case=each), levels, null=False).score
             for each in (False, True)
         ]
         own_phase = gains[1] > gains[0] + criteria.own_phase * (len(trials) - 1)
     if own_phase:
-        return replace(
-            best_group(context, effect, _stack(trials, per_case=True), levels, null=null), own_phase=True
-        )
+        found = best_group(context, effect, stacked(trials, per_case=True), levels, null=null)
+        return replace(found, own_phase=True)
     if not per_case or len(trials[0]) == 1:
-        return best_group(context, effect, _stack(trials, per_case=per_case), levels, null=null)
+        return best_group(context, effect, stacked(trials, per_case=per_case), levels, null=null)
     chosen, null_scores = _choose_shapes(context, effect, trials, levels, null=null)
-    joint = best_group(context, effect, _stack([[t] for t in chosen], per_case=True), levels, null=False)
+    joint = best_group(context, effect, stacked([[t] for t in chosen], per_case=True), levels, null=False)
     return replace(joint, null=null_scores, trials=sum(len(t) for t in trials))
 
 
@@ -708,15 +705,11 @@ def _trial_index(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
-def _stack(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
+def stacked(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
     """Return for each choice of shapes the columns over the rows of all cases."""
     result = []
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]
-        columns = (
-            block_diagonal([t.columns for t in chosen])
-            if per_case
-            else np.concatenate([t.columns for t in chosen])
-        )
+        columns = (block_diagonal if per_case else np.concatenate)([t.columns for t in chosen])
         result.append((tuple(t.shape for t in chosen), columns))
     return result

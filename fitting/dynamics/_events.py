@@ -60,11 +60,8 @@ class Segments:
     def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
         """Return the acceleration of the casing with friction of this sense of motion."""
         with np.errstate(all="ignore"):
-            return np.asarray(
-                self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[
-                    ..., _CASING
-                ]
-            )
+            rates = self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))
+            return np.asarray(rates[..., _CASING])
 
     def sense_after(self, time: float, y: Array, sense: float) -> float:
         """Return the sense of motion after a time; 0 if the casing is at rest and friction holds it."""
@@ -368,29 +365,24 @@ class Segments:
     def _release(self, path: Path) -> float | None:
         """Return the time at which the other torques first exceed friction; None if they do not."""
         edges = path.mesh.edges
-        times = np.sort(
-            np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)])
-        )
-        y = Sampler(path.mesh, times).value(path.y)
-        excess = np.maximum(self.acceleration(times, y, 1.0), -self.acceleration(times, y, -1.0))
-        exceeded = np.flatnonzero(excess > 0)
+        ends = [edges[1:], np.nextafter(edges[1:], -np.inf)]
+        times = np.sort(np.concatenate([path.mesh.times.ravel(), *ends]))
+
+        def excess(*at: float) -> Array:
+            t = np.array(at)
+            y = Sampler(path.mesh, t).value(path.y)
+            return np.maximum(self.acceleration(t, y, 1.0), -self.acceleration(t, y, -1.0))
+
+        exceeded = np.flatnonzero(excess(*times) > 0)
         if not len(exceeded):
             return None
         from scipy.optimize import brentq
 
         i = int(exceeded[0])
-
-        def excess_at(t: float) -> float:
-            state = Sampler(path.mesh, np.array([t])).value(path.y)
-            return float(
-                np.maximum(
-                    self.acceleration(np.array([t]), state, 1.0),
-                    -self.acceleration(np.array([t]), state, -1.0),
-                )[0]
-            )
-
         begin = times[i - 1] if i else edges[0]
-        time = float(brentq(excess_at, begin, times[i], xtol=1e-12)) if excess_at(begin) < 0 else begin
+        time = begin
+        if excess(begin)[0] < 0:
+            time = float(brentq(lambda t: float(excess(t)[0]), begin, times[i], xtol=1e-12))
         near = [b for b in self.breaks if abs(b - time) < 1e-9 * edges[-1]]
         return near[0] if near else time
 
@@ -435,9 +427,8 @@ def _at_rest(path: Path) -> Path:
 def _first_crossing(path: Path) -> float | None:
     """Return the approximate time at which the casing first reverses; None if it does not."""
     times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
-    speed = (
-        np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
-    )
+    speed = np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel()
+    speed = speed * path.sense[0]
     reversed_ = np.flatnonzero(speed < -ROUNDING * max(float(np.abs(speed).max()), path.least_scale))
     if not len(reversed_):
         return None
@@ -505,11 +496,8 @@ def solve(
         jumps = run.reversals([p for p in ready if p.mesh.edges[-1] < end])
         pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
         if pieces:
-            y, time, sense = (
-                pieces[-1].edges[-1].copy(),
-                float(pieces[-1].mesh.edges[-1]),
-                -float(pieces[-1].sense[0]),
-            )
+            last = pieces[-1]
+            y, time, sense = last.edges[-1].copy(), float(last.mesh.edges[-1]), -float(last.sense[0])
             y[_CASING] = 0.0
     while most >= 0 and len(pieces) < _MAX_EVENTS:
         known_piece = known[len(pieces)] if len(pieces) < len(known) else None

@@ -353,13 +353,11 @@ def typical_values(
     `share` is the largest torque over the budget of 1e-4 N m at the typical `speeds` omega_r and omega_c [rad/s]; the
     `duration` of the recording [s] sets time constants.
     """
-    values: dict[str, float] = {}
+    values = {p.symbol: 1.0 if p.role == "amplitude" else p.start for p in effect.parameters}
     for p in effect.parameters:
         if p.role == "shape":
             middle = p.grid[len(p.grid) // 2] if p.grid else p.start
             values[p.symbol] = middle * duration if p.relative else middle
-        else:
-            values[p.symbol] = 1.0 if p.role == "amplitude" else p.start
     amplitude = next((p.symbol for p in effect.parameters if p.role == "amplitude"), None)
     if amplitude is not None:
         values[amplitude] = _typical_strength(effect, values, share, duration, speeds)
@@ -380,11 +378,8 @@ def _typical_strength(
         **values,
         **speeds,
         "delta": delta,
+        **dict.fromkeys(("deflection", "psi_c", "psi_r", "psi"), 1.0),
         "t": duration,
-        "deflection": 1.0,
-        "psi_c": 1.0,
-        "psi_r": 1.0,
-        "psi": 1.0,
         "omega": speeds["omega_c"],
         "tau": _BUDGET,
         "slip": speeds["omega_r"],

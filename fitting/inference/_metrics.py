@@ -163,17 +163,10 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
     residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
-    for body, folds, rest, count in (
-        ("casing", _casing_folds(data), data.casing.rest, data.casing.n_effective),
-        (
-            "rotor",
-            _rotor_folds(data),
-            sum(w.rest for w in data.rotor),
-            sum(w.n_effective for w in data.rotor),
-        ),
-    ):
-        total = rest + sum(_error(project, used, weighted, fold) for fold in folds)
-        result[body] = float(np.sqrt(total / max(count, 1.0)))
+    bodies = (("casing", (data.casing,), _casing_folds(data)), ("rotor", data.rotor, _rotor_folds(data)))
+    for body, runs, folds in bodies:
+        total = sum(r.rest for r in runs) + sum(_error(project, used, weighted, fold) for fold in folds)
+        result[body] = float(np.sqrt(total / max(sum(r.n_effective for r in runs), 1.0)))
     return result
 
 
@@ -333,13 +326,9 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
 
 
 def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]) -> tuple[float, int]:
-    basis, r, s = (
-        orthonormal(np.concatenate(free), _RANK_FREE),
-        np.concatenate(residual),
-        block_diagonal(slow),
-    )
-    r = orthogonal_to(basis, r)
-    span = orthonormal(orthogonal_to(basis, s), _RANK)
+    basis = orthonormal(np.concatenate(free), _RANK_FREE)
+    r = orthogonal_to(basis, np.concatenate(residual))
+    span = orthonormal(orthogonal_to(basis, block_diagonal(slow)), _RANK)
     return float(np.sum((span.T @ r) ** 2)), span.shape[1]
 
 
