@@ -60,11 +60,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
         lags = min(_LAGS, blocks // 4)
         rows = rows - rows.mean(axis=0)
         power = float((rows**2).sum())
-        rho = (
-            np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
-            if lags
-            else np.zeros(0)
-        )
+        rho = np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
         weights = _POWERS / (blocks - np.arange(1, lags + 1))
         statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
         results.append(Whiteness(data.record.label, float(chdtrc(max(lags, 1), statistic))))
@@ -104,11 +100,9 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
     # covariance of the rows with the torque of each body, for a torque of rms 1 N m
-    cross = {
-        "casing": _times_covariance(response.casing, response, time),
-        "rotor": _times_covariance(response.rotor, response, time),
-    }
-    for name, w in (("casing", response.casing), ("rotor", response.rotor)):
+    responses = {"casing": response.casing, "rotor": response.rotor}
+    cross = {name: _times_covariance(w, response, time) for name, w in responses.items()}
+    for name, w in responses.items():
         covariance = covariance + level**2 * cross[name] @ w.T
     inverse = _inverse_without_nuisance(covariance, data.nuisance[smooth])
     weighted = inverse @ residual[smooth]
@@ -120,13 +114,8 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         # where the data determine the torque almost completely, the difference of variances is rounding
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
         filmed = _is_filmed(response.centres, data, body)
-        curves.append(
-            ResidualTorque(
-                data.record.label,
-                body,
-                *(v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
-            )
-        )
+        values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1]))
+        curves.append(ResidualTorque(data.record.label, body, *values))
     return curves
 
 

@@ -243,6 +243,14 @@ class CaseColumns:
         width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
+    def fitted(self, effect: Effect) -> tuple[dict[str, float], Array]:
+        """Return the shape of an effect of the fit, and its strengths at phase 0 and at a quarter period."""
+        values = [(p, self.numbers[f"{effect.name}.{p.symbol}"]) for p in effect.parameters]
+        role = {p.role: x for p, x in values}
+        phase = role.get("phase", 0.0)
+        strengths = role.get("amplitude", 1.0) * np.array([np.cos(phase), np.sin(phase)])
+        return {p.symbol: x for p, x in values if p.role in {"shape", "fixed"}}, strengths
+
     def padded(self, smooth: Array) -> Array:
         """Return smooth rows with zeros for the rows that respond to no slow torque."""
         return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])

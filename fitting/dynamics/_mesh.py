@@ -68,10 +68,9 @@ class Mesh:
         return np.asarray(middle[:, None] + self.half * rule().x)
 
     @classmethod
-    def uniform(cls, start: float, stop: float, intervals: int, breakpoints: Sequence[float] = ()) -> Mesh:
-        """Return equal intervals with further edges at the breakpoints inside."""
-        edges = np.linspace(start, stop, intervals + 1)
-        return cls(edges).with_breakpoints(breakpoints)
+    def uniform(cls, start: float, stop: float, intervals: int) -> Mesh:
+        """Return equal intervals."""
+        return cls(np.linspace(start, stop, intervals + 1))
 
     def between(self, start: float, stop: float) -> Mesh:
         """Return the mesh cut to start and end at these times."""

@@ -368,10 +368,8 @@ class Dynamics:
         return [rotor, casing, *([sym("omega_c")] if self.free_starts > 2 else []), *own]
 
     def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
-        values: dict[str, object] = {"t": t, **self.constants, **numbers}
-        for i, name in enumerate(self.states):
-            values[name] = y[..., i]
-        return values
+        states = {name: y[..., i] for i, name in enumerate(self.states)}
+        return {"t": t, **self.constants, **numbers, **states}
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
         """Return the matrix that turns the accelerations of free bodies into those of bodies that roll on each other.

@@ -125,10 +125,8 @@ def budget(
         parts: list[tuple[str, Literal["A", "B"], float, float | None]] = [
             (source, "A", math.sqrt(max(float(v[i]), 0.0)), None) for source, v in variances.items()
         ]
-        parts += [
-            (source, "B", float(u[i]), None if s is None else float(s[i]))
-            for source, (u, s) in inputs.items()
-        ]
+        for source, (u, s) in inputs.items():
+            parts.append((source, "B", float(u[i]), None if s is None else float(s[i])))
         total = math.sqrt(sum(u**2 for _, _, u, _ in parts))
         contributions = [
             Contribution(source, kind, u, s, (u / total) ** 2 if total > 0 else 0.0)
@@ -193,9 +191,8 @@ class _Linearised:
     def _projected(self, nuisances: int) -> tuple[Array, list[Array]]:
         """Return the covariance with the first camera effects free, and P W J of each case."""
         blocks = []
-        for data, noise, prediction in zip(
-            self.fit.problem.data, self.noise, self.fit.predictions, strict=True
-        ):
+        cases = zip(self.fit.problem.data, self.noise, self.fit.predictions, strict=True)
+        for data, noise, prediction in cases:
             columns = data.nuisance
             has_camera = data.has_camera_prior or data.record.gradients
             first = columns.shape[1] - (2 * len(CAMERA_COLUMNS) if has_camera else 0)
@@ -235,9 +232,8 @@ class _Linearised:
     def sensitivity(self, columns: Sequence[Array]) -> Array:
         """Return the change of all variables per unit of an input that changes the rows of each case by columns."""
         gradient = np.zeros(len(self.fit.theta))
-        for project, prediction, column in zip(
-            self.problem.projections, self.fit.predictions, columns, strict=True
-        ):
+        cases = zip(self.problem.projections, self.fit.predictions, columns, strict=True)
+        for project, prediction, column in cases:
             gradient += project(prediction.jacobian).T @ project(column)
         return np.asarray(-(self.covariance @ gradient))
 
@@ -249,10 +245,8 @@ def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     then one of both.
     """
     records = fit.problem.layout.records
-    bodies = (
-        ("casing",) if records[0].single else ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
-    )
-    for body in bodies:
+    both = ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
+    for body in ("casing",) if records[0].single else both:
         known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
         several = len(set(known)) > 1
         for value, u in dict.fromkeys(known):
@@ -276,10 +270,8 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
             continue
         theta = np.empty((3,) * len(group) + fit.theta.shape)
         for place in np.ndindex(theta.shape[:-1]):
-            moved = {
-                (body, value): value + _NODES[k] * u
-                for (_, body, value, u), k in zip(group, place, strict=True)
-            }
+            nodes = zip(group, place, strict=True)
+            moved = {(body, value): value + _NODES[k] * u for (_, body, value, u), k in nodes}
             theta[place] = _refitted(fit, moved)
         found |= propagated(theta, [(source, u) for source, _, _, u in group])
     return found
@@ -317,7 +309,8 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
     for d in fit.problem.data:
         r = d.record
         rotor, casing = (
-            moved.get((body, x), x) for body, x in (("rotor", r.I_rotor), ("casing", r.I_casing))
+            moved.get(("rotor", r.I_rotor), r.I_rotor),
+            moved.get(("casing", r.I_casing), r.I_casing),
         )
         if _ratio_has_prior(fit):
             casing = r.I_casing * rotor / r.I_rotor

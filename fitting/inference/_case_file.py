@@ -21,12 +21,8 @@ _INFLATION, _SLACK = 1100, 2**22
 
 def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
     """Return time, value and sigma of a group; `key` names the last two."""
-    value, sigma = key
-    return (
-        column(path, file, group, "time"),
-        column(path, file, group, value),
-        column(path, file, group, sigma),
-    )
+    time, value, sigma = (column(path, file, group, name) for name in ("time", *key))
+    return time, value, sigma
 
 
 def column(path: Path, file: Any, group: str, name: str) -> Array:
@@ -157,9 +153,8 @@ def _read(path: Path, file: Any) -> Record:
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
     casing = series(path, file, "casing", key)
     single = text(attributes.get("bodies")) == "one"
-    rotor = (
-        [] if single else _windows(series(path, file, "rotor", key), column(path, file, "rotor", "window"))
-    )
+    window = np.zeros(0) if single else column(path, file, "rotor", "window")
+    rotor = [] if single else _windows(series(path, file, "rotor", key), window)
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
     if not all(np.isfinite(i) and i > 0 for i in inertias):
         raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
@@ -174,7 +169,7 @@ def _read(path: Path, file: Any) -> Record:
         casing=casing,
         rotor=rotor,
         single=single,
-        start_sigma=[] if single else _start_sigma(file, column(path, file, "rotor", "window")),
+        start_sigma=_start_sigma(file, window),
         quantity=quantity,
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",

@@ -388,18 +388,14 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
 
 def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
     """Return the case with pseudo-values about a fit; its record contains the measured data."""
-    values = []
-    for samples, model in zip(
-        (data.record.casing, *data.record.rotor), _predicted(data, case, found), strict=True
-    ):
+    runs = []
+    measured = (data.record.casing, *data.record.rotor)
+    for samples, model in zip(measured, _predicted(data, case, found), strict=True):
         x = (samples.value - model) / samples.sigma
         scale = 1.4826 * float(np.median(np.abs(x)))
         influence, slope = psi(x / scale)
-        values.append(model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1))
-    runs = [
-        Samples(s.time, v, s.sigma)
-        for s, v in zip((data.record.casing, *data.record.rotor), values, strict=True)
-    ]
+        value = model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1)
+        runs.append(Samples(samples.time, value, samples.sigma))
     made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])))
     return CaseData(data.record, made.casing, made.rotor, free_inertia=data.free_inertia)
 

@@ -127,12 +127,9 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
 
 def _deflection(data: CaseData, times: Array) -> Array:
     """Return the measured angle from the equilibrium at some times [rad]; zero for a body that turns in one sense."""
-    oscillation = data.oscillation
-    return (
-        np.zeros(len(times))
-        if oscillation is None
-        else np.interp(times, oscillation.time, oscillation.deflection)
-    )
+    if data.oscillation is None:
+        return np.zeros(len(times))
+    return np.interp(times, data.oscillation.time, data.oscillation.deflection)
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
@@ -192,11 +189,8 @@ def start_values(
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
-        first = {
-            START_ROTOR: speeds[0, 0],
-            START_CASING: speeds[0, 1],
-            START_DEFLECTION: deflections[case][0],
-        }
+        starts = (*speeds[0], deflections[case][0])
+        first = dict(zip((START_ROTOR, START_CASING, START_DEFLECTION), starts, strict=True))
         theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):

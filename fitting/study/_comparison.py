@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 # probability within one standard deviation of a normal distribution
 _ONE_SIGMA = 0.6827
-_BISECTIONS = 200
 
 
 class Fitted(Protocol):
@@ -95,11 +94,8 @@ class Comparison:
         differing = [p for p in self.parameters if p.p_value * count < 0.01]
         lines = []
         for p in differing:
-            size = (
-                f" by {abs(p.difference_sigma):.1f} standard uncertainties"
-                if p.difference_sigma is not None
-                else ""
-            )
+            sigma = p.difference_sigma
+            size = f" by {abs(sigma):.1f} standard uncertainties" if sigma is not None else ""
             growth = max(p.total(r) / r.stderr for r in p.repeats)
             lines.append(
                 f"{p.name} differs between the runs{size} (p {probability(p.p_value)}); "
@@ -220,10 +216,9 @@ def _spread(x: Array, u: Array, target: float) -> float:
     """Return the spread at which Q, which falls with it, is `target`; 0 if Q is smaller without any."""
     if _q(x, u, 0.0) <= target:
         return 0.0
-    low, high = 0.0, float(np.ptp(x))
+    from scipy.optimize import brentq
+
+    high = float(np.ptp(x))
     while _q(x, u, high) > target:
         high *= 2
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _q(x, u, middle) > target else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(lambda spread: _q(x, u, spread) - target, 0.0, high, xtol=1e-300))
