@@ -88,14 +88,9 @@ _LEAST_READ = 8 << 20
 
 
 class StoredPictures(Sequence[Array]):
-    """Pictures of equal shape and type in a file, so that memory use does not grow with their number.
+    """Pictures (n, height, width) of one shape and type in a file: memory use does not grow with their number.
 
-    Parameters
-    ----------
-    pictures : ndarray, shape (n, height, width)
-        A column of `new_columns`.
-    places : ndarray of int, shape (m,)
-        Rows of the pictures in this sequence.
+    `places` (m,) are the rows of a column of `new_columns` that this sequence has.
     """
 
     def __init__(self, pictures: Array, places: Array) -> None:

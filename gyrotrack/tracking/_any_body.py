@@ -95,21 +95,9 @@ class _Trial:
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the rotating body in a film.
+    """Track the rotating body in a film; a TrackingError if nothing moves, nothing turns, or two bodies turn.
 
-    Parameters
-    ----------
-    film : Film
-        The film.
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px], if known; it may be outside the picture.
-    progress : callable, optional
-        Called with (frames done, frames in all).
-
-    Raises
-    ------
-    TrackingError
-        Nothing moves, nothing turns, or two bodies turn.
+    `hub` is the centre of rotation (x, y) [px], if known; it may be outside the picture.
     """
     usable = fresh_frames(film)
     if len(usable) < 12:
@@ -135,17 +123,7 @@ def track_body(
 def read_excerpt(
     path: Path, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> tuple[Film, Tracked] | None:
-    """Track a body by its texture through the first frames of a film; None if no body is found.
-
-    Parameters
-    ----------
-    path : Path
-        The film.
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px].
-    progress : callable, optional
-        Called with (frames done, frames in all).
-    """
+    """Track a body by its texture through the first frames of a film; None if no body is found. `hub`: (x, y) [px]."""
     film = Film(path, most=_EXCERPT)
     for track in (track_body, track_free_body):
         with suppress(TrackingError):

@@ -46,24 +46,7 @@ COVERAGE_FACTOR = 3.0
 
 
 class BodyTracker:
-    """Tracker of one body.
-
-    Parameters
-    ----------
-    name : str
-        "casing" or "rotor".
-    markers : tuple of Marker
-        Its markers, at least one of them coloured.
-    samples, centre, keep_out, capacity
-        See `MarkerStrip`.
-    offset : tuple of float
-        See `Occlusion`.
-
-    Attributes
-    ----------
-    step : float
-        Recent mean rotation from frame to frame [rad]; infinite as long as it is unknown.
-    """
+    """Tracker of one body, "casing" or "rotor", with a coloured marker; see `MarkerStrip` and `Occlusion`."""
 
     def __init__(
         self,
@@ -169,17 +152,8 @@ class BodyTracker:
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure the markers in the first `count` frames of the batch.
 
-        Parameters
-        ----------
-        count : int
-            Frames in the batch.
-        casing : ndarray, shape (count,), or None
-            Angle as seen of the other body, whose bar may occlude markers [rad].
-
-        Returns
-        -------
-        coarse, observations
-            Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
+        `casing` is the angle as seen of the other body, whose bar may occlude markers [rad]. Returned are the unwrapped
+        coarse angles (count,) [rad], NaN where the body is lost, and the observations by marker.
         """
         coarse = self._coarse[:count].copy()
         windows = {

@@ -38,41 +38,21 @@ FINENESS = 8
 
 @dataclass(frozen=True)
 class Match:
-    """A batch of matched profiles.
+    """A batch of matched profiles."""
 
-    Attributes
-    ----------
-    shift : ndarray, shape (n,)
-        Displacement d in samples.
-    gain, offset : ndarray, shape (n,)
-        a and b, in units of the profiles.
-    misfit : ndarray, shape (n,)
-        rms residual in the open samples, relative to the gain.
-    weakness : ndarray, shape (n,)
-        Uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit); inf
-        where d is not determined.
-    """
-
-    shift: Floats
-    gain: Floats
+    shift: Floats  # displacement d in samples
+    gain: Floats  # a and b, in units of the profiles
     offset: Floats
-    misfit: Floats
+    misfit: Floats  # rms residual in the open samples, relative to the gain
+    # uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit);
+    # inf where d is not determined
     weakness: Floats
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
-    """Fit gain, offset and displacement of every profile by Gauss-Newton.
+    """Fit gain, offset and displacement of every profile (n, m) to the template (m,) by Gauss-Newton.
 
-    Parameters
-    ----------
-    profile : ndarray, shape (n, m)
-        One profile per frame.
-    template : ndarray, shape (m,)
-        T on the same samples.
-    start : ndarray, shape (n,)
-        Start value of the displacement in samples.
-    seen : ndarray of bool, shape (n, m)
-        Samples that are not occluded.
+    `start` (n,) is the displacement in samples to begin with; `seen` (n, m) marks samples that are not occluded.
     """
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])

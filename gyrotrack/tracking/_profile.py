@@ -238,13 +238,7 @@ PAPER = Profile(
 
 
 def load(path: Path) -> Profile:
-    """Read a profile from a TOML file.
-
-    Raises
-    ------
-    ProfileError
-        Naming the file and every key that is wrong, with its line.
-    """
+    """Read a profile from a TOML file; a ProfileError names every key that is wrong, with its line."""
     return read_document(path, Profile, what="profile", error=ProfileError)
 
 

@@ -261,10 +261,7 @@ def packets_of(packets: Any) -> Iterator[Any]:
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
     """Decode packets in order without damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
 
-    Yields
-    ------
-    frame, bad
-        A decoded frame, and the number of damaged packets so far; at the end None and their total.
+    Yields (frame, number of damaged packets so far); at the end (None, their total).
     """
     bad = good = 0
     while bad <= most_bad + 2 * good:

@@ -33,12 +33,9 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Decide the capture rate: the one requested, else the profile's, else the camera's tag, else the container's.
+    """Return the rate requested [1/s], else the profile's, else the camera's tag, else the container's from 100 fps.
 
-    Raises
-    ------
-    VideoError
-        If only a container rate below 100 fps is known, or a rate is not a positive number.
+    A VideoError is raised if only a container rate below 100 fps is known, or a rate is not a positive number.
     """
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
@@ -71,21 +68,12 @@ COARSEST_TICK = 1e-3
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
-    """Return the numbers of a film's frames by their timestamps, without those of missing frames.
+    """Return the numbers of a film's frames by their timestamps (n,) [s], NaN where missing, without missing frames.
 
-    Parameters
-    ----------
-    pts : ndarray, shape (n,)
-        Timestamps in s, in order, NaN where a frame has none.
-    tick : float
-        Unit of the timestamps in s; 1 ms at most counts.
-
-    Notes
-    -----
-    The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
-    because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be detected above 900
-    frames/s. Films whose stamps are otherwise not equally spaced
-    (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
+    `tick` is the unit of the timestamps in s; 1 ms at most counts. The period is the median spacing. A step counts as a
+    gap only beyond 1.5 periods and 1.1 ticks more than one, because stamps in whole ticks jitter by one: in Matroska (1
+    ms) a single missing frame cannot be detected above 900 frames/s. Films whose stamps are otherwise not equally
+    spaced (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
@@ -212,10 +200,7 @@ class Timing:
     def of(self, pts: Floats, tick: float) -> FrameTimes:
         """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
 
-        Raises
-        ------
-        VideoError
-            Timestamps are requested and not available.
+        A VideoError is raised if timestamps are requested and not available.
         """
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())

@@ -67,31 +67,16 @@ class Clip:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One case to be processed.
+    """One case to be processed."""
 
-    Attributes
-    ----------
-    label : str
-        Name of the case.
-    clips : tuple of Clip
-        One film of the casing and one or more of the rotor, or a single film that is only tracked.
-    data : Path or None
-        An existing case file instead of films.
-    surface : str
-        Surface on which the casing turns.
-    inertia_rotor, inertia_casing : str or None
-        Moments of inertia as `gyrotrack.io._records.Inertia` reads them.
-    folder : str
-        Unique name of its folder of results.
-    """
-
-    label: str
+    label: str  # name of the case
+    # one film of the casing and one or more of the rotor, or a single film that is only tracked
     clips: tuple[Clip, ...] = ()
-    data: Path | None = None
-    surface: str = ""
-    inertia_rotor: str | None = None
+    data: Path | None = None  # an existing case file instead of films
+    surface: str = ""  # surface on which the casing turns
+    inertia_rotor: str | None = None  # moments of inertia as `gyrotrack.io._records.Inertia` reads them
     inertia_casing: str | None = None
-    folder: str = ""
+    folder: str = ""  # unique name of its folder of results
 
     @property
     def alone(self) -> bool:

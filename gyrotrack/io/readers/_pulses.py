@@ -64,12 +64,8 @@ _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the angle of a body from a column of event times, or from the state of a light gate.
 
-    With a column of states (0 and 1), events are the changes from 0 to 1; otherwise each row is an event.
-
-    Raises
-    ------
-    DatasetError, UsageError
-        There are too few event times, or the number of pulses per turn is not positive.
+    With a column of states (0 and 1), events are the changes from 0 to 1; otherwise each row is an event. It is an
+    error if there are too few event times, or the number of pulses per turn is not positive.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
@@ -133,22 +129,12 @@ def _gates(raw: RawTable, place: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Passages:
-    """Passages of a pendulum through one or two light gates near its equilibrium.
-
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        Middle of each passage [s].
-    duration : ndarray, shape (n,)
-        Time for which the gates are interrupted [s], inversely proportional to the speed.
-    notes : tuple of str
-        Repairs made while reading.
-    """
+    """Passages of a pendulum through one or two light gates near its equilibrium."""
 
     path: Path
-    time: Floats
-    duration: Floats
-    notes: tuple[str, ...]
+    time: Floats  # middle of each passage [s]
+    duration: Floats  # time for which the gates are interrupted [s], inversely proportional to the speed
+    notes: tuple[str, ...]  # repairs made while reading
 
 
 def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
@@ -185,13 +171,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
-    """Raise an error for a table of a pendulum that passes light gates.
-
-    Raises
-    ------
-    UsageError
-        The table contains passages, which have no angles.
-    """
+    """Raise a UsageError for a table of a pendulum that passes light gates: passages have no angles."""
     if passages_of(raw, options) is not None:
         raise UsageError(
             f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
@@ -548,12 +528,7 @@ def clock_scale(ticks: Floats) -> float:
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
     """Return the column with the counts of an encoder that were sampled, by several counts a row; None without one.
 
-    Parameters
-    ----------
-    raw : RawTable
-        A table that is read with a number of pulses per turn.
-    columns : dict
-        Columns by quantity; in a table without header, the second of two columns may be the counts.
+    The table is read with a number of pulses per turn; without header, the second of two columns may be the counts.
     """
     place = columns.get("revolutions")
     if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:
