@@ -88,10 +88,7 @@ _LEAST_READ = 8 << 20
 
 
 class StoredPictures(Sequence[Array]):
-    """Pictures (n, height, width) of one shape and type in a file: memory use does not grow with their number.
-
-    `places` (m,) are the rows of a column of `new_columns` that this sequence has.
-    """
+    """Pictures (m, height, width), the rows `places` of a column of `new_columns`, in a file instead of memory."""
 
     def __init__(self, pictures: Array, places: Array) -> None:
         self._pictures, self._places = pictures, places

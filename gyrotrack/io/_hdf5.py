@@ -42,10 +42,7 @@ MAX_MEMBERS = 64
 
 
 class WriteBuffer:
-    """A binary file whose writes do not fail: after an error of the disk the data are kept in memory.
-
-    `raw` is an unbuffered stream for reading and writing, `error` the first error of the disk or None.
-    """
+    """A binary file whose writes do not fail: after an `error` of the disk the data are kept in memory."""
 
     def __init__(self, raw: RawIOBase) -> None:
         self.error: OSError | None = None
@@ -301,10 +298,7 @@ _RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
 
 
 def read_kind(path: Path) -> str:
-    """Return "recording" or "case".
-
-    A DatasetError says that the file is missing, not HDF5, damaged, of another format, or newer than this program.
-    """
+    """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of another or a newer format."""
     with open_dataset(path) as file:
         return attribute(file, "kind", str)  # type: ignore[no-any-return]
 
@@ -351,10 +345,7 @@ def read_case(path: Path) -> Case:
 
 @contextmanager
 def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
-    """Validate a file of this format and open it for reading.
-
-    Errors of HDF5 within the context become a `DatasetError`.
-    """
+    """Validate a file of this format and open it for reading; errors of HDF5 become a `DatasetError`."""
     path = Path(path)
     _check_signature(path)
     if checksum_fails(path):

@@ -182,10 +182,7 @@ CHUNK = 8192  # values along the first dimension: 64 kB per column
 
 
 def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -> None:
-    """Write the datasets and attributes of `table` into `group`, with units, dimension scales and NXdata attributes.
-
-    `record` has an attribute for each dataset and attribute; `extra` contains other datasets.
-    """
+    """Write `table` from attributes of `record` and `extra`, with units, dimension scales and NXdata attributes."""
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
         for f in table.fields

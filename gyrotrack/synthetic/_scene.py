@@ -298,10 +298,7 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles from at least four speeds [rad/s]: a cubic spline through omega(t), integrated exactly.
-
-        The angles at ``time[0]`` are `psi_rotor` and `psi_casing` [rad].
-        """
+        """Angles from at least four speeds [rad/s] by an exactly integrated cubic spline, given at ``time[0]``."""
         from scipy.interpolate import CubicSpline
 
         t = np.asarray(time, dtype=np.float64)

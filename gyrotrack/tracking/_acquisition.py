@@ -54,10 +54,7 @@ class Extent:
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the trimmed mean (middle quarter) of the strips about a marker, `REACH` to each side: (rows, columns).
-
-    It is robust against a hand that covers the marker in a few of the samples.
-    """
+    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns)."""
     columns = score.shape[2]
     reach = int(REACH / (2.0 * np.pi) * columns)
     index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns

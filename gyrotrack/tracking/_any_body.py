@@ -95,10 +95,7 @@ class _Trial:
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the rotating body in a film; a TrackingError if nothing moves, nothing turns, or two bodies turn.
-
-    `hub` is the centre of rotation (x, y) [px], if known; it may be outside the picture.
-    """
+    """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless just one body turns."""
     usable = fresh_frames(film)
     if len(usable) < 12:
         raise TrackingError(
@@ -196,10 +193,7 @@ def _track(
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
-    """Return a second body that does not overlap with the best one and is explained as well; None if there is none.
-
-    The moving area outside the ring of the best candidate is searched by itself.
-    """
+    """Return a body outside of the ring of the best one that is explained as well; None if there is none."""
     distance = distance_from(best.ring.hub, motion.moving.shape)
     outside = motion.moving & (distance > 1.1 * best.ring.outer)
     if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():

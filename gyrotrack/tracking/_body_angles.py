@@ -260,20 +260,14 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return the systematic errors by place in px of a body, without the first harmonic that perspective causes.
-
-    Where that harmonic dominates, the typical error is a lower limit.
-    """
+    """Return a body's errors by place [px] without the first harmonic (perspective), at least the typical error."""
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the difference of the axes of a fast body from its angles and from its radii, (2,) in px, y up.
-
-    Both have errors by place; the difference is shrunk by their expected size.
-    """
+    """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
     off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
     if not off:
         return np.zeros(2)

@@ -196,10 +196,7 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
-    """Return the positions of the edge on curves (n, k, size) that start inside the marker at `first`, (n, k).
-
-    The level is half way between the marker and the background beyond the edge; NaN where it is not reached.
-    """
+    """Return edges (n, k), half way to the background, on curves (n, k, size) that start in the marker at `first`."""
     outwards = values[:, :, first::step]
     beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
     level = 0.5 * (1.0 + beyond)

@@ -200,10 +200,7 @@ def _observe(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations, Shake | None]:
-    """Find the markers and track them through the film; the memory for this is released on return.
-
-    The motion of the camera is returned where it is significant and the background shows its roll.
-    """
+    """Find and track the markers; also the camera's motion if it is significant and the background shows its roll."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))

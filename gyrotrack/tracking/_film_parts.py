@@ -199,10 +199,7 @@ def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
 
 
 class PartWorkers:
-    """Processes that track parts of a film in parallel with the calling one; none is started for a single part.
-
-    `workers` is the number of processes, the calling one included; by default one a core.
-    """
+    """Processes that track parts of a film, `workers` with the calling one (default: one a core); none for one part."""
 
     def __init__(self, path: Path, workers: int | None = None) -> None:
         self.packets = read_packets(path)
@@ -245,10 +242,7 @@ class PartWorkers:
         done: int = 0,
         total: int | None = None,
     ) -> Iterator[tuple[int, T]]:
-        """Run a task for the parts with the indices `todo` and yield (index, result) as they finish.
-
-        `task` is called with (film, part, threads, count), where count is to be called with numbers of finished frames.
-        """
+        """Run ``task(film, part, threads, count)``, with count(frames), for parts `todo`; yield (index, result)."""
         waiting, futures, lock = deque(todo), dict[int, Future[T]](), Lock()
         own = 0
 
@@ -319,10 +313,7 @@ def track_film(
     timing: Timing,
     journal: CheckpointFile | None = None,
 ) -> FilmObservations:
-    """Track all bodies in a film with `work`, a tracker of this scene that has not tracked any frame.
-
-    Parts in the `journal` are not tracked again. A VideoError is raised if no frame can be decoded.
-    """
+    """Track all bodies in a film with a new tracker `work`; parts in the `journal` are not tracked again."""
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
     film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))

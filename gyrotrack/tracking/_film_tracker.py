@@ -86,10 +86,7 @@ class BodyTracker:
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Track the body through consecutive frames and store the windows of its markers, from `place` of the batch on.
-
-        `advance` (n,) is the time from the previous frame to each frame in periods of the camera.
-        """
+        """Track through frames `advance` (n,) camera periods apart; store the markers' windows from `place` on."""
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
         if found is None:
@@ -134,10 +131,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Refine coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
-
-        A marker is weighted by the eighth power of its height, which a partial occlusion reduces.
-        """
+        """Refine coarse angles (n,) by the coloured markers, weighted by height^8 for occlusions; also where seen."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -212,10 +206,7 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body again from frame `begin` on; the frames before the lock are tracked backwards.
-
-        Without a lock the previous motion is extrapolated, which preserves the number of turns until the next lock.
-        """
+        """Find the body again from `begin` on, and track it backwards; else extrapolate, which keeps the turns."""
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
         lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
@@ -285,10 +276,7 @@ class FilmObservations:
 
 
 class FilmTracker:
-    """Tracker of all bodies in a film.
-
-    A new tracker depends on the scene alone; copies of it track parts of the film in parallel processes.
-    """
+    """Tracker of all bodies in a film; it depends on the scene alone, and copies of it track parts in parallel."""
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0

@@ -58,10 +58,7 @@ _LEFT = 0.2
 
 
 class Residuals:
-    """Residuals of the markers about the coarse path of their body, and the current estimates of their errors.
-
-    `coarse` (n,) is the path as seen [rad], NaN where the body was lost.
-    """
+    """Residuals of the markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors."""
 
     def __init__(
         self, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None

@@ -159,10 +159,7 @@ def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
 
 
 def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the known points without those beside a gap that are displaced from their neighbour.
-
-    What covers the disc covers a part of it before and afterwards, which displaces its measured centre.
-    """
+    """Return the known points without those beside a gap that are displaced, where the disc is covered in part."""
     step = np.hypot(*np.diff(measured, axis=0).T)  # from each point to the next one
     if known.all() or not np.isfinite(step).any():
         return known

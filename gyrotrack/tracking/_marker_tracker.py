@@ -50,10 +50,7 @@ class Match:
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
-    """Fit gain, offset and displacement of every profile (n, m) to the template (m,) by Gauss-Newton.
-
-    `start` (n,) is the displacement in samples to begin with; `seen` (n, m) marks samples that are not occluded.
-    """
+    """Fit gain, offset and displacement [samples] of profiles (n, m), where `seen`, to a template by Gauss-Newton."""
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
     slope[[0, -1]] = template[1] - template[0], template[-1] - template[-2]
@@ -105,10 +102,7 @@ def _with_ends(rows: Floats, reach: int) -> Floats:
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the mean profile of the open samples of the frames in `use`, normalised to 0 at its ends and 1 at its top.
-
-    None with fewer than three frames; NaN where no frame has an open sample.
-    """
+    """Return the mean of the open samples of frames in `use`, from 0 to 1, NaN without any; None for two frames."""
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])

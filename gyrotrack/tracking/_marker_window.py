@@ -341,10 +341,7 @@ _SCALE = _COLUMNS / (2.0 * np.pi)
 
 
 class Occlusion:
-    """Map of the occlusion of a body by the other one, learnt from the passages of its markers.
-
-    `step` is the angle of a column [rad], `offset` the centre of the rings relative to the axis of the other body [px].
-    """
+    """Map of the occlusion by the other body, `offset` [px] the rings' centre from its axis, `step` [rad] a column."""
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset
@@ -359,10 +356,7 @@ class Occlusion:
             self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
     def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
-        """Return which samples of the windows are unoccluded, (n, m); all where the other body is unknown.
-
-        With `shadows`, samples in the shadow of the occluding object are excluded, too.
-        """
+        """Return which samples (n, m) are unoccluded, and not in a shadow; all if the other body is unknown."""
         everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything

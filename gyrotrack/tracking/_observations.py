@@ -100,10 +100,7 @@ def excess_misfit(misfit: Floats, usual: float) -> Floats:
 
 
 def variance_inflation(off: Floats, excess: Floats) -> float:
-    """Return the maximum-likelihood share of the excess misfit (`excess_misfit`) for normal residuals, between 0 and 1.
-
-    The residuals `off` (n,) have an arbitrary scale and are clipped at five standard deviations.
-    """
+    """Return the maximum-likelihood share (0 to 1) of the excess misfit for normal residuals, clipped at 5 sigma."""
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0

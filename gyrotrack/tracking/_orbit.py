@@ -99,10 +99,7 @@ def circumcentre(triple: Floats) -> Floats | None:
 
 
 def fit_common_centre(points: Floats, group: Integers) -> tuple[Floats, dict[int, float]]:
-    """Fit concentric circles, one radius per group, by linear least squares.
-
-    x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2, about the mean point for accuracy.
-    """
+    """Fit concentric circles by least squares: x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2."""
     labels, index = np.unique(group, return_inverse=True)
     origin = points.mean(axis=0)
     local = points - origin

@@ -69,10 +69,7 @@ class Ring:
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
     def trimmed(self, share: Floats, *, finest: float) -> Ring:
-        """Return the part of the ring whose rows explain at least 0.3 of the `share` (rows,) of the best row.
-
-        `finest` is the largest number of samples per radius.
-        """
+        """Return the rows with at least 0.3 of the `share` of the best row, and at most `finest` samples a radius."""
         good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
         if len(good) < 4:
             return self
@@ -372,10 +369,7 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Track a body through consecutive frames by correlation with the running mean of the earlier ones, (n,) [rad].
-
-    `weight` and `fixed` are the weights of the samples and the fixed part of the image, `band` as for `correlation`.
-    """
+    """Track a body by correlation, weighted and less `fixed`, with the mean of the earlier frames, (n,) [rad]."""
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)

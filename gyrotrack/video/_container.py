@@ -45,10 +45,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is turned for display: first mirrored left to right, then quarter turns.
-
-    `quarters` counts quarter turns counter-clockwise as `numpy.rot90` makes them.
-    """
+    """How the coded picture is turned: first mirrored left to right, then `quarters` as by `numpy.rot90`."""
 
     quarters: int = 0
     mirrored: bool = False

@@ -48,10 +48,7 @@ _PATIENCE = 0.05
 
 
 class ReadAhead(Generic[T]):
-    """An iterator that runs in a separate thread, `chunk` items ahead; its exceptions are raised in the consumer.
-
-    Until `close` the source is used by that thread only.
-    """
+    """An iterator whose source runs in its own thread, `chunk` items ahead; exceptions are raised in the consumer."""
 
     def __init__(self, source: Iterator[T], chunk: int = CHUNK) -> None:
         self._source = source
@@ -380,10 +377,7 @@ def _difference(rows: Rows, last: Rows) -> float:
 
 
 def _usual(differences: tuple[float, ...]) -> float:
-    """Return the typical difference between unrepeated frames: a high quantile, as three in four may be repeated.
-
-    The largest of few values may be due to a cut.
-    """
+    """Return the typical difference of unrepeated frames, a high quantile (3 in 4 may be repeated; not a cut)."""
     return sorted(differences)[min(len(differences) - 2, int(_MOST * len(differences)))]
 
 

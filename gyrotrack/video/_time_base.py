@@ -33,10 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the rate requested [1/s], else the profile's, else the camera's tag, else the container's from 100 fps.
-
-    A VideoError is raised if only a container rate below 100 fps is known, or a rate is not a positive number.
-    """
+    """Return the requested rate [1/s], else the profile's, the camera's tag's, or the container's from 100 fps."""
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
@@ -166,10 +163,7 @@ class FrameTimes:
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
-        """Return the times in s at a capture rate, (n,).
-
-        An inserted frame gets a time between those of its neighbours.
-        """
+        """Return the times in s at a capture rate, (n,); an inserted frame is between its neighbours."""
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
             same = self.again & (np.diff(self.number, prepend=-1) == 0)
@@ -198,10 +192,7 @@ class Timing:
             )
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
-        """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
-
-        A VideoError is raised if timestamps are requested and not available.
-        """
+        """Return when frames with timestamps `pts` (n,) of the unit `tick` [s] were taken; an error if unavailable."""
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:

@@ -221,10 +221,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments below a folder; hidden folders, links to folders and the results (`skip`) are left out.
-
-    The capture rates [1/s] are those of films whose names do not contain one.
-    """
+    """Find the experiments below a folder, not in hidden folders, links and `skip`, with rates for unnamed ones."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
@@ -340,10 +337,7 @@ class _Row(_Strict):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or, with the suffix ``.csv``, in CSV.
-
-    Films are checked only when they are opened, so that a missing film does not stop the others.
-    """
+    """Read a manifest in TOML or CSV; films are checked when they are opened, so that one does not stop the others."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

@@ -46,10 +46,7 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps, each after those that it needs.
-
-    `report` is called with (step, outcome) when a step has ended, `progress` with (steps ended, steps in total).
-    """
+    """One execution of all steps; `report` is called with (step, outcome), `progress` with (steps ended, in total)."""
 
     def __init__(
         self,

@@ -295,10 +295,7 @@ def _parsed(text: str) -> Any:
 
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
-    """Create the folder if necessary, and lock it against other batches within the context.
-
-    An OutputError says that another batch uses it, it cannot be created, or it contains other files.
-    """
+    """Create the folder if necessary, and lock it against other batches; an OutputError if it contains other files."""
     with _lock_file(results), locked(results):
         yield
 

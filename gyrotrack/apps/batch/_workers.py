@@ -235,10 +235,7 @@ class Certificates:
     key: Path | None = None
 
     def security(self, address: str) -> Any:
-        """Return distributed's `Security` for an address, or None for one without TLS.
-
-        A UsageError is raised if certificates for a tls:// address are missing, or given for another address.
-        """
+        """Return distributed's `Security` for a tls:// address, else None; certificates must be given for it alone."""
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
             if any(named.values()):

@@ -394,10 +394,7 @@ _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: NDArray[np.float64], *, width: int = WIDTH) -> str:
-    """Return a curve as one line of characters, each for the value farthest from zero in an interval.
-
-    A space represents an interval without finite values.
-    """
+    """Return a curve as one line of characters, each for the farthest value from zero in an interval; space: none."""
     levels = _levels()
     n, parts = len(value), min(width, len(value))
     edges = [n * k // parts for k in range(parts + 1)] if parts else []

@@ -76,10 +76,7 @@ class Settings:
 
 
 def find(named: Path | None = None) -> tuple[Path | None, bool]:
-    """Return the settings file and whether it is trusted: given by the user, or the user's own file.
-
-    The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
-    """
+    """Return the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml or the user's own; the third one is not trusted."""
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):
         return None, True

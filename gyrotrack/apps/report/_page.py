@@ -56,10 +56,7 @@ _FINAL = {
 
 @dataclass(frozen=True)
 class Section:
-    """The figures of one case, with a heading if there are several cases.
-
-    `overview` are speed, residual and torque against speed; `details` are drawn for a PDF only.
-    """
+    """The figures of one case, with a heading if there are several; `details` are drawn for a PDF only."""
 
     heading: str
     surface: str

@@ -122,10 +122,7 @@ class PaperFigure:
 
 
 def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -> list[PaperFigure]:
-    """Return the figures of the paper; the first, a frame of the film, only if a film was found.
-
-    Must be called, and the figures saved, within the context `style`.
-    """
+    """Return the figures of the paper within the context `style`; the first only if a frame of the film was found."""
     found = []
     if frame is not None:
         figure = canvas(_WIDE, _WIDE * frame.shape[0] / frame.shape[1])

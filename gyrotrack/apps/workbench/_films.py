@@ -267,10 +267,7 @@ FRAMES = 500
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
-    """Copy the first packets of a film, without decoding, to a file of the same format.
-
-    A TrackingError says that the format cannot be copied, or the copy has another orientation.
-    """
+    """Copy the first packets of a film to a file of the same format; a TrackingError if the format forbids it."""
     with opened(film) as (source, stream):
         try:
             with av.open(str(target), "w") as copy:

@@ -100,10 +100,7 @@ class State(BaseModel):
 
 
 class Project:
-    """The films, settings and steps of one work folder, to which all files are written.
-
-    A ConfigurationError says that the folder does not exist, or its state file is not valid.
-    """
+    """The films, settings and steps of one work folder, to which all files are written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
@@ -383,10 +380,7 @@ class Project:
         return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
-        """Store hub [px] and markers (see `Pick`) that were clicked, write a profile, and preview the tracking.
-
-        `disc` is the colour of a disc at the hub; empty without a disc.
-        """
+        """Store hub [px], markers, and the colour of a disc or "", write a profile, and preview the tracking."""
         with self._lock:
             x = self.source(key)
             try:

@@ -64,10 +64,7 @@ _HEADERS = (
 
 
 class Guard:
-    """ASGI middleware that rejects requests that are not from the page of the workbench.
-
-    Every request must contain the secret `token`: in a header or, for the page itself, in the address.
-    """
+    """ASGI middleware that rejects requests without the secret `token` in a header or, for the page, in the address."""
 
     def __init__(self, app: App, port: int, token: str) -> None:
         self._app = app

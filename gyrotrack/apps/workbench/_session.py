@@ -33,10 +33,7 @@ _MAX_NAME = 60
 
 @dataclass
 class Step:
-    """One fit of the tree: change, parent, name in the ledger, and name and note by the user.
-
-    A fit of the ledger is restored on first use.
-    """
+    """One fit of the tree: change, parent, name in the ledger, name and note by the user; restored on first use."""
 
     change: str
     parent: int
@@ -62,10 +59,7 @@ class Step:
 
 
 class Session:
-    """The fits of one case, from the ledger and new ones, as a tree; one of them is current.
-
-    Steps keep their index for the whole session; `undo` restores a deleted one.
-    """
+    """The fits of one case as a tree, one of them current; indices are kept, and `undo` restores a deleted fit."""
 
     def __init__(
         self, data: CaseData, base: Fit, fit_id: str, ledger: Ledger, case: Case | None = None
@@ -96,10 +90,7 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add an effect (by name or as ``body: law``), remove one, or use other initial values; fit; return the state.
-
-        After an error the state is unchanged.
-        """
+        """Add an effect (name or ``body: law``), remove one, or set initial values; fit; an error changes nothing."""
         from fitting._errors import FittingError
         from fitting.discovery._select import found_starts, needs_search
         from fitting.effects._user import resolve
@@ -321,10 +312,7 @@ class Session:
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, with their values in the compared fit.
-
-        The differences are in standard uncertainties of the current fit.
-        """
+        """Return the parameters of a fit, and their differences from the compared one in standard uncertainties."""
         from fitting._numbers import with_uncertainty
 
         compared = self._compared(step)

@@ -293,10 +293,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
 
 
 def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
-    """Return the steps of the counts at the pulses of a part, the first excluded.
-
-    `ratio` are the intervals over their local typical values, `spread` the relative scatter of an interval.
-    """
+    """Return the steps at the pulses but the first, by intervals over their local typical values and their scatter."""
     count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
     x = np.linspace(0, 1, len(time))
     knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
@@ -569,10 +566,7 @@ def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, opti
 
 
 def _continued_count(count: Floats) -> tuple[Floats, int]:
-    """Return counts without the overflows of a binary counter, and the width of the counter [bit]; 0 if it has none.
-
-    A counter of n bits changes by more than half of 2^n only where it overflows.
-    """
+    """Return counts without the overflows of an n-bit counter (steps of over 2^n / 2), and n; 0 if it has none."""
     low, high = float(count.min()), float(count.max())
     for bits in (8, 16, 24, 32):
         size = 2.0**bits
