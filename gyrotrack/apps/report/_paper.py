@@ -276,8 +276,8 @@ _FIGURES: dict[str, tuple[Callable[[PaperCase], Chart], str]] = {
     "residuals": (
         _residuals,
         (
-            "Normalised residuals of the casing's angular velocity, fit minus measured over the standard uncertainty due "
-            "to noise. {names}"
+            "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
+            "uncertainty due to noise. {names}"
         ),
     ),
     "energy": (
