@@ -30,6 +30,7 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
 )
 from gyrotrack.io.readers._raw_table import TURN, RawTable
+from gyrotrack.io.readers._sampled_signal import is_regular, is_sampled, rising_edges, signal_columns
 
 _MAX_MISSED = 20
 _END = 3
@@ -62,10 +63,10 @@ _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
 def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle of a body from a column of event times, or from the state of a light gate.
+    """Return the angle of a body from a column of event times, the state of a light gate, or a sampled signal.
 
-    With a column of states (0 and 1), events are the changes from 0 to 1; otherwise each row is an event. It is an
-    error if there are too few event times, or the number of pulses per turn is not positive.
+    Events are the changes from 0 to 1 of a column of states, the rising edges of a signal at equally spaced times, or
+    else the rows.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
@@ -100,6 +101,14 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
         notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
         time, line = time[rising], line[rising]
+    elif (signal := _signal(raw, place, time, options)) is not None:
+        values = raw.numbers(signal)[known][order]
+        there = np.isfinite(values)
+        edges, after = rising_edges(time[there], values[there], raw.path.name, notes)
+        if is_regular(edges):
+            name = raw.names[signal] or str(signal + 1)
+            notes.append(f"{raw.path.name}: pulses are the rising edges of the sampled signal '{name}'")
+            time, line = edges, line[there][after]
     return from_events(raw, time, line, per_turn, notes)
 
 
@@ -112,6 +121,20 @@ def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
         if options.marker is not None and options.marker.casefold() in raw.names[i].casefold()
     ]
     return next(iter(named or found), None)
+
+
+def _signal(raw: RawTable, place: int, time: Floats, options: ReadOptions) -> int | None:
+    """Return the column of a sampled signal; the option `marker` selects one of several."""
+    found = signal_columns(raw, place) if is_sampled(time) else []
+    if options.marker is not None:
+        found = [i for i in found if options.marker.casefold() in raw.names[i].casefold()]
+    if len(found) > 1:
+        names = [raw.names[i] or str(i + 1) for i in found]
+        raise UsageError(
+            f"{raw.path}: {len(found)} columns may contain the pulses: {', '.join(map(repr, names))}.",
+            f"Choose one, for example --marker '{names[0]}'.",
+        )
+    return next(iter(found), None)
 
 
 def _gates(raw: RawTable, place: int) -> list[int]:

@@ -47,7 +47,7 @@ class RawTable:
     # numbers (ndarray, shape (n,)) or cells of text (list of str), one per column
     columns: tuple[Floats | list[str], ...]
     line: Integers  # shape (n,); line of each sample in the file
-    header_line: int = 1  # line of the header
+    header_line: int = 0  # line of the header; 0 in files without lines
     decimal_comma: bool = False
     notes: tuple[str, ...] = field(default=())  # repairs made while reading
 
@@ -55,6 +55,11 @@ class RawTable:
     def headed(self) -> bool:
         """Whether the columns have names."""
         return any(self.names)
+
+    @property
+    def header_place(self) -> str:
+        """The file, and the line of the header if it has lines, for messages."""
+        return f"{self.path}, line {self.header_line}" if self.header_line else str(self.path)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
         """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text."""
