@@ -79,10 +79,7 @@ class SpindownOptions:
 def read_source(
     source: Path, options: SpindownOptions, progress: Progress | None = None
 ) -> tuple[Case, tuple[Film, Tracked] | None]:
-    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture.
-
-    A UsageError is raised if columns, marker or centre of a table are given for a film.
-    """
+    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
@@ -184,10 +181,7 @@ def _recording_in(path: Path) -> Recording | None:
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, tuple[Film, Tracked] | None]:
-    """Track a film by its profile if one is given, else by the first of these that succeeds.
-
-    The texture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
-    """
+    """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body."""
     if options.profile is not None:
         return extract(
             source,

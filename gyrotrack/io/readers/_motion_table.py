@@ -91,10 +91,7 @@ _STEADY = 100.0
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
-    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2`` or ``t=1 [us]`` for one body.
-
-    An option that begins with ``casing.`` or ``rotor.`` applies to the file of that body only.
-    """
+    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         role_name, equals, column = (part.strip() for part in option.partition("="))
@@ -457,10 +454,7 @@ def _raise_if(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str)
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Sort a table by time and average repeated times; repairs are added to `notes`.
-
-    A DatasetError says that times restart, because of several recordings in one file or a reset of the clock.
-    """
+    """Sort a table by time and average repeated times, with `notes`; a DatasetError if times restart."""
     name = table.path.name
     table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
     backward = np.flatnonzero(np.diff(table.time) < 0)
@@ -516,10 +510,7 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps, which are intervals longer than 20 times the local median of eleven.
-
-    The median is local because intervals between pulses of a slowing body increase.
-    """
+    """Return the pieces between gaps: intervals over 20 times the median of eleven, local because a body slows down."""
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]

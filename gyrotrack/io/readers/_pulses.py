@@ -67,11 +67,6 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
 
     Events are the changes from 0 to 1 of a column of states, the rising edges of a signal at equally spaced times, or
     else the rows.
-
-    Raises
-    ------
-    DatasetError, UsageError
-        There are too few event times, or the number of pulses per turn is not positive.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
@@ -157,22 +152,12 @@ def _gates(raw: RawTable, place: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Passages:
-    """Passages of a pendulum through one or two light gates near its equilibrium.
-
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        Middle of each passage [s].
-    duration : ndarray, shape (n,)
-        Time for which the gates are interrupted [s], inversely proportional to the speed.
-    notes : tuple of str
-        Repairs made while reading.
-    """
+    """Passages of a pendulum through one or two light gates near its equilibrium."""
 
     path: Path
-    time: Floats
-    duration: Floats
-    notes: tuple[str, ...]
+    time: Floats  # middle of each passage [s]
+    duration: Floats  # time for which the gates are interrupted [s], inversely proportional to the speed
+    notes: tuple[str, ...]  # repairs made while reading
 
 
 def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
@@ -209,13 +194,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
-    """Raise an error for a table of a pendulum that passes light gates.
-
-    Raises
-    ------
-    UsageError
-        The table contains passages, which have no angles.
-    """
+    """Raise a UsageError for a table of a pendulum that passes light gates: passages have no angles."""
     if passages_of(raw, options) is not None:
         raise UsageError(
             f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
@@ -337,10 +316,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
 
 
 def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
-    """Return the steps of the counts at the pulses of a part, the first excluded.
-
-    `ratio` are the intervals over their local typical values, `spread` the relative scatter of an interval.
-    """
+    """Return the steps at the pulses but the first, by intervals over their local typical values and their scatter."""
     count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
     x = np.linspace(0, 1, len(time))
     knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
@@ -572,12 +548,7 @@ def clock_scale(ticks: Floats) -> float:
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
     """Return the column with the counts of an encoder that were sampled, by several counts a row; None without one.
 
-    Parameters
-    ----------
-    raw : RawTable
-        A table that is read with a number of pulses per turn.
-    columns : dict
-        Columns by quantity; in a table without header, the second of two columns may be the counts.
+    The table is read with a number of pulses per turn; without header, the second of two columns may be the counts.
     """
     place = columns.get("revolutions")
     if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:
@@ -618,10 +589,7 @@ def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, opti
 
 
 def _continued_count(count: Floats) -> tuple[Floats, int]:
-    """Return counts without the overflows of a binary counter, and the width of the counter [bit]; 0 if it has none.
-
-    A counter of n bits changes by more than half of 2^n only where it overflows.
-    """
+    """Return counts without the overflows of an n-bit counter (steps of over 2^n / 2), and n; 0 if it has none."""
     low, high = float(count.min()), float(count.max())
     for bits in (8, 16, 24, 32):
         size = 2.0**bits

@@ -87,10 +87,7 @@ class RawTable:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell, NaN if it is empty or infinite, None if it is not a number.
-
-    With `times`, clock times such as ``12:03:04.5`` and ISO 8601 are converted to seconds.
-    """
+    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if empty or infinite, else None."""
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan
@@ -133,10 +130,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """Return the lines that are neither blank nor comments, with their numbers, and notes on excluded lines.
-
-    A header that is repeated, and text without numbers below the samples, are excluded.
-    """
+    """Return numbered lines without blank ones, comments, repeated headers and text below the samples, and notes."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
     elif b"\0" in content:
@@ -365,10 +359,7 @@ def is_unit(text: str) -> bool:
 
 
 def factor(role: str, unit: str) -> float | None:
-    """Return the factor of a unit to SI for a role (any role if it is empty); None if the unit is unknown.
-
-    Units that are not in the table are converted with `pint`, if it is installed.
-    """
+    """Return the factor of a unit to SI for a role (any if empty), with `pint` if installed; None if it is unknown."""
     bare = clean(unit)
     tables = [UNITS[role]] if role else list(UNITS.values())
     for table in tables:
