@@ -88,15 +88,7 @@ _LEAST_READ = 8 << 20
 
 
 class StoredPictures(Sequence[Array]):
-    """Pictures of equal shape and type in a file, so that memory use does not grow with their number.
-
-    Parameters
-    ----------
-    pictures : ndarray, shape (n, height, width)
-        A column of `new_columns`.
-    places : ndarray of int, shape (m,)
-        Rows of the pictures in this sequence.
-    """
+    """Pictures (m, height, width), the rows `places` of a column of `new_columns`, in a file instead of memory."""
 
     def __init__(self, pictures: Array, places: Array) -> None:
         self._pictures, self._places = pictures, places

@@ -79,10 +79,7 @@ def core_scatter(off: Floats, otherwise: float) -> float:
 
 
 def excess(off: Floats) -> float:
-    """Return the root mean square of normalised residuals: 1 if their uncertainties are correct.
-
-    Outliers are clipped at `FAR`; the result is between 0.5 and 3, and 1 if there are too few residuals.
-    """
+    """Return the rms of normalised residuals, clipped at `FAR`, between 0.5 and 3; 1 if these are too few."""
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
         return 1.0
@@ -148,10 +145,7 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path by local parabolas.
-
-    Values that differ by more than 0.3 rad from the coarse path are not used, so that the number of turns is kept.
-    """
+    """Smooth a coarse path by local parabolas, without values over 0.3 rad from it, which keeps the number of turns."""
     known = np.isfinite(coarse)
     if known.sum() < FEWEST:
         return coarse
@@ -175,10 +169,7 @@ def learning_window(path: Floats) -> tuple[int, int]:
 
 
 def whole_turns(path: Floats, half: int) -> Mask:
-    """Return where `half` frames to both sides contain a whole turn, so that errors that repeat with it are seen.
-
-    False everywhere in a path of less than two turns.
-    """
+    """Return where `half` frames to both sides contain a whole turn; False everywhere in less than two turns."""
     known = path[np.isfinite(path)]
     if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
         return np.zeros(len(path), dtype=np.bool_)
@@ -199,10 +190,7 @@ def line_through(path: Floats) -> Floats:
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
-    """Return the running median over an odd number of points; NaN are ignored and stay NaN.
-
-    The series is extended by its end points. A ValueError is raised for an even width.
-    """
+    """Return the running median over an odd number of points, extended by its end points; NaN are ignored and stay."""
     if width < 1 or width % 2 == 0:
         raise ValueError(f"the width of a median must be odd and positive, not {width}")
     from scipy.ndimage import median_filter

@@ -67,10 +67,7 @@ _MOST_FAULTS = 8
 def read_document(
     path: Path, model: type[Model], *, what: str, error: type[GyrotrackError] = ConfigurationError
 ) -> Model:
-    """Read a TOML file of at most 1 MB and check it against a schema; `what` names its kind in messages.
-
-    An error of the given class names each invalid key or value with its line.
-    """
+    """Read a TOML file of at most 1 MB against a schema; the error, of a given class, lists wrong keys with lines."""
     text = read_text(path, what=what, error=error)
     try:
         data = tomllib.loads(text)

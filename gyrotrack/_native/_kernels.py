@@ -82,24 +82,10 @@ def _kernel(name: str) -> Callable[..., None]:
 
 
 def likelihood(squares: Array, excess: Array, shares: Array, clip: float) -> Array:
-    r"""Return minus twice the mean log-likelihood of normal residuals, up to a constant, for each share.
+    r"""Return minus twice the mean log-likelihood of normal residuals, up to a constant, for each share (m,).
 
-    The variance of residual k is :math:`s^2 (1 + q e_k)` with share q and excess e_k; the scale s is profiled.
-
-    Parameters
-    ----------
-    squares : ndarray of float64, shape (n,)
-        Squared residuals.
-    excess : ndarray of float64, shape (n,)
-        Excess of the squared misfit of each observation [1].
-    shares : ndarray of float64, shape (m,)
-        Values of q [1].
-    clip : float
-        Squares are clipped at `clip` times their median.
-
-    Returns
-    -------
-    ndarray of float64, shape (m,)
+    The variance of residual k is :math:`s^2 (1 + q e_k)` with share q and excess e_k of the squared misfit (n,); the
+    scale s is profiled. The squared residuals (n,) are clipped at `clip` times their median.
     """
     out = np.empty(len(shares))
     lengths = _check("f8[n] f8[n] f8[m] -> f8[m]", (squares, excess, shares, out))
@@ -114,32 +100,13 @@ def match(
     profile: Array, curve: Array, slope: Array, start: Array, seen: Array,
     pad: int, limit: float, stride: float, rounds: int, fineness: float,
 ) -> Array:  # fmt: skip
-    """Fit gain, offset and displacement of a template to each profile by Gauss-Newton.
+    """Fit gain, offset and displacement of a template to each profile (n, m) by Gauss-Newton.
 
-    Parameters
-    ----------
-    profile : ndarray of float64, shape (n, m)
-        One profile per frame.
-    curve, slope : ndarray of float64, shape (m + 2 pad,)
-        Template and its derivative per sample, extended by `pad` samples at both ends.
-    start : ndarray of float64, shape (n,)
-        Initial displacement [samples].
-    seen : ndarray of bool, shape (n, m)
-        Samples that are not occluded.
-    pad : int
-        Samples of the extension; at least `limit` + 2.
-    limit, stride : float
-        Largest displacement and largest step [samples].
-    rounds : int
-        Largest number of iterations.
-    fineness : float
-        The template is evaluated at multiples of 1/`fineness` samples.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 5)
-        Displacement [samples], gain, offset, sum of squared residuals, and the last diagonal element of the
-        inverse normal matrix.
+    `curve`, `slope` (m + 2 pad,) are the template and its derivative per sample, extended by `pad` >= `limit` + 2
+    samples at both ends; `start` (n,) the initial displacement; `seen` (n, m) marks samples that are not occluded;
+    `limit` and `stride` are the largest displacement and step; the template is evaluated at multiples of 1/`fineness`
+    samples. Returned are (n, 5): displacement [samples], gain, offset, sum of squared residuals, and the last diagonal
+    element of the inverse normal matrix.
     """
     out = np.empty((len(profile), 5))
     profile, seen, start = (
@@ -161,26 +128,11 @@ def match(
 def bands(
     windows: Array, which: Array, light: Array, offset: Array, scale: Array, mixing: Array, *, across: bool
 ) -> Array:
-    """Return averages of (light * window - offset) * scale over bands of rows or columns of some windows.
+    """Return averages of (light * window - offset) * scale over bands of rows, or columns (`across`), of windows.
 
-    Parameters
-    ----------
-    windows : ndarray of float32, shape (k, rows, columns)
-        All windows.
-    which : ndarray of int64, shape (n,)
-        Indices of the windows to average.
-    light : ndarray of float64, shape (n, columns)
-        Factor on each column.
-    offset, scale : ndarray of float64, shape (n,)
-        Offset, in units of the window, and factor.
-    mixing : ndarray of float32, shape (bands, rows) or (bands, columns)
-        Weights of each band; their sum is 1.
-    across : bool
-        Average over columns instead of rows.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, bands, columns) or (n, bands, rows)
+    `windows` (k, rows, columns), of which the n indices `which` are averaged; `light` (n, columns) is a factor on each
+    column, `offset` (n,) is in units of the window; `mixing` (bands, rows) or (bands, columns) are the weights of each
+    band, of sum 1. Returned are (n, bands, columns) or (n, bands, rows).
     """
     count, parts = len(which), len(mixing)
     out = np.empty((count, parts, windows.shape[1] if across else windows.shape[2]))
@@ -195,24 +147,10 @@ def bands(
 
 
 def crossings(curves: Array, first: int, step: int, level: float, least: float) -> Array:
-    """Return where curves fall below a level, in samples from `first`; NaN if never, or if they begin below it.
+    """Return where curves (n, k, m) fall below a level, in samples from `first`; NaN if never or from the start.
 
-    Parameters
-    ----------
-    curves : ndarray of float64, shape (n, k, m)
-        Curves along the last axis.
-    first : int
-        Sample at which the search begins.
-    step : {1, -1}
-        Direction of the search.
-    level : float
-        The level; the crossing is interpolated linearly.
-    least : float
-        Lower limit of the decrease between two samples, a divisor.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, k)
+    `step` (1 or -1) is the direction of the search; the crossing is interpolated linearly, with `least` the lower limit
+    of the decrease between two samples, a divisor.
     """
     out = np.empty(curves.shape[:2])
     curves = np.ascontiguousarray(curves)
@@ -227,19 +165,9 @@ def local_polynomials(
 ) -> None:
     """Fit a polynomial about each point of an evenly sampled series, with weights 1 - (x / (half + 1))^2.
 
-    Parameters
-    ----------
-    value, weight : ndarray of float64, shape (n + 2 half,)
-        The series and its weights, 0 where there is no value.
-    half : int
-        Half width of the window [samples].
-    degree : int
-        0 to 3.
-    hole : int
-        Points up to this distance are excluded; -1 for none.
-    smooth, leverage : ndarray of float64, shape (n,)
-        Written to: fitted value, and its derivative with respect to the value at the point itself. NaN where the window
-        contains too few points.
+    `value`, `weight` (n + 2 half,) with the weight 0 where there is no value; `degree` 0 to 3; points up to the
+    distance `hole` are excluded, none with -1. Written to are `smooth` and `leverage` (n,): fitted value, and its
+    derivative with respect to the value at the point itself; NaN where the window contains too few points.
     """
     lengths = _check("f8[m] f8[m] -> f8[n] f8[n]", (value, weight, smooth, leverage))
     fits = lengths["m"] == lengths["n"] + 2 * half and 1 <= half <= 1 << 20
@@ -250,24 +178,11 @@ def local_polynomials(
 
 
 def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
-    """Return the centroid of a bright disc in each window [px of the window]; NaN where it is occluded.
+    """Return the centroid (n, 2) of a bright disc in each window [px of the window]; NaN where it is occluded.
 
-    Foreground and background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference
-    weights pixels at the edge by the fraction that the disc covers.
-
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (n, 2, side, side)
-        Both chroma planes.
-    weights : tuple of float
-        Weights of the planes in the score.
-    radius : float
-        Radius of the disc [px].
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 2)
-        x and y.
+    `pixels` (n, 2, side, side) are both chroma planes, with `weights` in the score; `radius` is in px. Foreground and
+    background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference weights pixels
+    at the edge by the fraction that the disc covers.
     """
     out = np.empty((len(pixels), 2))
     _check("u1[n,2,s,s] -> f8[n,2]", (pixels, out))
@@ -276,25 +191,10 @@ def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
 
 
 def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int, reach: int) -> Array:
-    """Return the displacement of a marker from its expected column, and its mean score; score 0 at the search limit.
+    """Return displacement [columns] and mean score (n, 2) of a marker about its expected column; score 0 at the limit.
 
-    Parameters
-    ----------
-    windows : ndarray of float32, shape (n, rows, columns)
-        Windows; every row of a window is contiguous.
-    column : ndarray of float64, shape (n,)
-        First column of the search.
-    rows : tuple of int
-        Start, stop and step of the rows to average.
-    half : int
-        Half width of the marker [columns].
-    reach : int
-        Half width of the search [columns].
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 2)
-        Displacement [columns] and mean score.
+    `windows` (n, rows, columns) are contiguous in every row; `column` (n,) is the first column of the search; `rows`
+    are start, stop and step of the rows to average; `half` is the half width of the marker, `reach` that of the search.
     """
     windows, column = np.ascontiguousarray(windows), np.ascontiguousarray(column)
     out = np.empty((len(windows), 2))
@@ -315,25 +215,12 @@ def sample(
 ) -> None:  # fmt: skip
     """Sample windows of a polar grid from planes of frames by bilinear interpolation, and subtract a background.
 
-    Parameters
-    ----------
-    planes : tuple of one or two lists of ndarray of uint8, shape (height, width)
-        One plane per frame in each list; rows may be padded.
-    weights : tuple of float
-        Weight of each plane in the score.
-    places : tuple of ndarray, shape (rows, columns)
-        Pixel above and to the left of each sample as int32 (row in the upper, column in the lower 16 bits), and the
-        distances to the right and down as float32 [px].
-    box : ndarray of int32, shape (starts, 4)
-        Left, right, top and bottom edge of the pixels of a window that begins at a column.
-    ground : ndarray of float32, shape (rows, columns)
-        Background.
-    first : ndarray of int64, shape (n,)
-        First column of the window in each frame.
-    score : ndarray of float32, shape (height, width)
-        Work array.
-    out : ndarray of float32, shape (n, rows, width)
-        Written to.
+    `planes`: one or two lists of one plane (height, width) per frame, whose rows may be padded, with `weights` in the
+    score. `places` (rows, columns): pixel above and to the left of each sample as int32 (row in the upper, column in
+    the lower 16 bits), and the distances to the right and down as float32 [px]. `box` (starts, 4): left, right, top and
+    bottom edge of the pixels of a window that begins at a column. `ground` (rows, columns): background. `first` (n,):
+    first column of the window in each frame. `score` (height, width) is a work array, `out` (n, rows, width) written
+    to.
     """
     at, right, down = places
     signature = "i4[r,c] f4[r,c] f4[r,c] i4[b,4] f4[r,c] i8[n] -> f4[h,w] f4[n,r,o]"

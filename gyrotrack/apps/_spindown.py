@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
+_LEAST_ANGLE = (
+    0.1  # range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
+)
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -78,10 +81,7 @@ class SpindownOptions:
 def read_source(
     source: Path, options: SpindownOptions, progress: Progress | None = None
 ) -> tuple[Case, tuple[Film, Tracked] | None]:
-    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture.
-
-    A UsageError is raised if columns, marker or centre of a table are given for a film.
-    """
+    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
@@ -183,10 +183,7 @@ def _recording_in(path: Path) -> Recording | None:
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, tuple[Film, Tracked] | None]:
-    """Track a film by its profile if one is given, else by the first of these that succeeds.
-
-    The texture of a body about its hub; the paper's markers, unless a hub is given; a body that moves across the image.
-    """
+    """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body."""
     if options.profile is not None:
         return extract(
             source,
@@ -205,7 +202,8 @@ def _film(
             fps, _, warnings = _rate(film, options.capture_fps)
             with suppress(GyrotrackError):
                 found = extract(source, capture_fps=fps, body=options.body, progress=progress)
-                if max(len(body.time) for body in found.bodies.values()) > _MIN_TRACKED * len(film):
+                tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
+                if any(float(np.ptp(b.angle)) >= _LEAST_ANGLE for b in tracks):
                     note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
                     return replace(found, warnings=(*warnings, note, *found.warnings)), None
         with suppress(TrackingError):

@@ -299,10 +299,7 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
-    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run.
-
-    A run that is given twice, does not exist or has no fit is an error.
-    """
+    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run."""
     from fitting.study._history import Ledger
 
     found: dict[str, Entry] = {}

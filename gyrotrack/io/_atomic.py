@@ -83,16 +83,12 @@ def busy(path: Path, waited: float = 0.0) -> OutputError:
 
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return the error for a failed write, with its reason."""
+    reason, hint = error.strerror or str(error), "Check the folder and its permissions."
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        return OutputError(
-            f"{path} cannot be written: the disk is full.", "Free some space, or use another disk."
-        )
-    if error.errno == errno.EFBIG:
-        return OutputError(
-            f"{path} cannot be written: the file size limit is reached.", "Raise the limit (ulimit -f)."
-        )
-    reason = error.strerror or str(error)
-    return OutputError(f"{path} cannot be written: {reason}.", "Check the folder and its permissions.")
+        reason, hint = "the disk is full", "Free some space, or use another disk."
+    elif error.errno == errno.EFBIG:
+        reason, hint = "the file size limit is reached", "Raise the limit (ulimit -f)."
+    return OutputError(f"{path} cannot be written: {reason}.", hint)
 
 
 _SPECIAL = (
@@ -157,10 +153,8 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
         if part.stat().st_ino != own:
             raise busy(path)
     except FileNotFoundError:
-        raise OutputError(
-            f"{path} cannot be written: its folder or drive was removed.",
-            "Reconnect the drive and run the command again.",
-        ) from None
+        what = f"{path} cannot be written: its folder or drive was removed."
+        raise OutputError(what, "Reconnect the drive and run the command again.") from None
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(path, force=force)

@@ -17,17 +17,9 @@ import h5py
 import numpy as np
 
 from gyrotrack._errors import UsageError
+from gyrotrack.io import _hdf5 as hdf5
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file
-from gyrotrack.io._hdf5 import (
-    load_case,
-    load_json,
-    load_recording,
-    open_dataset,
-    read_case,
-    read_kind,
-    read_recording,
-)
 from gyrotrack.io._records import BodyTrack, Case, Column, Floats, Recording, Series, columns, windows_of
 from gyrotrack.io._schema import CASE, STATUS
 from gyrotrack.io._tables import attribute, check_storage, load
@@ -52,28 +44,20 @@ class Inspection:
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
     """Read a recording or a case, and return a summary; `verify` compares every chunk with its checksum."""
-    with open_dataset(path) as file:
+    with hdf5.open_dataset(path) as file:
         kind = attribute(file, "kind", str)
         provenance = {name: attribute(file, name, str, "?") for name in _PROVENANCE}
-        provenance["settings"] = load_json(file, "settings", {})
+        provenance["settings"] = hdf5.load_json(file, "settings", {})
         content: Recording | Case
         if kind == layout.CASE:
-            content = load_case(file)
+            content = hdf5.load_case(file)
             summary, problems = describe_case(content), _case_problems(content)
         else:
-            content = load_recording(file)
+            content = hdf5.load_recording(file)
             summary, problems = describe_recording(content), _recording_problems(content)
         verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
-    return Inspection(
-        path=Path(path),
-        kind=kind,
-        provenance=provenance,
-        summary=summary,
-        problems=tuple(problems),
-        datasets_verified=len(verified),
-        chunks_verified=sum(verified),
-        warnings=content.warnings,
-    )
+    counts = len(verified), sum(verified)
+    return Inspection(Path(path), kind, provenance, summary, tuple(problems), *counts, content.warnings)
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
@@ -82,7 +66,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
     out: dict[str, Any] = {name: getattr(recording, name) for name in names}
     out["times_from"] = str(recording.extra.get("times_from", "frames"))
     out["frames"] = len(recording.frame_index)
-    out["duration_s"] = _duration(recording.time)
+    out["duration_s"] = float(recording.time[-1] - recording.time[0]) if len(recording.time) else 0.0
     out["markers"] = {
         name: {"body": m.body, **{word: int(np.sum(m.status == code)) for word, code in STATUS.items()}}
         for name, m in recording.markers.items()
@@ -93,10 +77,8 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 
 def describe_case(case: Case) -> dict[str, Any]:
     """Return a summary of a case: label, inertias, series, windows and clips."""
-    out: dict[str, Any] = {
-        name: getattr(case, name)
-        for name in ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "per_inertia")
-    }
+    names = ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "per_inertia")
+    out: dict[str, Any] = {name: getattr(case, name) for name in names}
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
     windows = windows_of(case.rotor)
@@ -108,13 +90,9 @@ def describe_case(case: Case) -> dict[str, Any]:
         ],
     }
     out["rotor_generated"] = case.rotor_generated is not None
-    out["recordings"] = {
-        name: {
-            **describe_recording(recording),
-            **({"placement": vars(case.placements[name])} if name in case.placements else {}),
-        }
-        for name, recording in case.recordings.items()
-    }
+    out["recordings"] = {name: describe_recording(r) for name, r in case.recordings.items()}
+    for name in case.placements.keys() & case.recordings.keys():
+        out["recordings"][name]["placement"] = vars(case.placements[name])
     return out
 
 
@@ -135,26 +113,20 @@ def describe_motion(
     }
 
 
-def _duration(time: Floats) -> float:
-    return float(time[-1] - time[0]) if len(time) else 0.0
-
-
 def _recording_problems(recording: Recording) -> list[str]:
     found = []
     if recording.sense not in {-1, 1}:
         found.append(f"the sense is {recording.sense}, not +1 or -1")
     if not len(recording.frame_index):
         found.append("there are no frames")
-    if recording.frames_decoded != len(recording.frame_index):
-        found.append(
-            f"{recording.frames_decoded} frames were decoded but {len(recording.frame_index)} are stored"
-        )
+    if recording.frames_decoded != (stored := len(recording.frame_index)):
+        found.append(f"{recording.frames_decoded} frames were decoded but {stored} are stored")
     found += _time_problems("the frames", recording.time)
     for name, marker in recording.markers.items():
         if not np.isin(marker.status, list(STATUS.values())).all():
             found.append(f"marker '{name}' has a status that is not defined")
     for name, body in recording.bodies.items():
-        found += _motion_problems(name, body.time, body.angle, body.sigma)
+        found += _motion_problems(name, body)
     return found or ([] if recording.bodies else ["there is no angle of a body"])
 
 
@@ -162,40 +134,32 @@ def _case_problems(case: Case) -> list[str]:
     found = []
     if not (case.I_rotor > 0 and case.I_casing > 0):
         found.append("a moment of inertia is not positive")
-    found += _motion_problems("casing", case.casing.time, case.casing.angle, case.casing.sigma)
+    found += _motion_problems("casing", case.casing)
     windows = windows_of(case.rotor)
     if not len(case.rotor.time) and case.bodies != "one":
         found.append("the rotor has no samples")
     for k in np.unique(windows):
-        r = case.rotor
-        found += _motion_problems(
-            f"rotor window {k}", r.time[windows == k], r.angle[windows == k], r.sigma[windows == k]
-        )
+        found += _motion_problems(f"rotor window {k}", case.rotor, windows == k)
     for name, recording in case.recordings.items():
         found += [f"clip '{name}': {problem}" for problem in _recording_problems(recording)]
     return found
 
 
-def _motion_problems(name: str, time: Floats, angle: Floats, sigma: Floats) -> list[str]:
-    found = _time_problems(name, time)
-    valid = np.isfinite(angle)
+def _motion_problems(name: str, track: BodyTrack | Series, rows: Any = slice(None)) -> list[str]:
+    found = _time_problems(name, track.time[rows])
+    valid = np.isfinite(track.angle[rows])
     if not valid.any():
         found.append(f"{name} has no angles")
-    elif not (sigma[valid] > 0).all():
+    elif not (track.sigma[rows][valid] > 0).all():
         found.append(f"{name} has angles without a positive uncertainty")
     return found
 
 
 def _time_problems(name: str, time: Floats) -> list[str]:
     if not np.isfinite(time).all():
-        return [
-            f"{name} have times that are not numbers" if name == "the frames" else f"{name} lacks some times"
-        ]
-    return (
-        [f"the times of {name} are not strictly increasing (sample {int(np.argmax(np.diff(time) <= 0)) + 2})"]
-        if (np.diff(time) <= 0).any()
-        else []
-    )
+        return [f"{name} {'have times that are not numbers' if name == 'the frames' else 'lacks some times'}"]
+    back = np.flatnonzero(np.diff(time) <= 0)
+    return [f"the times of {name} are not strictly increasing (sample {back[0] + 2})"] if len(back) else []
 
 
 def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
@@ -255,10 +219,10 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
         raise UsageError(
             f"{target.name} has the suffix of no known format.", f"Known suffixes: {', '.join(FORMATS)}."
         )
-    kind = read_kind(source)
+    kind = hdf5.read_kind(source)
     if form is _netcdf:
         return _netcdf(source, target, force=force)
-    made = columns(read_case(source) if kind == CASE else read_recording(source), table)
+    made = columns(hdf5.read_case(source) if kind == CASE else hdf5.read_recording(source), table)
     with new_file(target, force=force) as stream:
         form(made, stream)
     return {"rows": len(made[0].values), "columns": {c.name: c.unit for c in made}}
@@ -294,17 +258,13 @@ def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:
         import pyarrow.parquet as pq
     except ImportError:
         raise _missing_library("Parquet", "pyarrow") from None
-    words = [c.values.dtype.kind == "O" for c in made]
-    arrays = [
-        pa.array(c.values.tolist() if w else np.asarray(c.values)) for c, w in zip(made, words, strict=True)
-    ]
-    fields = [
-        pa.field(c.name, a.type, metadata={"units": c.unit} if c.unit else None)
-        for c, a in zip(made, arrays, strict=True)
-    ]
+    fields, arrays = [], []
+    for c in made:
+        arrays.append(pa.array(c.values.tolist() if c.values.dtype.kind == "O" else np.asarray(c.values)))
+        fields.append(pa.field(c.name, arrays[-1].type, metadata={"units": c.unit} if c.unit else None))
     units = json.dumps({c.name: c.unit for c in made if c.unit})
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"units": units}))
-    pq.write_table(table, stream)
+    schema = pa.schema(fields, metadata={"units": units})
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), stream)
 
 
 def _json(made: Sequence[Column], stream: BinaryIO) -> None:

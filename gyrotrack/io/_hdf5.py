@@ -42,10 +42,7 @@ MAX_MEMBERS = 64
 
 
 class WriteBuffer:
-    """A binary file whose writes do not fail: after an error of the disk the data are kept in memory.
-
-    `raw` is an unbuffered stream for reading and writing, `error` the first error of the disk or None.
-    """
+    """A binary file whose writes do not fail: after an `error` of the disk the data are kept in memory."""
 
     def __init__(self, raw: RawIOBase) -> None:
         self.error: OSError | None = None
@@ -199,10 +196,10 @@ def members(group: Any, name: str) -> list[tuple[str, Any]]:
     """List the groups below the member `name` of `group`."""
     parent = child_group(group, name)
     if len(parent) > MAX_MEMBERS:
-        raise DatasetError(
-            f"{group.file.filename} has {len(parent)} members in '{name}'; at most {MAX_MEMBERS} are allowed.",
-            "The file is not in this layout.",
+        what = (
+            f"{group.file.filename} has {len(parent)} members in '{name}'; at most {MAX_MEMBERS} are allowed."
         )
+        raise DatasetError(what, "The file is not in this layout.")
     return [(member, child_group(parent, member)) for member in parent]
 
 
@@ -214,11 +211,12 @@ def load_json(group: Any, name: str, default: Any) -> Any:
     except (ValueError, RecursionError) as error:
         raise DatasetError(f"{group.file.filename}: the attribute '{name}' is not JSON.") from error
     if not isinstance(value, type(default)):
-        raise DatasetError(
-            f"{group.file.filename}: the attribute '{name}' is not a JSON "
-            f"{'object' if isinstance(default, dict) else 'list'}."
-        )
+        kind = "object" if isinstance(default, dict) else "list"
+        raise DatasetError(f"{group.file.filename}: the attribute '{name}' is not a JSON {kind}.")
     return value
+
+
+_INTEGRAL = "integral of the measured angular velocity, with an arbitrary constant"
 
 
 def write_case(
@@ -254,9 +252,7 @@ def write_case(
             group = file.create_group(name)
             write_table(group, layout.SERIES if series.window is None else layout.WINDOWED, series)
             if case.quantity == "omega":
-                group["angle"].attrs["comment"] = (
-                    "integral of the measured angular velocity, with an arbitrary constant"
-                )
+                group["angle"].attrs["comment"] = _INTEGRAL
         if case.rotor_generated is not None:
             write_table(file.create_group("rotor_generated"), layout.GENERATED, case.rotor_generated)
         recordings = file.create_group("recording")
@@ -301,10 +297,7 @@ _RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
 
 
 def read_kind(path: Path) -> str:
-    """Return "recording" or "case".
-
-    A DatasetError says that the file is missing, not HDF5, damaged, of another format, or newer than this program.
-    """
+    """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of another or a newer format."""
     with open_dataset(path) as file:
         return attribute(file, "kind", str)  # type: ignore[no-any-return]
 
@@ -351,10 +344,7 @@ def read_case(path: Path) -> Case:
 
 @contextmanager
 def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
-    """Validate a file of this format and open it for reading.
-
-    Errors of HDF5 within the context become a `DatasetError`.
-    """
+    """Validate a file of this format and open it for reading; errors of HDF5 become a `DatasetError`."""
     path = Path(path)
     _check_signature(path)
     if checksum_fails(path):
@@ -375,7 +365,8 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
             check_tree(file)
             yield file
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeError, MemoryError) as error:
-        raise DatasetError(f"{path} is damaged: {_first_line(error)}.", _RECREATE) from error
+        why = (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]
+        raise DatasetError(f"{path} is damaged: {why}.", _RECREATE) from error
 
 
 def _check_signature(path: Path) -> None:
@@ -390,10 +381,8 @@ def _check_signature(path: Path) -> None:
     if not head:
         raise DatasetError(f"{path} is empty.", _RECREATE)
     if head != _SIGNATURE:
-        raise DatasetError(
-            f"{path} is not an HDF5 file.",
-            "Use `gyrotrack import` for tables, `gyrotrack extract` for films.",
-        )
+        hint = "Use `gyrotrack import` for tables, `gyrotrack extract` for films."
+        raise DatasetError(f"{path} is not an HDF5 file.", hint)
 
 
 def _check_root(file: Any, path: Path, kind: str | None) -> None:
@@ -408,18 +397,12 @@ def _check_root(file: Any, path: Path, kind: str | None) -> None:
     if int(major) < 1:
         raise DatasetError(f"{path} has the layout {version}; the oldest supported one is 1.0.", _RECREATE)
     if int(major) > int(layout.FORMAT_VERSION.partition(".")[0]):
-        raise DatasetError(
-            f"{path} has the layout {version}; the newest supported one is {layout.FORMAT_VERSION}.",
-            "Update gyrotrack.",
-        )
+        what = f"{path} has the layout {version}; the newest supported one is {layout.FORMAT_VERSION}."
+        raise DatasetError(what, "Update gyrotrack.")
     found = attribute(file, "kind", str)
     if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
         wanted = kind or "recording or case"
-        hint = {layout.CASE: "Create a case with `gyrotrack sync` or `gyrotrack import`."}.get(
-            wanted, "Create a recording with `gyrotrack extract`."
-        )
+        hint = "Create a recording with `gyrotrack extract`."
+        if wanted == layout.CASE:
+            hint = "Create a case with `gyrotrack sync` or `gyrotrack import`."
         raise DatasetError(f"{path} is a {found}, not a {wanted}.", hint)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]

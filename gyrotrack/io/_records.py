@@ -44,10 +44,8 @@ class _Tabular:
         try:
             import pandas as pd
         except ImportError:
-            raise UsageError(
-                "A DataFrame needs pandas, which is not installed.",
-                'Install it: pip install "gyrotrack[notebook]"',
-            ) from None
+            what = "A DataFrame needs pandas, which is not installed."
+            raise UsageError(what, 'Install it: pip install "gyrotrack[notebook]"') from None
         made = columns(self, table)  # type: ignore[arg-type] # a Recording or a Case
         frame = pd.DataFrame({c.name: c.values for c in made})
         frame.attrs["units"] = {c.name: c.unit for c in made if c.unit}
@@ -228,13 +226,12 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
         return []
     first = f"{speeds[0][1]:.1f} and {speeds[0][0]:.1f} rad/s in the first window"
     ratio = np.array([of_rotor / max(of_casing, 1e-9) for of_rotor, of_casing in speeds])
+    doubt = ""
     if np.all(np.abs(ratio - 1) < _EQUAL_SPEEDS):
-        return [
-            f"casing and rotor have the same motion ({first}): one body may have been measured twice; {remedy}"
-        ]
-    if np.all(ratio < 1):
-        return [f"the casing is faster than the rotor ({first}): they may be exchanged; {remedy}"]
-    return []
+        doubt = f"casing and rotor have the same motion ({first}): one body may have been measured twice"
+    elif np.all(ratio < 1):
+        doubt = f"the casing is faster than the rotor ({first}): they may be exchanged"
+    return [f"{doubt}; {remedy}"] if doubt else []
 
 
 @dataclass(frozen=True)
@@ -314,11 +311,8 @@ class Column:
     @property
     def heading(self) -> str:
         """The name with its unit in brackets, as `import` reads it."""
-        return (
-            f"{self.name} [{_READABLE.get(self.unit, self.unit)}]"
-            if self.unit not in {"", "1"}
-            else self.name
-        )
+        unit = _READABLE.get(self.unit, self.unit)
+        return self.name if unit in {"", "1"} else f"{self.name} [{unit}]"
 
 
 _READABLE = {"rad s-1": "rad/s"}
@@ -344,38 +338,29 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
 
 def _motion(content: Recording | Case) -> list[list[Column]]:
     if isinstance(content, Recording):
-        return [
-            [_constant("body", name, len(body.time)), *_schema_columns(BODY, vars(body))]
-            for name, body in content.bodies.items()
-        ]
+        return [_part({"body": name}, BODY, vars(body)) for name, body in content.bodies.items()]
     parts = []
     for name, series in (("casing", content.casing), ("rotor", content.rotor)):
-        label = _constant("body", name, len(series.time))
-        parts.append(
-            [label, Column("window", "1", windows_of(series)), *_schema_columns(SERIES, vars(series))]
-        )
+        part = _part({"body": name}, SERIES, vars(series))
+        parts.append([part[0], Column("window", "1", windows_of(series)), *part[1:]])
     return [part for part in parts if len(part[0].values)]
 
 
 def _markers(content: Recording | Case) -> list[list[Column]]:
     return [
-        [
-            _constant("clip", clip, len(recording.time)),
-            _constant("marker", name, len(recording.time)),
-            _constant("body", marker.body, len(recording.time)),
-            *_schema_columns(MARKER, {**vars(marker), "frame": recording.frame_index}),
-        ]
-        for clip, recording in _clips(content).items()
-        for name, marker in recording.markers.items()
+        _part(
+            {"clip": clip, "marker": name, "body": marker.body},
+            MARKER,
+            {**vars(marker), "frame": r.frame_index},
+        )
+        for clip, r in _clips(content).items()
+        for name, marker in r.markers.items()
     ]
 
 
 def _frames(content: Recording | Case) -> list[list[Column]]:
     return [
-        [
-            _constant("clip", clip, len(r.time)),
-            *_schema_columns(FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index}),
-        ]
+        _part({"clip": clip}, FRAME, {**vars(r), "frame": r.frame_index, "index": r.frame_index})
         for clip, r in _clips(content).items()
     ]
 
@@ -391,13 +376,10 @@ def _clips(content: Recording | Case) -> dict[str, Recording]:
     return {content.source: content} if isinstance(content, Recording) else content.recordings
 
 
-def _constant(name: str, word: str, rows: int) -> Column:
-    return Column(name, "", np.full(rows, word, dtype=object))
-
-
-def _schema_columns(table: Table, values: Mapping[str, Any]) -> list[Column]:
-    """Return the fields of a table; a field with several numbers per sample becomes several columns."""
-    made = []
+def _part(labels: Mapping[str, str], table: Table, values: Mapping[str, Any]) -> list[Column]:
+    """Return constant columns and the fields of a table; several numbers per sample become several columns."""
+    rows = len(values[table.fields[0].name])
+    made = [Column(name, "", np.full(rows, word, dtype=object)) for name, word in labels.items()]
     for f in table.fields:
         value = np.asarray(values[f.name])
         if f.name == "status":

@@ -33,10 +33,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Attribute:
-    """One scalar attribute, required unless it has a default; a NaN is not written.
-
-    `field` is the name in the record in memory, if it differs.
-    """
+    """One scalar attribute, required unless it has a default; NaN is not written; `field` is its name in memory."""
 
     name: str
     kind: type[Any]

@@ -30,6 +30,8 @@ from gyrotrack._versions import __version__, versions
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._schema import LENGTH_ONLY, Attribute, Field, Table
 
+_NOT_SOUND = "The file is damaged or malicious."
+_OTHER_LAYOUT = "The file is not in this layout."
 MAX_MEMBERS = 20_000
 MAX_DEPTH = 32
 MAX_BYTES = 2**31
@@ -50,15 +52,11 @@ def check_tree(file: Any) -> None:
             continue
         seen.add(address)
         if depth > MAX_DEPTH:
-            raise DatasetError(
-                f"{location(group)} is nested too deeply.", "The file is damaged or malicious."
-            )
+            raise DatasetError(f"{location(group)} is nested too deeply.", _NOT_SOUND)
         for name in group:
             count += 1
             if count > MAX_MEMBERS:
-                raise DatasetError(
-                    f"{file.filename} has too many members.", "The file is damaged or malicious."
-                )
+                raise DatasetError(f"{file.filename} has too many members.", _NOT_SOUND)
             member = own_member(group, name)
             if isinstance(member, h5py.Group):
                 todo.append((member, depth + 1))
@@ -69,10 +67,8 @@ def check_tree(file: Any) -> None:
 def own_member(group: Any, name: str) -> Any:
     """Return a direct member of `group`; raise an error if it is a link."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise DatasetError(
-            f"{location(group)} has a link, '{name}'.",
-            "Links are not followed; copy the data into the file.",
-        )
+        what = f"{location(group)} has a link, '{name}'."
+        raise DatasetError(what, "Links are not followed; copy the data into the file.")
     return group[name]
 
 
@@ -94,10 +90,8 @@ def check_bytes(dataset: Any) -> None:
     stored = int(dataset.id.get_storage_size())
     chunk = int(np.prod(dataset.chunks or (0,), dtype=object)) * dataset.dtype.itemsize
     if claimed > MAX_BYTES or max(claimed, chunk) > stored * MAX_INFLATION + SLACK:
-        raise DatasetError(
-            f"{location(dataset)} declares {claimed:,} bytes but contains {stored:,}.",
-            "The file is damaged or malicious.",
-        )
+        what = f"{location(dataset)} declares {claimed:,} bytes but contains {stored:,}."
+        raise DatasetError(what, _NOT_SOUND)
 
 
 def location(item: Any) -> str:
@@ -182,10 +176,7 @@ CHUNK = 8192  # values along the first dimension: 64 kB per column
 
 
 def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -> None:
-    """Write the datasets and attributes of `table` into `group`, with units, dimension scales and NXdata attributes.
-
-    `record` has an attribute for each dataset and attribute; `extra` contains other datasets.
-    """
+    """Write `table` from attributes of `record` and `extra`, with units, dimension scales and NXdata attributes."""
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
         for f in table.fields
@@ -247,11 +238,7 @@ def read_attributes(group: Any, attributes: Sequence[Attribute]) -> dict[str, An
 
 
 def read_table(group: Any, table: Table) -> dict[str, npt.NDArray[Any]]:
-    """Read the datasets of `table` from `group`; its attributes are read by `read_attributes`.
-
-    A DatasetError says that one is missing, of another type, stored in another file, larger than its stored bytes, or
-    damaged.
-    """
+    """Read the datasets of `table` from `group`, checked against the schema; see `read_attributes` for the others."""
     values: dict[str, npt.NDArray[Any]] = {}
     for f in table.fields:
         dataset = child(group, f.name)
@@ -274,35 +261,26 @@ def child_group(group: Any, name: str) -> Any:
     """Return a direct member of `group` that is itself a group."""
     member = child(group, name)
     if not isinstance(member, h5py.Group):
-        raise DatasetError(f"{location(group)}: '{name}' is not a group.", "The file is not in this layout.")
+        raise DatasetError(f"{location(group)}: '{name}' is not a group.", _OTHER_LAYOUT)
     return member
 
 
 def check_storage(dataset: Any) -> None:
     """Raise an error for a dataset in another file, or one that is larger than its stored bytes can be."""
     if not isinstance(dataset, h5py.Dataset):
-        raise DatasetError(f"{location(dataset)} is not a dataset.", "The file is not in this layout.")
+        raise DatasetError(f"{location(dataset)} is not a dataset.", _OTHER_LAYOUT)
     if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:
-        raise DatasetError(
-            f"{location(dataset)} does not contain plain numbers.", "The file is not in this layout."
-        )
+        raise DatasetError(f"{location(dataset)} does not contain plain numbers.", _OTHER_LAYOUT)
     check_bytes(dataset)
 
 
 def _check_shape(dataset: Any, f: Field, length: int | None) -> None:
-    fixed = {"side": 2, "xy": 2}
-    wanted = tuple(
-        fixed.get(d, length if length is not None else dataset.shape[0]) for d in f.dims if dataset.shape
-    )
-    if len(dataset.shape) != len(f.dims) or tuple(dataset.shape) != wanted:
-        raise DatasetError(
-            f"{location(dataset)} has the shape {tuple(dataset.shape)}, not {wanted}.",
-            "The file is not in this layout.",
-        )
+    shape, fixed = tuple(dataset.shape), {"side": 2, "xy": 2}
+    wanted = tuple(fixed.get(d, shape[0] if length is None else length) for d in f.dims if shape)
+    if len(shape) != len(f.dims) or shape != wanted:
+        raise DatasetError(f"{location(dataset)} has the shape {shape}, not {wanted}.", _OTHER_LAYOUT)
     if f.dtype != "f8" and dataset.dtype.kind == "f":
-        raise DatasetError(
-            f"{location(dataset)} does not contain integers.", "The file is not in this layout."
-        )
+        raise DatasetError(f"{location(dataset)} does not contain integers.", _OTHER_LAYOUT)
 
 
 def load(dataset: Any) -> npt.NDArray[Any]:
@@ -310,10 +288,8 @@ def load(dataset: Any) -> npt.NDArray[Any]:
     try:
         return np.asarray(dataset[()])
     except (OSError, RuntimeError, ValueError) as error:
-        raise DatasetError(
-            f"{location(dataset)} cannot be read: the file is damaged.",
-            "Create it again, or restore a copy.",
-        ) from error
+        what = f"{location(dataset)} cannot be read: the file is damaged."
+        raise DatasetError(what, "Create it again, or restore a copy.") from error
 
 
 def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
@@ -325,25 +301,16 @@ def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> An
             f"{location(group)} lacks the attribute '{name}'.", "The file is not complete; create it again."
         )
     try:
-        return _as_kind(_scalar(group, name), kind)
+        if group.attrs.get_id(name).shape in {(), (1,)}:
+            value = np.asarray(group.attrs[name]).reshape(())[()]
+            value = value.decode() if isinstance(value, bytes) else value
+            if (kind is str) == isinstance(value, str):
+                return kind(value)
+        cause = None
     except (TypeError, ValueError, OSError, RuntimeError, OverflowError) as error:
-        raise DatasetError(
-            f"{location(group)}: the attribute '{name}' is not {_KIND_NAMES[kind]}.",
-            "The file is not in this layout.",
-        ) from error
-
-
-def _scalar(group: Any, name: str) -> Any:
-    if group.attrs.get_id(name).shape not in {(), (1,)}:
-        raise TypeError(name)
-    value = np.asarray(group.attrs[name]).reshape(())[()]
-    return value.decode() if isinstance(value, bytes) else value
-
-
-def _as_kind(value: Any, kind: type[Any]) -> Any:
-    if (kind is str) != isinstance(value, str):
-        raise TypeError(value)
-    return kind(value)
+        cause = error
+    what = f"{location(group)}: the attribute '{name}' is not {_KIND_NAMES[kind]}."
+    raise DatasetError(what, _OTHER_LAYOUT) from cause
 
 
 _KIND_NAMES: dict[type[Any], str] = {int: "an integer", float: "a number", str: "a text"}
@@ -351,14 +318,16 @@ _KIND_NAMES: dict[type[Any], str] = {int: "an integer", float: "a number", str: 
 
 def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) -> None:
     """Write the root attributes of a file."""
-    file.attrs["format"] = layout.FORMAT
-    file.attrs["format_version"] = layout.FORMAT_VERSION
-    file.attrs["kind"] = kind
-    file.attrs["software_version"] = __version__
-    file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
-    file.attrs["command"] = command
-    file.attrs["settings"] = to_json(settings)
-    file.attrs["environment"] = to_json(versions())
+    file.attrs.update({
+        "format": layout.FORMAT,
+        "format_version": layout.FORMAT_VERSION,
+        "kind": kind,
+        "software_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": command,
+        "settings": to_json(settings),
+        "environment": to_json(versions()),
+    })  # fmt: skip
 
 
 def to_json(value: Any) -> str:

@@ -265,10 +265,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
 def torque_angle_charts(
     harmonics: Sequence[Sequence[AngleHarmonics]], names: Sequence[str], body: str, unit: str
 ) -> list[Chart]:
-    """Return the chart of the angular harmonics of the unmodelled torque of one or two named fits.
-
-    Of each fit the harmonics of the first case are drawn; a fit without angles has none.
-    """
+    """Return the chart of the angular harmonics of the unmodelled torque in the first case of one or two named fits."""
     curves = [(name, r[0]) for name, r in zip(names, harmonics, strict=False) if r]
     if not curves:
         return []

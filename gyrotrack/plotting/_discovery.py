@@ -191,10 +191,7 @@ def history_picture(view: StudyView) -> Picture:
 def figures_of_merit(
     ax: Axes, values: np.ndarray[tuple[int], np.dtype[np.float64]], limit: float | None, texts: list[str]
 ) -> None:
-    """Draw one horizontal bar per fit, from zero or, on a logarithmic axis, from the noise limit.
-
-    `texts` stand at the ends of the bars; if empty, the numbers.
-    """
+    """Draw a bar per fit, from zero or, on a logarithmic axis, from the noise limit, with `texts` or the numbers."""
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
@@ -321,10 +318,7 @@ _FUNCTION = re.compile(r"([\w})|]) ?(\\(?:operatorname|exp|log|sqrt|sin|cos|tan|
 
 
 def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black") -> str:
-    """Return a formula (LaTeX, without dollar signs) as an ``svg`` element with the LaTeX as text alternative.
-
-    `name` is the prefix of the ids in the SVG, `size` in pt; empty if the formula cannot be typeset.
-    """
+    """Return a formula (LaTeX without $) as ``svg`` with ids that begin with `name`; empty if it cannot be typeset."""
     changes = {"figure.constrained_layout.use": False, "figure.facecolor": "none", "mathtext.fontset": "stix"}
     # mathtext omits the space before functions and draws \left| too small
     text = _FUNCTION.sub(r"\1\\,\2", latex.replace(r"\left|", "|").replace(r"\right|", "|"))

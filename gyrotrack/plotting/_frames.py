@@ -96,10 +96,7 @@ _MAX_HASHED = 256 * 2**20  # bytes
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Return the film of a recording, if it is in one of these folders or among the sample clips.
-
-    A film of up to 256 MiB is identified by its SHA-256, a larger one by frame size and number of frames.
-    """
+    """Return a recording's film in these folders or the samples, by SHA-256 or, over 256 MiB, by size and frames."""
     name = Path(recording.source).name
     places = [*folders, Path(__file__).parents[2] / "sample_clips"]
     return next((f / name for f in places if name and _is_film_of(f / name, recording)), None)

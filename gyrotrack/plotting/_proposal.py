@@ -33,10 +33,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 def write_picture(
     path: Path, proposal: Proposal, *, body: tuple[Film, Tracked] | None = None, force: bool = False
 ) -> None:
-    """Write a PNG of the frame that shows most markers, with all that was chosen, and a swatch of each colour.
-
-    `body` is another reading of the film, drawn below: the picture of a body that turns about a hub.
-    """
+    """Write a PNG of the frame with most markers and all that was chosen, and of a `body` that turns about a hub."""
     index = int(np.argmax(np.sum([m.clear for m in proposal.markers], axis=0)))
     frame = proposal.samples.frames[index]
     picture = colour_picture(frame)

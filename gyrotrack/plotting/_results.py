@@ -68,14 +68,16 @@ _ON = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the be
 _WIDE = 60
 
 
-def write_laws_picture(found: Laws, path: Path, *, force: bool = False) -> None:
-    """Write the figure of `laws` as PNG, SVG or PDF, by the suffix of `path`."""
-    _write(_figure, found, path, force=force)
-
-
-def _write(figure_of: Callable[[Any], Figure], found: object, path: Path, *, force: bool) -> None:
+def write_picture(found: Laws | Plan | Comparison, path: Path, *, force: bool = False) -> None:
+    """Write the figure of a result as PNG, SVG or PDF, by the suffix of `path`."""
+    figures: dict[str, Callable[[Any], Figure]] = {
+        "Laws": _laws_figure,
+        "Plan": _plan_figure,
+        "Comparison": _comparison_figure,
+    }
     with style(), new_file(path, force=force) as stream:
-        stream.write(picture_file(figure_of(found), path.suffix.lower().lstrip(".")))
+        figure = figures[type(found).__name__](found)
+        stream.write(picture_file(figure, path.suffix.lower().lstrip(".")))
 
 
 def _shown(found: Laws) -> Dependence | None:
@@ -88,7 +90,7 @@ def _shown(found: Laws) -> Dependence | None:
     return curves[0] if curves else None
 
 
-def _figure(found: Laws) -> Figure:
+def _laws_figure(found: Laws) -> Figure:
     figure = canvas(WIDTH, 7.4)
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
     above, below = parts
@@ -194,12 +196,7 @@ def _draw_ranking(ax: Axes, found: Laws) -> None:
 _CURVES = (*_COLOURS, SKY)
 
 
-def write_plan_picture(found: Plan, path: Path, *, force: bool = False) -> None:
-    """Write the figure of `plan` as PNG or SVG, by the suffix of `path`."""
-    _write(plan_figure, found, path, force=force)
-
-
-def plan_figure(found: Plan) -> Figure:
+def _plan_figure(found: Plan) -> Figure:
     """Return a figure of limits of the physical effects, power against torque, and motion of the next run."""
     shown = [e for e in found.effects if e.effect.mechanical and np.isfinite(e.detection_torque)]
     figure = canvas(1.25 * WIDTH, 3.6 + 0.27 * max(len(shown), 10))
@@ -286,12 +283,7 @@ def _run(ax: Axes, found: NextRun) -> None:
 _MAX_PARAMETERS = 14
 
 
-def write_comparison_picture(found: Comparison, path: Path, *, force: bool = False) -> None:
-    """Write the figure of `compare` as PNG, SVG or PDF, by the suffix of `path`."""
-    _write(comparison_figure, found, path, force=force)
-
-
-def comparison_figure(found: Comparison) -> Figure:
+def _comparison_figure(found: Comparison) -> Figure:
     """Return a figure with one row per parameter: the runs with bars of 2 sigma, and the spread between the runs."""
     shown = found.parameters[:_MAX_PARAMETERS]
     names = list(dict.fromkeys(r.run for p in shown for r in p.repeats))

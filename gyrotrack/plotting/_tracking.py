@@ -227,10 +227,7 @@ class Sheet:
 def contact_sheets(
     case: Case, folders: Sequence[Path], intervals: Iterable[tuple[float, float]] = ()
 ) -> list[Sheet]:
-    """Return frames of the clips of a case whose films are found in some folders.
-
-    The frame at the middle of each interval [s] on the clock of the case, such as those with lack of fit, is included.
-    """
+    """Return frames of the clips of a case whose films are found, also one of the middle of each interval [s]."""
     wanted = list(intervals)
     sheets = []
     for key, r in list(case.recordings.items())[:_MAX_CLIPS]:

@@ -73,10 +73,7 @@ def write_film(
     film: Film | None = None,
     force: bool = False,
 ) -> int:
-    """Encode frames (height, width, 3) red, green, blue in an mp4 file, atomically, and return their number.
-
-    The rates are the capture rate and that in the container, by default the same [1/s].
-    """
+    """Encode RGB frames (height, width, 3) as mp4, atomically, at a rate that may be another; return their number."""
     film = film or Film()
     path = Path(path)
     with new_path(path, force=force) as part:

@@ -95,10 +95,7 @@ class PolarPicture:
 
 
 def _box(pixels: Paint, width: float) -> Paint:
-    """Average over ``width`` columns, centred and cyclic.
-
-    A box of the width n + 2 f, n odd, consists of n columns and the fraction f of one column at each end.
-    """
+    """Average over ``width`` = n + 2 f columns (n odd), centred and cyclic: n columns, and f of one at each end."""
     columns = pixels.shape[1]
     odd = int(width) if int(width) % 2 else int(width) - 1
     share = 0.5 * (width - odd)
@@ -243,10 +240,7 @@ class _Canvas:
 
 
 def paint_rotor(scene: Scene, camera: Camera) -> PolarPicture:
-    """Paint the rotor: channels red, green, blue, and the fraction of bare metal, which reflects lamps.
-
-    It is opaque up to below the ring of the casing; the gap between them is dark.
-    """
+    """Paint the rotor, opaque up to below the casing's ring: red, green, blue, and the fraction of bare metal."""
     canvas = _Canvas(scene, camera, scene.ring_outer + 4.0)
     lathe = 1.0 + scene.structure * (np.sin(3.1 * canvas.r) + 0.6 * np.sin(7.7 * canvas.r + 1.0))
     uneven = scene.structure * (
@@ -334,10 +328,7 @@ MARGIN = 96  # margin of a bank [px], for 9216 different crops
 
 
 class Noise:
-    """Gaussian noise in grey levels, rounded to integers, independent in every pixel and colour.
-
-    Rounding adds a variance of 1/12 to that of the `deviation`.
-    """
+    """Gaussian noise in grey levels, independent in every pixel and colour; rounding adds a variance of 1/12."""
 
     def __init__(self, height: int, width: int, deviation: float, rng: np.random.Generator) -> None:
         self._rng, self._size = rng, (height, width)
@@ -374,10 +365,7 @@ class Renderer:
         self._buffers: dict[str, NDArray[np.generic]] = {}
 
     def frames(self, count: int) -> Iterator[Frame]:
-        """Yield ``count`` frames, (height, width, 3) red, green, blue, 8 bits, one at a time.
-
-        A ValueError says that the motion is not known for the whole film.
-        """
+        """Yield ``count`` frames, (height, width, 3) RGB, 8 bits; a ValueError if the motion is not known then."""
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)
         if count and (times[0] - reach < self.motion.start or times[-1] + reach > self.motion.stop):

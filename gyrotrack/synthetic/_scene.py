@@ -298,10 +298,7 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles from at least four speeds [rad/s]: a cubic spline through omega(t), integrated exactly.
-
-        The angles at ``time[0]`` are `psi_rotor` and `psi_casing` [rad].
-        """
+        """Angles from at least four speeds [rad/s] by an exactly integrated cubic spline, given at ``time[0]``."""
         from scipy.interpolate import CubicSpline
 
         t = np.asarray(time, dtype=np.float64)
@@ -388,26 +385,10 @@ def two_body_motion(
         I_r \dot\omega_r = -\tau - a_1\omega_r - a_2\omega_r|\omega_r| + T_r - T_b, \qquad
         I_c \dot\omega_c = +\tau - b_1\,\mathrm{sign}\,\omega_c - b_2\omega_c + T_c + T_b
 
-    Parameters
-    ----------
-    friction : Friction
-        Coefficients of the known torques.
-    inertia_rotor, inertia_casing : float
-        Moments of inertia in kg m2.
-    omega_rotor, omega_casing, psi_rotor, psi_casing : float
-        Speeds in rad/s and angles in rad at t = 0.
-    duration : float
-        Duration in s; the motion ends earlier if the casing comes to rest.
-    extra_rotor, extra_casing, extra_bearing : callable, optional
-        Additional torques in N m, ``torque(t, omega_r, omega_c, psi_r, psi_c)``; the last one acts on the casing, and
-        with the opposite sign on the rotor.
-    sample_rate : float
-        Sample rate in Hz of the splines.
-
-    Notes
-    -----
-    DOP853 of SciPy with a relative tolerance of 1e-11. Near a discontinuity of a torque the error control reduces the
-    step size.
+    Additional torques in N m are ``torque(t, omega_r, omega_c, psi_r, psi_c)``; `extra_bearing` acts on the casing, and
+    with the opposite sign on the rotor. The motion ends before `duration` [s] if the casing comes to rest;
+    `sample_rate` [Hz] is that of the splines. DOP853 of SciPy with a relative tolerance of 1e-11: near a discontinuity
+    of a torque the error control reduces the step size.
     """
     from scipy.integrate import solve_ivp
 

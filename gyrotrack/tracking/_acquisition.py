@@ -38,28 +38,14 @@ REACH = 1.2
 
 @dataclass(frozen=True)
 class Extent:
-    """Region in which a patch exceeds half of its maximum.
+    """Region in which a patch exceeds half of its maximum."""
 
-    Attributes
-    ----------
-    rows : ndarray of bool
-        Rows of the ring on the marker.
-    inner, outer : float
-        Inner and outer radius [px].
-    half_width : float
-        Half width at half maximum [rad].
-    lean : int
-        Displacement of its middle from the middle of the patch, in columns.
-    foot : float
-        Half width at a tenth of the maximum [rad].
-    """
-
-    rows: npt.NDArray[np.bool_]
-    inner: float
+    rows: npt.NDArray[np.bool_]  # rows of the ring on the marker
+    inner: float  # inner and outer radius [px]
     outer: float
-    half_width: float
-    lean: int
-    foot: float = 0.0
+    half_width: float  # half width at half maximum [rad]
+    lean: int  # displacement of its middle from the middle of the patch, in columns
+    foot: float = 0.0  # half width at a tenth of the maximum [rad]
 
     def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
         """Return the mask of the pixels well inside the marker, (rows, columns)."""
@@ -68,10 +54,7 @@ class Extent:
 
 
 def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the trimmed mean (middle quarter) of the strips about a marker, `REACH` to each side: (rows, columns).
-
-    It is robust against a hand that covers the marker in a few of the samples.
-    """
+    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns)."""
     columns = score.shape[2]
     reach = int(REACH / (2.0 * np.pi) * columns)
     index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
@@ -137,15 +120,7 @@ class SampledMarker:
 
 
 class Rings:
-    """Unrolled chroma of the samples, and its difference from the background.
-
-    Parameters
-    ----------
-    strips : ndarray of uint8, shape (2, n, rows, columns)
-        Chroma of each sample.
-    ring : Ring
-        Ring in which they were unrolled.
-    """
+    """Unrolled chroma of the samples, (2, n, rows, columns) of uint8, and its difference from the background."""
 
     def __init__(self, strips: npt.NDArray[np.uint8], ring: Ring) -> None:
         self.strips, self.ring = strips, ring
@@ -346,21 +321,11 @@ def find_markers(
     radius: float | None,
     where: str,
 ) -> tuple[dict[str, Marker], dict[str, tuple[float, float]], tuple[str, ...]]:
-    """Find the visible markers of a profile, `Scene.offsets` and `Scene.doubts`.
+    """Find the visible markers of a profile; also `Scene.offsets` and `Scene.doubts`.
 
-    Each body is searched in a ring about the hub, and again in a ring about the centre of its orbits if this differs
-    from the hub.
-
-    Parameters
-    ----------
-    centre : tuple of float
-        (x, y) in px.
-    disc : Disc or None
-        The disc at the centre, which is excluded from the search.
-    radius : float or None
-        Radius of the largest orbit [px].
-    where : str
-        Name of the film, for messages.
+    Each body is searched in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the centre
+    of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
+    messages.
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -513,15 +478,10 @@ def share_together(a: SampledMarker, b: SampledMarker) -> float:
 
 
 def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
-    """Return the markers of one body that turn with those of the other one.
+    """Return the markers of one body that turn with those of the other one; a TrackingError if this is undecided.
 
     Where the colours of a film are not those of the profile, a marker of the rotor may have the colour that is nearest
     to that of the casing. Of two markers that turn together, that one is wrong with which fewer of its body turn.
-
-    Raises
-    ------
-    TrackingError
-        If this is undecided.
     """
     turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
 
@@ -578,13 +538,7 @@ _NO_DISC = "There is no disc at the centre; the orbits of the markers determine 
 
 
 def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
-    """Find the scene in sample frames.
-
-    Raises
-    ------
-    TrackingError
-        If no marker of the profile can be found, or if those of two bodies are.
-    """
+    """Find the scene in sample frames; a TrackingError if no marker is found, or those of two bodies are confused."""
     orbit = _find_orbit(samples, profile, where)
     circle = chroma_direction(profile.circle_colour, profile.circle_hue)
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None

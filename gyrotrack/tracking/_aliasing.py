@@ -39,13 +39,7 @@ class Alias(NamedTuple):
 
 
 def symmetries(template: Template) -> list[int]:
-    """Return the orders n > 1 of the symmetry that the learnt picture of a body has approximately, largest first.
-
-    Parameters
-    ----------
-    template : Template
-        The picture; compared with itself turned by 2 pi / n, row means apart.
-    """
+    """Return the orders n > 1 of the approximate symmetry of a learnt picture, turned by 2 pi / n, largest first."""
     ring = template.ring
     body = template.body - template.body.mean(axis=1, keepdims=True)
     weight = ring.area.astype(np.float64)
@@ -63,19 +57,10 @@ def unaliased(
 ) -> Alias:
     """Return the rotation to take of those that a film allows.
 
-    The one that explains more of the changes of brightness is taken. Of two that explain as much it is the one that
-    slows down, as a body does that turns freely; of two steady ones the slower one, with a warning.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Angles followed by continuity, counter-clockwise [rad].
-    frame : ndarray of int, shape (n,)
-        Numbers of their frames.
-    template : Template
-        The picture of the body that was learnt with them.
-    explained : callable
-        Share of the changes of brightness that a rotation explains.
+    The one that explains more (`explained`) of the changes of brightness is taken. Of two that explain as much it is
+    the one that slows down, as a body does that turns freely; of two steady ones the slower one, with a warning.
+    `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
+    picture `template` was learnt.
     """
     steps = np.diff(angle) / np.diff(frame)
     usual = float(np.median(steps))

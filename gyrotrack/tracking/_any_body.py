@@ -95,22 +95,7 @@ class _Trial:
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the rotating body in a film.
-
-    Parameters
-    ----------
-    film : Film
-        The film.
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px], if known; it may be outside the picture.
-    progress : callable, optional
-        Called with (frames done, frames in all).
-
-    Raises
-    ------
-    TrackingError
-        Nothing moves, nothing turns, or two bodies turn.
-    """
+    """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless just one body turns."""
     usable = fresh_frames(film)
     if len(usable) < 12:
         raise TrackingError(
@@ -135,17 +120,7 @@ def track_body(
 def read_excerpt(
     path: Path, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> tuple[Film, Tracked] | None:
-    """Track a body by its texture through the first frames of a film; None if no body is found.
-
-    Parameters
-    ----------
-    path : Path
-        The film.
-    hub : tuple of float, optional
-        Centre of rotation (x, y) [px].
-    progress : callable, optional
-        Called with (frames done, frames in all).
-    """
+    """Track a body by its texture through the first frames of a film; None if no body is found. `hub`: (x, y) [px]."""
     film = Film(path, most=_EXCERPT)
     for track in (track_body, track_free_body):
         with suppress(TrackingError):
@@ -218,10 +193,7 @@ def _track(
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
-    """Return a second body that does not overlap with the best one and is explained as well; None if there is none.
-
-    The moving area outside the ring of the best candidate is searched by itself.
-    """
+    """Return a body outside of the ring of the best one that is explained as well; None if there is none."""
     distance = distance_from(best.ring.hub, motion.moving.shape)
     outside = motion.moving & (distance > 1.1 * best.ring.outer)
     if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():

@@ -32,11 +32,9 @@ VIEW_ERROR = 0.05
 class Prediction:
     """Prediction of the angle of a body from its last angles, for a smooth motion seen by an oblique camera.
 
-    Notes
-    -----
-    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, with psi the
-    parabola alone. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g
-    times s^2, the standard uncertainty is s sqrt(x' (X'X + P)^-1 x).
+    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, with psi the parabola
+    alone. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g times
+    s^2, the standard uncertainty is s sqrt(x' (X'X + P)^-1 x).
     """
 
     def __init__(self) -> None:
@@ -119,28 +117,12 @@ class Motion:
 def find_lock(
     score: Floats, threshold: float, hint: float = 0.0, place: Floats | None = None
 ) -> tuple[int, Motion] | None:
-    """Find the first run of frames in which the angle of the largest score advances steadily.
+    """Find the first run of frames in which the angle of the largest `score` (n, columns) advances steadily.
 
-    Parameters
-    ----------
-    score : ndarray, shape (n, columns)
-        Score of every angle in consecutive frames.
-    threshold : float
-        Least score that counts as seen.
-    hint : float
-        Expected step [rad / frame]; of steps that differ by whole turns the nearest is chosen.
-    place : ndarray, shape (n,), optional
-        Times of the frames in periods of the camera; equally spaced if not given.
-
-    Returns
-    -------
-    (frame, Motion) or None
-        The motion at that frame.
-
-    Notes
-    -----
     The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]; frames in which another object is
-    brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase.
+    brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase. Of steps
+    that differ by whole turns the nearest to `hint` [rad / frame] is chosen. `place` (n,) are times in periods of the
+    camera.
     """
     columns = score.shape[1]
     best = np.argmax(score, axis=1)
@@ -183,25 +165,11 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
 def follow(
     score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
 ) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
-    """Track a body through consecutive frames from a known motion.
+    """Track a body from a known motion, the prediction for frame 0, through frames with a `score` (n, columns).
 
-    Parameters
-    ----------
-    score : ndarray, shape (n, columns)
-        Score of every angle.
-    motion : Motion
-        The prediction for frame 0.
-    threshold : float
-        Least score that counts as seen.
-    advance : ndarray, shape (n,), optional
-        Periods of the camera from each frame to the next: more than 1 where frames are missing, 0 before a repeated
-        frame, and not an integer where the rate of the camera varied.
-
-    Returns
-    -------
-    angle, seen, motion
-        Unwrapped angle (n,) [rad], whether the body was seen (n,), and the prediction for frame n. After more than
-        `LONGEST_COAST` consecutive frames in which the body was not seen the angles are NaN.
+    `advance` (n,) are periods of the camera to each frame from the previous one: more than 1 after missing frames, 0
+    for a repeated frame, not an integer where the rate varied. Returned are the unwrapped angles (n,) [rad], whether
+    the body was seen, and the prediction for frame n; after `LONGEST_COAST` frames without the body the angles are NaN.
     """
     count, columns = score.shape
     scale = columns / (2.0 * np.pi)
@@ -249,17 +217,8 @@ SENSE_TURN = 0.5
 
 
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
-    """Return the factor (+1 or -1) that makes the angles increase.
+    """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
 
-    Parameters
-    ----------
-    turns : dict of float
-        Net rotation of each body as seen [rad].
-    given : int or None
-        The sense stated in the profile, which has priority.
-
-    Notes
-    -----
     The casing determines the sense, since it never turns by half a turn between frames; if it hardly moves, the rotor.
     If neither moves, the bodies are assumed to turn clockwise as seen, as in the paper.
     """

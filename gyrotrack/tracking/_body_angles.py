@@ -39,20 +39,11 @@ _CORNER = 0.7
 
 @dataclass(frozen=True)
 class BodyView:
-    """The observations of a body's markers.
-
-    Attributes
-    ----------
-    markers : tuple of Marker
-        The markers.
-    observations : dict of MarkerObservations
-        By name.
-    inside, whole : dict of ndarray of bool, shape (n,)
-        Frames in which a marker is within the picture, and in which it is also unoccluded and plausible.
-    """
+    """The observations of a body's markers."""
 
     markers: tuple[Marker, ...]
-    observations: dict[str, MarkerObservations]
+    observations: dict[str, MarkerObservations]  # by name
+    # frames in which a marker is within the picture, and in which it is also unoccluded and plausible
     inside: dict[str, Mask]
     whole: dict[str, Mask]
 
@@ -270,20 +261,14 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return the systematic errors by place in px of a body, without the first harmonic that perspective causes.
-
-    Where that harmonic dominates, the typical error is a lower limit.
-    """
+    """Return a body's errors by place [px] without the first harmonic (perspective), at least the typical error."""
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the difference of the axes of a fast body from its angles and from its radii, (2,) in px, y up.
-
-    Both have errors by place; the difference is shrunk by their expected size.
-    """
+    """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
     off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
     if not off:
         return np.zeros(2)
@@ -296,10 +281,8 @@ def separate_perspective(
 ) -> Flattening:
     """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
-    Notes
-    -----
-    Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about
-    a + e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
+    Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about a +
+    e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
     turn fast, so that their angles determine e, and their radii a.
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
@@ -357,30 +340,14 @@ _FAR = 0.05
 
 @dataclass(frozen=True)
 class TrackedBodies:
-    """All bodies of a clip.
+    """All bodies of a clip."""
 
-    Attributes
-    ----------
-    centre : CentrePath
-        The centre in every frame.
-    bodies : dict of BodyAngles
-        Angles as seen.
-    flattening : dict of Flattening
-        Effect of the oblique view on each body's orbits.
-    sense : int
-        Factor that makes the angles increase.
-    warnings : tuple of str
-        What the user should know.
-    doubts : tuple of str
-        Reasons why the angles may be wrong.
-    """
-
-    centre: CentrePath
-    bodies: dict[str, BodyAngles]
-    flattening: dict[str, Flattening]
-    sense: int
-    warnings: tuple[str, ...]
-    doubts: tuple[str, ...] = ()
+    centre: CentrePath  # the centre in every frame
+    bodies: dict[str, BodyAngles]  # angles as seen
+    flattening: dict[str, Flattening]  # effect of the oblique view on each body's orbits
+    sense: int  # factor that makes the angles increase
+    warnings: tuple[str, ...]  # what the user should know
+    doubts: tuple[str, ...] = ()  # reasons why the angles may be wrong
 
 
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:

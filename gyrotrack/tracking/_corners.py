@@ -53,21 +53,10 @@ class PaperAngle:
 
 
 def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
-    """Compute angle and uncertainty from the near corners as the paper does.
+    """Compute angle (counter-clockwise as seen, in (-pi, pi]) and uncertainty from the near corners as the paper does.
 
-    Parameters
-    ----------
-    corner : ndarray, shape (n, 2, 2)
-        Frame, corner, (x, y) in px, y downwards; the first corner has the lower angle.
-    centre : ndarray, shape (n, 2)
-        Centre in px.
-    use : ndarray of bool, shape (n,)
-        Frames that enter the averages.
-
-    Returns
-    -------
-    PaperAngle
-        `angle` is counter-clockwise as seen, wrapped to (-pi, pi].
+    `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; `centre` (n, 2) [px]; `use` are
+    the frames that enter the averages.
     """
     found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
     for part in row_blocks(len(corner)):
@@ -125,23 +114,11 @@ _LEAST_FALL = 1e-9
 def near_corners(
     window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[Floats, Floats]:
-    """Find the near corners in a batch of windows about a marker.
+    """Return radius [px] and angle [rad] of the near corners of a marker in n windows, (n, 2), the lower angle first.
 
-    Parameters
-    ----------
-    window : Windows
-        Score with the background at 0 and the marker at 1, the marker near the middle column: n of them.
-    radii : ndarray, shape (rows,)
-        Radii of the rows in px, evenly increasing.
-    angles : ndarray, shape (columns,)
-        Angles of the columns relative to the marker in rad, evenly increasing.
-    inner, outer : float
-        Typical radii of the near and the far edge in px.
-
-    Returns
-    -------
-    radius, angle : ndarray, shape (n, 2)
-        Polar coordinates of both corners, the lower angle first; NaN where an edge is not found.
+    The score is 0 on the background and 1 on the marker, which is near the middle column; `radii` of the rows and
+    `angles` of the columns are evenly increasing; `inner` and `outer` are typical radii of the near and the far edge.
+    NaN where an edge is not found.
     """
     left, right = _side_edges(window, radii, angles, inner, outer)
     if not np.isfinite(left[0] + right[0]).any():
@@ -219,10 +196,7 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
-    """Return the positions of the edge on curves (n, k, size) that start inside the marker at `first`, (n, k).
-
-    The level is half way between the marker and the background beyond the edge; NaN where it is not reached.
-    """
+    """Return edges (n, k), half way to the background, on curves (n, k, size) that start in the marker at `first`."""
     outwards = values[:, :, first::step]
     beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
     level = 0.5 * (1.0 + beyond)

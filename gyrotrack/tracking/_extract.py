@@ -150,45 +150,14 @@ def extract(
     progress: Progress | None = None,
     journal: CheckpointFile | None = None,
 ) -> Recording:
-    """Track the markers in a film.
+    """Track the markers of a profile in a film.
 
-    Parameters
-    ----------
-    video : Path
-        The film.
-    profile : Profile
-        Its markers.
-    capture_fps : float, optional
-        Frames per second of the camera; without it the profile's, the camera's tag, or the container's from
-        100 fps.
-    body : {"casing", "rotor", "both"}, optional
-        "casing" tracks the casing only. "rotor" and "both" fail if that body is not visible; with "rotor" the casing
-        is tracked as well if it is visible, because synchronisation needs it. By default all visible bodies are
-        tracked.
-    times : {"auto", "stamps", "frames"}
-        Source of the times: counted frames over the capture rate ("frames"); the timestamps of the film ("stamps");
-        or the timestamps if they show that the rate of the camera varied and the film is not in slow motion ("auto").
-    threads : int
-        Threads of the decoder where one process tracks all.
-    workers : int, optional
-        Processes that share the film; None: one for each core. The result does not depend on their number.
-    progress : callable, optional
-        Called with (frames done, frames declared or None).
-    journal : CheckpointFile, optional
-        Stores intermediate results, so that a killed run can be resumed; created with `run_facts`.
-
-    Raises
-    ------
-    VideoError
-        The film cannot be read, or its capture rate is unknown.
-    TrackingError
-        No markers are found, or not those of the requested body.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> recording = extract(Path("casing.mp4"))  # doctest: +SKIP
-    >>> recording.bodies["casing"].angle  # doctest: +SKIP
+    Without `capture_fps` the rate is the profile's, the camera's tag, or the container's from 100 fps. `body`: "casing"
+    tracks the casing only; "rotor" and "both" fail if that body is not visible; with "rotor" the casing is tracked as
+    well if it is visible, because synchronisation needs it. `times`: counted frames over the capture rate ("frames"),
+    the timestamps of the film ("stamps"), or these if they show that the rate varied and the film is not in slow motion
+    ("auto"). The result does not depend on the number of `workers` (None: one for each core). The `journal`, created
+    with `run_facts`, stores intermediate results, so that a killed run can be resumed.
     """
     if body not in BODIES:
         raise UsageError(
@@ -230,10 +199,7 @@ def _observe(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations, Shake | None]:
-    """Find the markers and track them through the film; the memory for this is released on return.
-
-    The motion of the camera is returned where it is significant and the background shows its roll.
-    """
+    """Find and track the markers; also the camera's motion if it is significant and the background shows its roll."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
@@ -483,30 +449,16 @@ Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
 
 @dataclass(frozen=True)
 class ExtractionJob:
-    """The extraction of one film: input, output and settings.
+    """The extraction of one film: input, output and settings."""
 
-    Attributes
-    ----------
-    video, target : Path
-        The film, and the file to write.
-    profile : Profile
-        Its markers.
-    capture_fps : float, optional
-        Frames per second of the camera; without it that of the profile or of the film.
-    body : str, optional
-        Track only this body.
-    times : {"auto", "stamps", "frames"}
-        Source of the times; see `extract`.
-    workers : int or None
-        Processes that share the film; None: one for each core. The result does not depend on their number.
-    """
-
-    video: Path
+    video: Path  # the film, and the file to write
     target: Path
     profile: Profile
+    # frames per second of the camera; without it that of the profile or of the film
     capture_fps: float | None = None
     body: str | None = None
-    times: str = "auto"
+    times: str = "auto"  # auto, stamps or frames; see `extract`
+    # processes that share the film; None: one for each core. The result does not depend on their number
     workers: int | None = 1
 
     @property
@@ -521,13 +473,7 @@ class ExtractionJob:
         }
 
     def earlier(self) -> Recording | None:
-        """Return the existing output if it is of this film and these settings, else None.
-
-        Raises
-        ------
-        VideoError
-            The film cannot be read.
-        """
+        """Return the existing output if it is of this film and these settings, else None."""
         probe(self.video)
         try:
             same = {**read_settings(self.target), "video": None} == {**self.settings, "video": None}
@@ -550,30 +496,10 @@ class ExtractionJob:
         resume: bool = False,
         force: bool = False,
     ) -> tuple[Recording, float]:
-        """Track the film and write the output.
+        """Track the film and write the output; return the recording and the frames tracked per second.
 
-        Parameters
-        ----------
-        command : str
-            The command line, which is stored in the file.
-        bar : callable
-            Context manager that yields a callable (frames done, total number of frames).
-        tell : callable
-            Called with messages: where a resumed run starts, and what is stored when the run is interrupted.
-        resume : bool
-            Continue from the checkpoint of an earlier run, if there is one.
-        force : bool
-            Replace an existing output.
-
-        Returns
-        -------
-        tuple of (Recording, float)
-            The recording, and the frames tracked per second.
-
-        Raises
-        ------
-        VideoError, TrackingError, OutputError
-            The film cannot be read or shows no markers, or the output cannot be written.
+        `tell` is called with messages: where a resumed run starts, and what is stored when the run is interrupted. With
+        `resume` the checkpoint of an earlier run is continued.
         """
         with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume

@@ -47,27 +47,15 @@ _LEAST = 0.15
 
 @dataclass(frozen=True)
 class Shake:
-    """Displacement of the picture in each frame.
+    """Displacement of the picture in each frame."""
 
-    Attributes
-    ----------
-    shift : ndarray, shape (n, 2)
-        Displacement (x, y) of the picture about `centre` against the reference frame [px].
-    roll : ndarray, shape (n,)
-        Its rotation, clockwise in the picture [rad].
-    centre : tuple of float
-        Centroid of the features (x, y) [px].
-    features : int
-        Number of inliers of the background.
-    shift_sigma, roll_sigma : float
-        Standard uncertainty of both in one frame [px], [rad].
-    """
-
-    shift: Floats
-    roll: Floats
-    centre: tuple[float, float]
-    features: int
-    shift_sigma: float
+    shift: (
+        Floats  # displacement (x, y) of the picture about `centre` against the reference frame [px], (n, 2)
+    )
+    roll: Floats  # its rotation, clockwise in the picture [rad]
+    centre: tuple[float, float]  # centroid of the features (x, y) [px]
+    features: int  # number of inliers of the background
+    shift_sigma: float  # standard uncertainty of both in one frame [px], [rad]
     roll_sigma: float
 
     @property
@@ -129,22 +117,12 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
 def background(
     places: npt.NDArray[np.float32], moved: Floats, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return which features belong to the background, (features,); none if it is not visible.
+    """Return which features at `places` (features, 2) [px] in the reference frame belong to the background.
 
-    Parameters
-    ----------
-    places : ndarray, shape (features, 2)
-        Their places in the reference frame [px].
-    moved : ndarray, shape (frames, features, 2)
-        Their displacements [px], NaN where a feature is lost.
-    shape : tuple of int
-        Height and width of the picture [px].
-
-    Notes
-    -----
-    Features at rest in the picture are the background. If there are too few, it is the largest set of features that
-    moves as a rigid picture with little roll, determined by two of them in each frame (random sample consensus,
-    M. Fischler and R. Bolles, Comm. ACM 24, 381, 1981).
+    `moved` (frames, features, 2) are their displacements [px], NaN where a feature is lost; `shape` is height and
+    width. Features at rest in the picture are the background. If there are too few, it is the largest set of features
+    that moves as a rigid picture with little roll, determined by two of them in each frame (random sample consensus, M.
+    Fischler and R. Bolles, Comm. ACM 24, 381, 1981). None of them if the background is not visible.
     """
     with np.errstate(invalid="ignore"):
         # a hand or the body may occlude a feature at times
@@ -181,14 +159,9 @@ def camera_shake(
 ) -> Shake | None:
     """Measure the motion of the camera; None if it is at rest, or no background is visible.
 
-    Parameters
-    ----------
-    samples : sequence of ndarray, shape (height, width)
-        Frames from all of the film; the first one is the reference, in whose place a hub is given.
-    frames : iterable of ndarray, shape (height, width)
-        All frames; used only where the samples show that the camera moves.
-    body : tuple of float, optional
-        Centre (x, y) and radius [px] of the bodies, which are no background.
+    The first of the `samples` from all of the film is the reference, in whose place a hub is given; `frames` are used
+    only where the samples show a motion; `body` is centre (x, y) and radius [px] of the bodies, which are no
+    background.
     """
     reference = samples[0]
     places = features_of(reference)
@@ -258,17 +231,7 @@ _RELEASES = 2
 
 
 class Film:
-    """The luma of a film's frames, kept in temporary files if it is small, else decoded again for each pass.
-
-    Parameters
-    ----------
-    path : Path
-        The film.
-    threads : int
-        Threads of the decoder.
-    most : int, optional
-        Largest number of frames that are read.
-    """
+    """The luma of a film's frames, at most `most`, in temporary files if it is small, else decoded for each pass."""
 
     def __init__(self, path: Path, threads: int = 2, most: int | None = None) -> None:
         self.path = path

@@ -72,15 +72,8 @@ def available_cores() -> int:
 def split(packets: Packets) -> tuple[Part, ...]:
     """Return the parts of a film, in order; one part if it is short or its timestamps are not those of the frames.
 
-    Parameters
-    ----------
-    packets : Packets
-        Of the whole film.
-
-    Notes
-    -----
-    The number of parts is even, like most numbers of cores. Each part ends `OVERLAP` frames after the key frame of the
-    next part.
+    Their number is even, like most numbers of cores. Each part ends `OVERLAP` frames after the key frame of the next
+    one.
     """
     stamps, count = packets.stamps, len(packets.stamps)
     number = 2 * -(-count // (2 * PART))
@@ -137,17 +130,7 @@ class _Advance:
 
 
 def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None]) -> PartRows:
-    """Track one part of a film.
-
-    Parameters
-    ----------
-    film, part : Film, Part
-        The part to track.
-    threads : int
-        Threads of the decoder.
-    count : callable
-        Called with the number of frames of each finished batch.
-    """
+    """Track one part of a film; `count` is called with the number of frames of each finished batch."""
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
     batches: list[Rows] = []
     with single_threaded(), Reader(film.path, threads, part) as reader:
@@ -216,15 +199,7 @@ def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
 
 
 class PartWorkers:
-    """Processes that track parts of a film in parallel with the calling one.
-
-    Parameters
-    ----------
-    path : Path
-        The film; where it has one part, no process is started.
-    workers : int, optional
-        Processes, the calling one included; by default one a core.
-    """
+    """Processes that track parts of a film, `workers` with the calling one (default: one a core); none for one part."""
 
     def __init__(self, path: Path, workers: int | None = None) -> None:
         self.packets = read_packets(path)
@@ -267,21 +242,7 @@ class PartWorkers:
         done: int = 0,
         total: int | None = None,
     ) -> Iterator[tuple[int, T]]:
-        """Run a task for some of the parts and yield (index, result) as they finish.
-
-        Parameters
-        ----------
-        task : callable
-            Called with (film, part, threads, count), where count is to be called with numbers of finished frames.
-        film : Film
-            The film.
-        todo : list of int
-            Indices of the parts.
-        threads : int
-            Threads of the decoder where one process does all.
-        progress : callable, optional
-            Called with (frames done, frames in all), from `done` on.
-        """
+        """Run ``task(film, part, threads, count)``, with count(frames), for parts `todo`; yield (index, result)."""
         waiting, futures, lock = deque(todo), dict[int, Future[T]](), Lock()
         own = 0
 
@@ -352,32 +313,7 @@ def track_film(
     timing: Timing,
     journal: CheckpointFile | None = None,
 ) -> FilmObservations:
-    """Track all bodies in a film.
-
-    Parameters
-    ----------
-    workers : PartWorkers
-        The parts of the film, and the processes that track them.
-    path : Path
-        The film.
-    scene : Scene
-        What is tracked.
-    work : FilmTracker
-        Tracker of this scene that has not tracked any frame.
-    threads : int
-        Threads of the decoder where one process tracks all.
-    progress : callable, optional
-        Called with (frames done, frames declared or None).
-    timing : Timing
-        Source of the times of the frames.
-    journal : CheckpointFile, optional
-        Stores finished parts, which are not tracked again.
-
-    Raises
-    ------
-    VideoError
-        No frame can be decoded.
-    """
+    """Track all bodies in a film with a new tracker `work`; parts in the `journal` are not tracked again."""
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
     film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
@@ -425,17 +361,7 @@ def track_film(
 
 
 class _PartResults:
-    """Results of finished parts, in memory or in a journal.
-
-    Parameters
-    ----------
-    parts : tuple of Part
-        The parts of the film.
-    packets : Packets
-        Its packets.
-    journal : CheckpointFile, optional
-        Storage of the rows; it is cleared if it does not match the film.
-    """
+    """Results of finished parts, in memory or in a journal, which is cleared if it does not match the film."""
 
     def __init__(self, parts: tuple[Part, ...], packets: Packets, journal: CheckpointFile | None) -> None:
         self._parts, self._packets, self._journal = parts, packets, journal
@@ -532,20 +458,11 @@ class _PartResults:
 
 
 def turns_between(frame: Floats, coarse: Floats, next_frame: Floats, next_coarse: Floats) -> Floats:
-    """Return the correction of the unwrapped angles of a part, (n,) [rad], in whole turns.
+    """Return the correction, in whole turns, of the unwrapped angles of a part by the previous one, (n,) [rad].
 
-    Parameters
-    ----------
-    frame, coarse : ndarray, shape (m,)
-        Frames of the previous part, and its unwrapped angles [rad], NaN where the body is lost.
-    next_frame, next_coarse : ndarray, shape (n,)
-        The same of this part.
-
-    Notes
-    -----
     In common frames the difference is a whole number of turns, plus a whole number of turns per frame if the two parts
     resolved the aliasing of the motion differently. Without common frames the angle is extrapolated with the mean of
-    the rates before and after.
+    the rates before and after. Angles are NaN where the body is lost.
     """
     turn = 2.0 * np.pi
     _, a, b = np.intersect1d(frame, next_frame, return_indices=True)

@@ -46,24 +46,7 @@ COVERAGE_FACTOR = 3.0
 
 
 class BodyTracker:
-    """Tracker of one body.
-
-    Parameters
-    ----------
-    name : str
-        "casing" or "rotor".
-    markers : tuple of Marker
-        Its markers, at least one of them coloured.
-    samples, centre, keep_out, capacity
-        See `MarkerStrip`.
-    offset : tuple of float
-        See `Occlusion`.
-
-    Attributes
-    ----------
-    step : float
-        Recent mean rotation from frame to frame [rad]; infinite as long as it is unknown.
-    """
+    """Tracker of one body, "casing" or "rotor", with a coloured marker; see `MarkerStrip` and `Occlusion`."""
 
     def __init__(
         self,
@@ -103,10 +86,7 @@ class BodyTracker:
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Track the body through consecutive frames and store the windows of its markers, from `place` of the batch on.
-
-        `advance` (n,) is the time from the previous frame to each frame in periods of the camera.
-        """
+        """Track through frames `advance` (n,) camera periods apart; store the markers' windows from `place` on."""
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
         if found is None:
@@ -151,10 +131,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Refine coarse angles by all coloured markers together: (n,) [rad], and where any of them is seen.
-
-        A marker is weighted by the eighth power of its height, which a partial occlusion reduces.
-        """
+        """Refine coarse angles (n,) by the coloured markers, weighted by height^8 for occlusions; also where seen."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -169,17 +146,8 @@ class BodyTracker:
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure the markers in the first `count` frames of the batch.
 
-        Parameters
-        ----------
-        count : int
-            Frames in the batch.
-        casing : ndarray, shape (count,), or None
-            Angle as seen of the other body, whose bar may occlude markers [rad].
-
-        Returns
-        -------
-        coarse, observations
-            Unwrapped coarse angle (count,) [rad], NaN where the body is lost; the markers.
+        `casing` is the angle as seen of the other body, whose bar may occlude markers [rad]. Returned are the unwrapped
+        coarse angles (count,) [rad], NaN where the body is lost, and the observations by marker.
         """
         coarse = self._coarse[:count].copy()
         windows = {
@@ -238,10 +206,7 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body again from frame `begin` on; the frames before the lock are tracked backwards.
-
-        Without a lock the previous motion is extrapolated, which preserves the number of turns until the next lock.
-        """
+        """Find the body again from `begin` on, and track it backwards; else extrapolate, which keeps the turns."""
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
         lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
@@ -311,10 +276,7 @@ class FilmObservations:
 
 
 class FilmTracker:
-    """Tracker of all bodies in a film.
-
-    A new tracker depends on the scene alone; copies of it track parts of the film in parallel processes.
-    """
+    """Tracker of all bodies in a film; it depends on the scene alone, and copies of it track parts in parallel."""
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0

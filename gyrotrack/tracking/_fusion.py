@@ -58,19 +58,7 @@ _LEFT = 0.2
 
 
 class Residuals:
-    """Residuals of the markers about the coarse path of their body, and the current estimates of their errors.
-
-    Parameters
-    ----------
-    coarse : ndarray, shape (n,)
-        Coarse path of the body as seen [rad], NaN where it was lost.
-    candidates : dict of Candidate
-        Its markers.
-    fps : float
-        Frames per second of the camera.
-    time_base : TimeBase, optional
-        Times of the frames, if they are not equally spaced.
-    """
+    """Residuals of the markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors."""
 
     def __init__(
         self, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None
@@ -275,15 +263,7 @@ class ClosedCurve:
 
 
 def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> ClosedCurve:
-    """Fit a smooth closed curve to residuals over an angle (see the module docstring).
-
-    Parameters
-    ----------
-    angle, residual : ndarray, shape (n,)
-        In rad.
-    weight : ndarray, shape (n,)
-        1 / variance of each residual, 0 for those not to be used.
-    """
+    """Fit a smooth closed curve to residuals over an angle [rad], weight 1 / variance (see the module docstring)."""
     low_low, high_high, both = np.zeros((3, KNOTS))
     right = np.zeros(KNOTS)
     for some in row_blocks(len(angle)):
@@ -419,16 +399,8 @@ PLACE_ORDERS = range(1, 7)
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
     """Return the share of the variance of an error by angle that is left without its mean over the film.
 
-    The zero of an angle is arbitrary: an error that hardly changes along a short arc does not count.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Path of the body [rad], NaN where it is unknown.
-    orders : range
-        Orders of the harmonics of the error, with random phases.
-    frames : int, optional
-        Frames over which these phases are constant; by default all.
+    The zero of an angle is arbitrary: an error that hardly changes along a short arc does not count. The harmonics of
+    the error, of the given orders, have random phases, constant over `frames` frames, by default all.
     """
     pieces = np.array_split(angle, max(round(len(angle) / (frames or len(angle))), 1))
     known = max(int(np.isfinite(angle).sum()), 1)
@@ -475,16 +447,9 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
     """Return the variances of the angle of the body and of its residual, relative to that of the noise, (n,).
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
-    film. Motion (cubic B-splines) and curves are one linear model r = a x + e with the covariance C of x, given that
-    the curves have the size that is observed. The angle, less the curves b x, has the error e - b dx, and a residual
-    from the motion is e - a dx; cov(e, dx) = C a var(e).
-
-    Parameters
-    ----------
-    state : Residuals
-        With learnt curves.
-    motion : int
-        Number of parameters of the smooth motion, at least 4.
+    film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
+    covariance C of x, given that the curves have the size that is observed. The angle, less the curves b x, has the
+    error e - b dx, and a residual from the motion is e - a dx; cov(e, dx) = C a var(e).
     """
     names, n = list(state.candidates), len(state.path)
     if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
@@ -599,23 +564,10 @@ def join(
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
-    Parameters
-    ----------
-    coarse : ndarray, shape (n,)
-        Unwrapped coarse angle of the body as seen [rad], NaN where it was lost.
-    candidates : dict of Candidate
-        Its markers.
-    fps : float
-        Frames per second of the camera.
-    other : ndarray, shape (n,), optional
-        Angle as seen of the body that occludes the markers at times, or passes beneath them [rad].
-    floor, axis : float or ndarray, shape (n,)
-        Uncertainties [rad] that are not visible as scatter outside whole turns: errors by place, as far as they are not
-        observed, and the displacement of the axis.
-    above : bool
-        Whether the markers lie above the other body.
-    time_base : TimeBase, optional
-        Times of the frames, if they are not equally spaced.
+    `coarse` (n,) is its unwrapped coarse angle as seen [rad], NaN where it was lost; `other` that of the body that
+    occludes the markers at times, or passes beneath them (`above`). `floor` and `axis` are uncertainties [rad] that are
+    not visible as scatter outside whole turns: errors by place, as far as they are not observed, and the displacement
+    of the axis.
     """
     state = Residuals(coarse, candidates, fps, time_base)
     half, degree = learning_window(state.path)

@@ -37,15 +37,7 @@ _TOGETHER = 64
 
 
 class DiscWindow:
-    """A small chroma window about the disc, collected for a batch of frames.
-
-    Parameters
-    ----------
-    disc : Disc
-        Its position, size and chroma.
-    capacity : int
-        Frames of a batch.
-    """
+    """A small chroma window about the disc, collected for a batch of frames."""
 
     def __init__(self, disc: Disc, capacity: int) -> None:
         self.disc = disc
@@ -167,10 +159,7 @@ def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
 
 
 def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the known points without those beside a gap that are displaced from their neighbour.
-
-    What covers the disc covers a part of it before and afterwards, which displaces its measured centre.
-    """
+    """Return the known points without those beside a gap that are displaced, where the disc is covered in part."""
     step = np.hypot(*np.diff(measured, axis=0).T)  # from each point to the next one
     if known.all() or not np.isfinite(step).any():
         return known
@@ -267,25 +256,12 @@ _RIDGE = 1e-9
 def wandering_centre(
     place: Floats, weight: npt.NDArray[np.bool_], start: Floats, *, still: bool = False, rounds: int = 12
 ) -> CentrePath:
-    """Find the path of the centre of an orbit.
+    """Find the path of the centre of an orbit from the `place` (n, 2) [px] of the marker and a start value.
 
-    Parameters
-    ----------
-    place : ndarray, shape (n, 2)
-        Positions of the marker in px, y downwards.
-    weight : ndarray of bool, shape (n,)
-        Trusted observations.
-    start : ndarray, shape (2,)
-        Start value of the centre [px].
-    still : bool
-        The centre does not move.
-
-    Notes
-    -----
-    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots,
-    rho, p, q for given theta; outliers beyond 4 median absolute deviations are left out. The flattening is
-    free here so that it does not bias the path, and is fitted again, with the tilt, by
-    `fit_flattening`.
+    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots, rho, p, q for given
+    theta; outliers beyond 4 median absolute deviations are left out; `weight` (n,) marks trusted observations, `still`
+    a centre at rest. The flattening is free here so that it does not bias the path; `fit_flattening` fits it again,
+    with the tilt.
     """
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
@@ -379,10 +355,7 @@ EXPECTED_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Radii:
-    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px].
-
-    `excess` is NaN in frames that are not used.
-    """
+    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px], NaN if not used."""
 
     direction: Floats
     excess: Floats
@@ -391,8 +364,6 @@ class Radii:
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct the path of a centre by the radii of the markers about it.
 
-    Notes
-    -----
     In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED_ERROR`^2, with s the
     scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.
     """

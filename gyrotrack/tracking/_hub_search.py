@@ -137,15 +137,7 @@ def distance_from(place: tuple[float, float], shape: tuple[int, ...]) -> Picture
 
 
 def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
-    """Return candidates for the hub that are at least 0.4 % of the picture apart.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, shape (height, width)
-        Consecutive frames.
-    motion : Motion
-        The moving part of the film.
-    """
+    """Return candidates for the hub, at least 0.4 % of the picture apart, from consecutive frames."""
     height, width = motion.mean.shape
     found: list[Proposal] = []
     near_hub, far_hub = similarity_hubs(frames, motion)
@@ -222,19 +214,12 @@ def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
 def similarity_hubs(
     frames: Sequence[Plane], motion: Motion
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return the fixed point of the similarities between frames a few steps apart, from features that move.
+    """Return the fixed point (x, y) [px] of the similarities between frames a few steps apart, from features that move.
 
-    Returns
-    -------
-    near, far : tuple of float or None
-        The hub (x, y) [px] for a body around it, and that for a body at a distance from it.
-
-    Notes
-    -----
     A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
-    hub. For a small body far from it, such as the ball of a pendulum, the displacement d = (1 - a)(h - c), c its
-    centroid, is precise and the rotation is not: errors of a bias the hub towards the body. There h is fitted to
-    a = 1 - d / (h - c).
+    hub (first result). For a small body far from it (second), such as the ball of a pendulum, the displacement d = (1 -
+    a)(h - c), c its centroid, is precise and the rotation is not: errors of a bias the hub towards the body. There h is
+    fitted to a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
@@ -291,10 +276,7 @@ def distant_hub(
 
 
 def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex, complex] | None:
-    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and their centroid.
-
-    None with too few inliers.
-    """
+    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and their centroid, or None."""
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
@@ -327,12 +309,8 @@ def follow_features(
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
     """Track the features of a body by optical flow from frame to frame; None with too few inliers.
 
-    Returns
-    -------
-    a, b : ndarray, shape (n,)
-        z -> a z + b, |a| = 1, from the first frame to each.
-    since : ndarray of int, shape (n,)
-        Frame in which the tracked features were selected: new features inherit the error of the previous ones.
+    Returned are a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each, and the frame in which the tracked
+    features were selected: new features inherit the error of the previous ones.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))

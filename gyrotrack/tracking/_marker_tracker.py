@@ -38,42 +38,19 @@ FINENESS = 8
 
 @dataclass(frozen=True)
 class Match:
-    """A batch of matched profiles.
+    """A batch of matched profiles."""
 
-    Attributes
-    ----------
-    shift : ndarray, shape (n,)
-        Displacement d in samples.
-    gain, offset : ndarray, shape (n,)
-        a and b, in units of the profiles.
-    misfit : ndarray, shape (n,)
-        rms residual in the open samples, relative to the gain.
-    weakness : ndarray, shape (n,)
-        Uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit); inf
-        where d is not determined.
-    """
-
-    shift: Floats
-    gain: Floats
+    shift: Floats  # displacement d in samples
+    gain: Floats  # a and b, in units of the profiles
     offset: Floats
-    misfit: Floats
+    misfit: Floats  # rms residual in the open samples, relative to the gain
+    # uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit);
+    # inf where d is not determined
     weakness: Floats
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
-    """Fit gain, offset and displacement of every profile by Gauss-Newton.
-
-    Parameters
-    ----------
-    profile : ndarray, shape (n, m)
-        One profile per frame.
-    template : ndarray, shape (m,)
-        T on the same samples.
-    start : ndarray, shape (n,)
-        Start value of the displacement in samples.
-    seen : ndarray of bool, shape (n, m)
-        Samples that are not occluded.
-    """
+    """Fit gain, offset and displacement [samples] of profiles (n, m), where `seen`, to a template by Gauss-Newton."""
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
     slope[[0, -1]] = template[1] - template[0], template[-1] - template[-2]
@@ -125,10 +102,7 @@ def _with_ends(rows: Floats, reach: int) -> Floats:
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the mean profile of the open samples of the frames in `use`, normalised to 0 at its ends and 1 at its top.
-
-    None with fewer than three frames; NaN where no frame has an open sample.
-    """
+    """Return the mean of the open samples of frames in `use`, from 0 to 1, NaN without any; None for two frames."""
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])

@@ -37,24 +37,9 @@ def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> 
 class MarkerStrip:
     """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
-    A score is linear in the planes of the film. It is computed and unrolled only for the pixels of the windows.
-
-    Parameters
-    ----------
-    marker : Marker
-        The marker.
-    samples : Samples
-        Frames of which the background is the median, at every pixel, or along each row if the marker hardly moves.
-    centre : tuple of float
-        Centre of the ring in px.
-    keep_out : float
-        Smallest radius [px] of the windows (the disc at the centre).
-    columns : int
-        Samples in a full turn.
-    margin : float
-        Largest distance of a marker from its expected angle [rad].
-    capacity : int
-        Frames of a batch.
+    A score is linear in the planes of the film; it is computed and unrolled only for the pixels of the windows. The
+    background is the median of the samples, at every pixel, or along each row if the marker hardly moves. `keep_out` is
+    the smallest radius [px] (the disc), `margin` the largest distance of a marker from its expected angle [rad].
     """
 
     def __init__(
@@ -174,22 +159,12 @@ LAYERS = 3
 
 
 class MarkerWindow:
-    """Scores and profiles in the windows of one marker.
+    """Scores (n, rows, m) and profiles in the windows of one marker, in n frames.
 
-    Attributes
-    ----------
-    known : ndarray of bool, shape (n,)
-        Frames in which the body is tracked.
-    start, fraction : ndarray, shape (n,)
-        Column in the middle of the window, and the expected displacement of the marker from it in columns.
-    first : ndarray of int, shape (n,)
-        First column of the window, within the full turn.
-    scores : ndarray, shape (n, rows, m)
-        Scores.
-    raw, profile : ndarray, shape (n, m)
-        Mean over the rows of the marker, without and with correction of the illumination.
-    layers : ndarray, shape (n, layers, m)
-        The same for parts of the radius, without the correction.
+    `known`: frames in which the body is tracked; `start`, `first`: middle column of the window, and its first one
+    within the full turn; `fraction`: expected displacement of the marker from the middle, in columns; `raw`, `profile`
+    (n, m): mean over the rows of the marker, without and with correction of the illumination; `layers` (n, layers, m):
+    that of parts of the radius, without the correction.
     """
 
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
@@ -238,16 +213,11 @@ class MarkerWindow:
 
 
 class AngleMap:
-    """Mean relative height of a marker at each angle, learnt from its passages.
+    """Mean relative height of a marker at each angle and in parts of the radius (`layers`), learnt from its passages.
 
-    Parameters
-    ----------
-    layers, columns : int
-        Rows of the map (parts of the radius) and angles in a full turn.
-    ground : ndarray, shape (columns,), optional
-        Background that was subtracted, in heights of the marker. A marker does not show the lamps that are reflected
-        in the metal beneath it: its own brightness varies little and is averaged, its height above the background
-        varies.
+    `ground` is the background that was subtracted, in heights of the marker. A marker does not show the lamps that are
+    reflected in the metal beneath it: its own brightness varies little and is averaged, its height above the background
+    varies.
     """
 
     def __init__(self, layers: int, columns: int, ground: Floats | None = None) -> None:
@@ -272,12 +242,8 @@ class AngleMap:
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.
 
-        Parameters
-        ----------
-        blur : int
-            Half width of the moving average in columns.
-        prior : float
-            Weight of a prior height of 1, in full passages of a column.
+        `blur` is the half width of the moving average in columns, `prior` the weight of a height of 1, in full
+        passages.
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
@@ -298,12 +264,9 @@ WIDEST_EDGE = 8
 def even_light(light: AngleMap, reach: int) -> Floats:
     """Return the relative illumination of each column, between 0.55 and 2; 1 where it is unknown.
 
-    Parameters
-    ----------
-    reach : int
-        Half the width of a marker in columns, or half the distance between the angles at which it is seen, if that is
-        larger. This is the resolution: if a marker is seen at the same few angles in every turn, or moves slowly about
-        them, an error of its displacement is indistinguishable from a gradient of the illumination.
+    `reach` is half the width of a marker in columns, or half the distance between the angles at which it is seen, if
+    that is larger. This is the resolution: if a marker is seen at the same few angles in every turn, or moves slowly
+    about them, an error of its displacement is indistinguishable from a gradient of the illumination.
     """
     columns = light.columns
     height = light.heights(max(reach, 1), prior=4.0)[0]
@@ -378,15 +341,7 @@ _SCALE = _COLUMNS / (2.0 * np.pi)
 
 
 class Occlusion:
-    """Map of the occlusion of a body by the other one, learnt from the passages of its markers.
-
-    Parameters
-    ----------
-    step : float
-        Angle in rad from one column of the rings to the next.
-    offset : tuple of float
-        Centre of the rings relative to the axis of the other body, (x, y) in px, y downwards.
-    """
+    """Map of the occlusion by the other body, `offset` [px] the rings' centre from its axis, `step` [rad] a column."""
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset
@@ -401,10 +356,7 @@ class Occlusion:
             self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
     def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
-        """Return which samples of the windows are unoccluded, (n, m); all where the other body is unknown.
-
-        With `shadows`, samples in the shadow of the occluding object are excluded, too.
-        """
+        """Return which samples (n, m) are unoccluded, and not in a shadow; all if the other body is unknown."""
         everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything

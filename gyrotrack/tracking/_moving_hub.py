@@ -146,20 +146,8 @@ def track_free_body(
 ) -> Tracked:
     """Track the rotation of a body that moves across the picture in front of a fixed background.
 
-    Parameters
-    ----------
-    film : Film
-        The film.
-    near : tuple of float, optional
-        A point (x, y) [px] that the body passes, to select one of several. By default the body with the largest range
-        of angles is tracked.
-    progress : callable, optional
-        Called with (frames done, frames in all).
-
-    Raises
-    ------
-    TrackingError
-        No body moves across the picture, or none of them turns measurably.
+    It is the one that passes the point `near` (x, y) [px], by default that with the largest range of angles. A
+    TrackingError is raised if no body moves across the picture, or none of them turns measurably.
     """
     usable = fresh_frames(film)
     noise = max(spatial_noise(film.some(usable[:: max(1, len(usable) // 8)])), 0.5)
@@ -203,21 +191,11 @@ def track_free_body(
 
 @dataclass(frozen=True)
 class Path:
-    """The path of a body.
+    """The path of a body."""
 
-    Attributes
-    ----------
-    frame : ndarray of int, shape (m,)
-        Frames in which the outline is complete.
-    place : ndarray, shape (m, 2)
-        Centroid of the outline (x, y) [px].
-    radius : float
-        Radius of a circle of the same area [px].
-    """
-
-    frame: Frames
-    place: Floats
-    radius: float
+    frame: Frames  # frames in which the outline is complete, (m,)
+    place: Floats  # centroid of the outline (x, y) [px], (m, 2)
+    radius: float  # radius of a circle of the same area [px]
 
 
 @dataclass
@@ -377,20 +355,9 @@ def _along_path(
 ) -> Tracked:
     """Register a body about an approximate path; angle and displacement of the hub are fitted together.
 
-    Parameters
-    ----------
-    film : Film
-        The film.
-    frames : ndarray of int, shape (m,)
-        Frames of the path.
-    ring : Ring
-        Ring about the mean place of the hub.
-    theta, shift : ndarray, shape (m,) and (m, 2)
-        Rough angles [rad], from x to y, and displacements of the hub [px].
-    area : tuple of int, optional
-        The part of the picture that is used, for a hub that moves little; without it the body is inside the picture.
-    progress : callable, optional
-        Called with (frames done, frames in all).
+    `theta` (m,) are rough angles [rad], from x to y, `shift` (m, 2) displacements of the hub [px] from the centre of
+    the ring; `area` is the part of the picture that is used for a hub that moves little, else the body is inside the
+    picture.
     """
     theta, shift = theta.copy(), shift.copy()
     use = np.unique(np.linspace(0, len(frames) - 1, _LEARNT).astype(int))

@@ -100,15 +100,7 @@ def excess_misfit(misfit: Floats, usual: float) -> Floats:
 
 
 def variance_inflation(off: Floats, excess: Floats) -> float:
-    """Return the maximum-likelihood share of the excess for normal residuals, between 0 and 1.
-
-    Parameters
-    ----------
-    off : ndarray, shape (n,)
-        Residuals of arbitrary scale, clipped at five standard deviations.
-    excess : ndarray, shape (n,)
-        From `excess_misfit`.
-    """
+    """Return the maximum-likelihood share (0 to 1) of the excess misfit for normal residuals, clipped at 5 sigma."""
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return 0.0
@@ -125,30 +117,14 @@ WEAKEST = 4.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """Fine angles of one marker before the fusion.
+    """Fine angles of one marker before the fusion."""
 
-    Attributes
-    ----------
-    angle : ndarray, shape (n,)
-        As seen, wrapped [rad].
-    good : ndarray of bool, shape (n,)
-        Where its height and profile are plausible.
-    open : ndarray of bool, shape (n,)
-        No part of it is occluded.
-    weak : ndarray, shape (n,)
-        Factor on its uncertainty for occlusion and low gain.
-    misfit_excess : ndarray, shape (n,)
-        Excess of the misfit of its profile; see `variance_inflation`.
-    mount : float
-        Start value of its mount angle, as seen [rad].
-    """
-
-    angle: Floats
-    good: Mask
-    open: Mask
-    weak: Floats
-    misfit_excess: Floats
-    mount: float
+    angle: Floats  # as seen, wrapped [rad]
+    good: Mask  # where its height and profile are plausible
+    open: Mask  # no part of it is occluded
+    weak: Floats  # factor on its uncertainty for occlusion and low gain
+    misfit_excess: Floats  # excess of the misfit of its profile; see `variance_inflation`
+    mount: float  # start value of its mount angle, as seen [rad]
 
 
 def plausible(seen: MarkerObservations) -> Mask:

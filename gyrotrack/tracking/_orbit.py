@@ -37,25 +37,11 @@ class Orbit:
 
 
 def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbit | None:
-    """Find the common centre of the circles of groups of points, robust against outliers.
+    """Find the common centre of the circles of groups (colours) of points, (n, 2) [px], robust against outliers.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        Positions in px.
-    group : ndarray of int, shape (n,)
-        Group of each point (its colour); each group has its own radius.
-
-    Returns
-    -------
-    Orbit or None
-        None with too few inliers, or if they cover less than 1.5 rad.
-
-    Notes
-    -----
     Random triples of points of one group define circles. The centre is selected whose inliers (radius within 5 % of the
     mode of their group) lie in most directions, since objects at rest are inliers of every centre, but in one direction
-    only. It is refined by least squares over the inliers.
+    only. It is refined by least squares over the inliers; None if these are too few or cover less than 1.5 rad.
     """
     if len(points) < 5:
         return None
@@ -88,15 +74,7 @@ def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbi
 
 
 def orbits_about(points: Floats, group: Integers, hub: tuple[float, float]) -> Orbit | None:
-    """Return the circles of groups of points about a known hub; None with too few inliers.
-
-    Parameters
-    ----------
-    points, group : ndarray
-        See `common_centre`.
-    hub : tuple of float
-        (x, y) in px.
-    """
+    """Return the circles of groups of points about a known hub (x, y) [px]; None with too few inliers."""
     if not len(points):
         return None
     centre = np.array(hub, dtype=np.float64)
@@ -121,10 +99,7 @@ def circumcentre(triple: Floats) -> Floats | None:
 
 
 def fit_common_centre(points: Floats, group: Integers) -> tuple[Floats, dict[int, float]]:
-    """Fit concentric circles, one radius per group, by linear least squares.
-
-    x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2, about the mean point for accuracy.
-    """
+    """Fit concentric circles by least squares: x^2 + y^2 = 2 cx x + 2 cy y + k_g with k_g = r_g^2 - cx^2 - cy^2."""
     labels, index = np.unique(group, return_inverse=True)
     origin = points.mean(axis=0)
     local = points - origin
@@ -232,18 +207,11 @@ NO_FLATTENING = Flattening({}, 0.0, 0.0)
 
 
 def fit_flattening(positions: dict[str, Floats]) -> Flattening:
-    """Fit offsets and flattening to the orbits of one or more markers.
+    """Fit offsets and flattening to the orbits of markers, from positions (n, 2) relative to the centre, y up.
 
-    Parameters
-    ----------
-    positions : dict of ndarray, shape (n, 2)
-        Plausible positions v of each marker relative to the centre, y up.
-
-    Notes
-    -----
-    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first
-    order, with r the unit vector of theta; points beyond four robust standard deviations are rejected in
-    each round. Markers whose observations cover less than 5 rad are not used.
+    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first order, with r the unit
+    vector of theta; points beyond four robust standard deviations are rejected in each round. Markers whose
+    observations cover less than 5 rad are not used.
     """
     use = {
         name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER
@@ -260,26 +228,12 @@ def fit_flattening(positions: dict[str, Floats]) -> Flattening:
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float, usual: float
 ) -> Flattening:
-    """Fit offsets to arcs of markers, with the tilt of the view from another body.
+    """Fit offsets to arcs of markers (positions as for `fit_flattening`), with the tilt of the view from another body.
 
-    Parameters
-    ----------
-    reference : Flattening
-        Flattening of a body with complete orbits in the same picture.
-    positions : dict of ndarray, shape (n, 2)
-        As for `fit_flattening`.
-    shift : ndarray, shape (2,) or (h, 2)
-        Expected offset of all markers [px], or h equally probable alternatives.
-    size : float
-        Standard deviation of the expected offset [px].
-    usual : float
-        Typical error by place [px].
-
-    Notes
-    -----
-    An arc determines e in part; `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit:
-    there is one independent observation per `CELL`. Where several offsets are expected, mean and covariance are those
-    of the mixture of their posterior distributions.
+    `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable ones, of standard deviation
+    `size`; `usual` is a typical error by place [px]. An arc determines e in part; `offset_covariance` is its
+    covariance. Systematic errors, not noise, limit the fit: there is one independent observation per `CELL`. Where
+    several offsets are expected, mean and covariance are those of the mixture of their posterior distributions.
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))

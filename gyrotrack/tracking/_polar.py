@@ -98,17 +98,7 @@ Box = npt.NDArray[np.int32]
 
 
 class Score:
-    """Weighted sum of planes that maximises the contrast of a marker, with one buffer of the size of a plane.
-
-    Parameters
-    ----------
-    white : bool
-        Whether luma is used, else both chroma planes.
-    weights : tuple of float
-        Weights of the planes; only the first is used for luma.
-    shape : tuple of int
-        Rows and columns of a plane.
-    """
+    """Weighted sum of planes (luma if `white`, else chroma) that maximises the contrast of a marker; one buffer."""
 
     def __init__(self, white: bool, weights: tuple[float, float], shape: tuple[int, ...]) -> None:  # noqa: FBT001
         self.white = white
@@ -138,17 +128,7 @@ class Score:
 
 
 class Grid:
-    """Positions of the samples of a ring in a plane, and the bounding box of each window.
-
-    Parameters
-    ----------
-    ring : Ring
-        The samples.
-    width : int
-        Columns of a window, by which the grid extends beyond the full turn.
-    score : Score
-        The score that is sampled.
-    """
+    """Positions of the samples of a ring in a plane, and the bounding box of each window of `width` columns."""
 
     def __init__(self, ring: Ring, width: int, score: Score) -> None:
         self.ring, self.width, self.score = ring, width, score

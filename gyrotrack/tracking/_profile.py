@@ -66,10 +66,7 @@ _HUE_DEGREES: dict[str, float] = {
 
 
 def chroma_direction(colour: str, hue: float | None = None) -> tuple[float, float]:
-    """Return the unit vector (U, V) of a named colour, or of its exact `hue` in degrees if that is given.
-
-    White has no hue and gives (0, 0).
-    """
+    """Return the unit vector (U, V) of a named colour, or of its exact `hue` in degrees; (0, 0) for white."""
     if colour == "white":
         return (0.0, 0.0)
     angle = np.deg2rad(_HUE_DEGREES[colour] if hue is None else hue)
@@ -106,10 +103,7 @@ _LEAST_AREA = 3  # of a patch of colour [px]
 
 
 def colour_name(red: float, green: float, blue: float) -> str:
-    """Return the name whose hue is nearest to a colour (0 to 255 each): white for bright grey, empty for dark.
-
-    U and V are those of ITU-R BT.601.
-    """
+    """Return the name with the nearest hue (ITU-R BT.601) to a colour, 0 to 255: white if bright grey, "" if dark."""
     luma = 0.299 * red + 0.587 * green + 0.114 * blue
     u, v = 0.564 * (blue - luma), 0.713 * (red - luma)
     if np.hypot(u, v) < _LEAST_CHROMA:
@@ -238,13 +232,7 @@ PAPER = Profile(
 
 
 def load(path: Path) -> Profile:
-    """Read a profile from a TOML file.
-
-    Raises
-    ------
-    ProfileError
-        Naming the file and every key that is wrong, with its line.
-    """
+    """Read a profile from a TOML file; a ProfileError names every key that is wrong, with its line."""
     return read_document(path, Profile, what="profile", error=ProfileError)
 
 

@@ -60,17 +60,11 @@ MOST = 8
 
 @dataclass(frozen=True)
 class MovingColour:
-    """Differences of chroma of sample frames from their median.
+    """Differences of chroma of sample frames from their median."""
 
-    Attributes
-    ----------
-    change : ndarray, shape (2, n, height, width)
-        Chroma of each sample minus the median of all, where the saturation increases; 0 elsewhere.
-    hues : tuple of float
-        Directions in the chroma plane (U, V) of the colours that move [rad], the strongest first.
-    """
-
+    # chroma minus the median of all samples where the saturation increases, else 0, (2, n, height, width)
     change: Images
+    # directions in the chroma plane (U, V) of the colours that move [rad], the strongest first
     hues: tuple[float, ...]
 
     def scores(self, hue: float) -> Images:
@@ -198,21 +192,11 @@ def _hue(chroma: tuple[float, float]) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A coloured patch that may be a marker.
+    """A coloured patch that may be a marker."""
 
-    Attributes
-    ----------
-    hue : float
-        In degrees.
-    sampled : SampledMarker
-        The marker in the samples.
-    ambiguous : bool
-        There is another patch of the same hue, and the two may be confused.
-    """
-
-    hue: float
+    hue: float  # in degrees
     sampled: SampledMarker
-    ambiguous: bool = False
+    ambiguous: bool = False  # there is another patch of the same hue, and the two may be confused
 
     @property
     def colour(self) -> Hue:
@@ -339,23 +323,13 @@ def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], l
 
 @dataclass(frozen=True)
 class ProposedMarker:
-    """A proposed marker: its entry in the profile, and its geometry and contrast in the film.
+    """A proposed marker: its entry in the profile, and its geometry and contrast in the film."""
 
-    Attributes
-    ----------
-    profile, marker
-        Entry in the profile, and the marker in the film.
-    angle, clear : ndarray, shape (n,)
-        Its angle in each sample [rad], and whether it is distinct.
-    step : float
-        Rotation of its body from frame to frame [rad].
-    """
-
-    profile: MarkerProfile
+    profile: MarkerProfile  # entry in the profile, and the marker in the film
     marker: Marker
-    angle: npt.NDArray[np.float64]
+    angle: npt.NDArray[np.float64]  # its angle in each sample [rad], and whether it is distinct
     clear: npt.NDArray[np.bool_]
-    step: float
+    step: float  # rotation of its body from frame to frame [rad]
 
     @property
     def seen(self) -> float:

@@ -36,30 +36,18 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class Ring:
-    """A ring about the hub, or an arc of it, and its polar sampling.
+    """A ring about the hub, or an arc of it, and its polar sampling."""
 
-    Attributes
-    ----------
-    hub : tuple of float
-        Centre (x, y) [px]; it may be outside the picture.
-    inner, outer : float
-        Radii [px].
-    rows, columns : int
-        Samples in radius and in angle.
-    start, span : float
-        First angle and length of the arc [rad]; the span is 2 pi for a whole ring. Angles grow from x to y.
-    stretch : tuple of float
-        (p, q) of the ellipse as which the ring is seen by a tilted camera or with pixels that are not square: a
-        point (x, y) of the body is at ((1 + p) x + q y, q x + (1 - p) y).
-    """
-
-    hub: tuple[float, float]
-    inner: float
+    hub: tuple[float, float]  # centre (x, y) [px]; it may be outside the picture
+    inner: float  # radii [px]
     outer: float
-    rows: int
+    rows: int  # samples in radius and in angle
     columns: int
+    # first angle and length of the arc [rad]; the span is 2 pi for a whole ring. Angles grow from x to y
     start: float = 0.0
     span: float = TURN
+    # (p, q) of the ellipse as which the ring is seen by a tilted camera or with pixels that are not square: a
+    # point (x, y) of the body is at ((1 + p) x + q y, q x + (1 - p) y)
     stretch: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
@@ -81,15 +69,7 @@ class Ring:
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
     def trimmed(self, share: Floats, *, finest: float) -> Ring:
-        """Return the part of the ring whose rows explain at least 0.3 of the share of the best row.
-
-        Parameters
-        ----------
-        share : ndarray, shape (rows,)
-            Share of the change of brightness that the rotation explains in each row.
-        finest : float
-            Largest number of samples per radius.
-        """
+        """Return the rows with at least 0.3 of the `share` of the best row, and at most `finest` samples a radius."""
         good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
         if len(good) < 4:
             return self
@@ -167,34 +147,17 @@ def _slope(picture: Picture) -> Picture:
 
 @dataclass(frozen=True)
 class Template:
-    """The learnt picture of a body, and the fixed part of the image.
+    """The learnt picture of a body, and the fixed part of the image."""
 
-    Attributes
-    ----------
-    ring : Ring
-        Ring in which it was learnt.
-    body, fixed : ndarray, shape (rows, columns)
-        B and L, in grey levels.
-    body_variance, fixed_variance : ndarray, shape (rows, columns)
-        Variance of a sample of the body and of the image, and ...
-    noise : float
-        ... of the noise that both share.
-    allowed : ndarray of bool, shape (rows, columns)
-        Samples within the picture.
-    rows : slice
-        Rows of the ring that are used.
-    hub_sigma : float
-        Standard deviation of the hub's displacement from frame to frame [px]; 0 for a fixed hub.
-    """
-
-    ring: Ring
-    body: Picture
+    ring: Ring  # ring in which it was learnt
+    body: Picture  # B and L, in grey levels, (rows, columns)
     fixed: Picture
-    body_variance: Picture
+    body_variance: Picture  # variances of a sample of the body and of the image, (rows, columns)
     fixed_variance: Picture
-    noise: float
-    allowed: Bools
-    rows: slice = field(default_factory=lambda: ALL)
+    noise: float  # variance of the noise that both share
+    allowed: Bools  # samples within the picture, (rows, columns)
+    rows: slice = field(default_factory=lambda: ALL)  # rows of the ring that are used
+    # standard deviation of the hub's displacement from frame to frame [px]; 0 for a fixed hub
     hub_sigma: float = 0.0
     _phases: list[tuple[Picture, Picture]] = field(default_factory=list, repr=False)
     _shifts: list[Picture] = field(default_factory=list, repr=False)
@@ -239,45 +202,20 @@ class Template:
 
 @dataclass(frozen=True)
 class Pose:
-    """The registration of one frame.
+    """The registration of one frame."""
 
-    Attributes
-    ----------
-    angle : float
-        theta [rad], in the picture from x to y.
-    formal : float
-        Its uncertainty [rad] for independent noise of the learnt variances.
-    shift : tuple of float
-        Displacement of the hub (x, y) [px].
-    shift_sigma : float
-        Its formal uncertainty [px]; infinite if the shift was not fitted.
-    gain : float
-        Relative change of contrast.
-    misfit : float
-        Weighted mean square residual; 1 for a typical frame.
-    """
-
-    angle: float
-    formal: float
-    shift: tuple[float, float]
-    shift_sigma: float
-    gain: float
-    misfit: float
+    angle: float  # theta [rad], in the picture from x to y
+    formal: float  # its uncertainty [rad] for independent noise of the learnt variances
+    shift: tuple[float, float]  # displacement of the hub (x, y) [px]
+    shift_sigma: float  # its formal uncertainty [px]; infinite if the shift was not fitted
+    gain: float  # relative change of contrast
+    misfit: float  # weighted mean square residual; 1 for a typical frame
 
 
 def register(polar: Picture, template: Template, start: float, *, move: bool = False) -> Pose:
-    """Find the angle of a body in a polar picture by Gauss-Newton steps from a start value.
+    """Find the angle of a body in a polar picture by Gauss-Newton steps from a start value [rad].
 
-    Parameters
-    ----------
-    polar : ndarray, shape (rows, columns)
-        The frame.
-    template : Template
-        The body.
-    start : float
-        Start value [rad], accurate to the width of the details of the body.
-    move : bool
-        Whether the displacement of the hub is fitted as well.
+    The start must be accurate to the width of the details. With `move` the displacement of the hub is fitted as well.
     """
     ring = template.ring
     rows = template.rows
@@ -341,23 +279,10 @@ def learn(
 ) -> Template:
     """Estimate the picture of the body, the fixed part of the image, and the variances of both.
 
-    Parameters
-    ----------
-    polars : sequence of ndarray, shape (rows, columns)
-        Frames; they are read several times.
-    angles : ndarray, shape (n,)
-        Their angles [rad].
-    allowed : ndarray of bool
-        Samples within the picture.
-    ring : Ring
-        The ring.
-    separate : bool
-        Whether the motion is large enough (a turn and more) to distinguish the fixed picture from the body's.
-    counted : ndarray, shape (n,), optional
-        Weight of each frame.
-    plain : bool
-        Use the same variance for all samples: while angles or hub are inaccurate, the variances are largest at the
-        details of the body.
+    The `polars` are read several times; `allowed` are samples within the picture. `separate`: the motion is large
+    enough (a turn and more) to distinguish the fixed picture from the body's. `counted` are weights of the frames.
+    `plain`: the same variance for all samples; while angles or hub are inaccurate, the variances are largest at the
+    details.
     """
     counted = np.ones(len(polars)) if counted is None else counted
     usable = allowed.astype(np.float32)
@@ -444,26 +369,7 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Track a body through consecutive frames by correlation with the running mean of the earlier ones.
-
-    Parameters
-    ----------
-    polars : sequence of ndarray
-        Consecutive frames.
-    weight : ndarray, shape (rows, columns)
-        Weight of the samples in the image.
-    fixed : ndarray, shape (rows, columns)
-        Fixed part of the image, which is subtracted.
-    ring : Ring
-        The ring.
-    band : {"low", "middle", "high"}
-        See `correlation`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Angles before any refinement [rad].
-    """
+    """Track a body by correlation, weighted and less `fixed`, with the mean of the earlier frames, (n,) [rad]."""
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
@@ -502,15 +408,10 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
 
 
 def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:
-    """Return the share of the change of brightness between frames, beyond noise, that the rotation explains.
+    """Return the share of the change of brightness, beyond noise, that the rotation explains, in all and in each row.
 
     Frames are compared at the shortest lag at which the change is at least half of its maximum, so that slow changes of
-    the scene do not count as motion.
-
-    Returns
-    -------
-    tuple of (float, ndarray of shape (rows,))
-        The share in the whole ring and in each row, at most 1; 0 where the change does not exceed the noise.
+    the scene do not count as motion. The shares are at most 1, and 0 where the change does not exceed the noise.
     """
     usable = (template.allowed * template.ring.area).astype(np.float32)
     lags = [lag for lag in (1, 2, 4, 8, 16, 32) if lag < len(polars) // 2]

@@ -31,36 +31,19 @@ class Disc:
 
 @dataclass(frozen=True)
 class Marker:
-    """Geometry and contrast of one marker in a clip.
+    """Geometry and contrast of one marker in a clip."""
 
-    Attributes
-    ----------
-    name, body, colour : str
-        From the profile.
-    inner, outer : float
-        Inner and outer radius [px].
-    half_width : float
-        Half width at half maximum, with motion blur, as an angle at the centre [rad].
-    foot : float
-        Half width at a tenth of the maximum [rad].
-    contrast : tuple of float
-        Difference from the background: (U, V) for a colour, (Y, 0) for white, in grey levels.
-    dwell : float
-        Largest share of the samples in which it covers one angle: near 1 for a body at rest.
-    mount : float
-        Angle relative to the zero of the body, as seen (counter-clockwise) [rad].
-    """
-
-    name: str
+    name: str  # from the profile
     body: str
     colour: str
-    inner: float
+    inner: float  # inner and outer radius [px]
     outer: float
-    half_width: float
+    half_width: float  # half width at half maximum, with motion blur, as an angle at the centre [rad]
+    # difference from the background: (U, V) for a colour, (Y, 0) for white, in grey levels
     contrast: tuple[float, float]
-    foot: float
-    mount: float = 0.0
-    dwell: float = 0.0
+    foot: float  # half width at a tenth of the maximum [rad]
+    mount: float = 0.0  # angle relative to the zero of the body, as seen (counter-clockwise) [rad]
+    dwell: float = 0.0  # largest share of the samples in which it covers one angle: near 1 for a body at rest
 
     @property
     def radius(self) -> float:
@@ -70,37 +53,19 @@ class Marker:
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip's scene.
+    """A clip's scene."""
 
-    Attributes
-    ----------
-    centre : tuple of float
-        Centre of rotation (x, y) [px] at the time of acquisition.
-    disc : Disc or None
-        The disc at the centre; None where the centre is taken from the orbit.
-    markers : tuple of Marker
-        The markers that were found.
-    missing : tuple of str
-        Names of those that were not.
-    offsets : dict of tuple of float
-        Offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is significant: for a
-        tilted camera a body below the plane of the hub circles another point of the picture.
-    body_of : dict of str
-        The body of each marker of the profile, also of those that were not found.
-    warnings : tuple of str
-        What the user should know.
-    doubts : tuple of str
-        Reasons to inspect the result.
-    """
-
-    centre: tuple[float, float]
-    disc: Disc | None
+    centre: tuple[float, float]  # centre of rotation (x, y) [px] at the time of acquisition
+    disc: Disc | None  # the disc at the centre; None where the centre is taken from the orbit
     markers: tuple[Marker, ...]
-    missing: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  # names of those that were not
+    warnings: tuple[str, ...] = ()  # what the user should know
+    # offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is
+    # significant: for a tilted camera a body below the plane of the hub circles another point of the picture
     offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
+    # the body of each marker of the profile, also of those that were not found
     body_of: dict[str, str] = field(default_factory=dict)
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()  # reasons to inspect the result
 
     def axis(self, body: str) -> tuple[float, float]:
         """Return the centre of a body's orbits at the time of acquisition, (x, y) in px."""
@@ -215,13 +180,7 @@ class Samples:
 
 
 def take_samples(path: Path) -> Samples:
-    """Decode the samples of a film.
-
-    Raises
-    ------
-    VideoError
-        If no frame can be decoded.
-    """
+    """Decode the samples of a film; a VideoError if no frame can be decoded."""
     head: list[Frame] = []
     keep = FrameStore()
     with Reader(path) as reader:

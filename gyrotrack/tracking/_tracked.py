@@ -46,17 +46,9 @@ class Tracked:
 def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
     """Return the standard deviation of the white part of a series, the least by its differences of order 2 to 6.
 
-    Parameters
-    ----------
-    value : ndarray, shape (n,)
-        The series.
-    at : array_like, shape (n,), optional
-        Where it was sampled, in increasing order; evenly without it.
-
-    Notes
-    -----
-    A divided difference of order m has the weights 1 / prod_k (x_j - x_k), which cancel polynomials up to order m - 1;
-    scaled to unit norm, it has the variance of the noise. The scale is robust: 1.4826 times the median of the moduli.
+    A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which cancel
+    polynomials up to order m - 1; scaled to unit norm, it has the variance of the noise. The scale is robust: 1.4826
+    times the median of the moduli.
     """
     x = np.arange(len(value), dtype=np.float64) if at is None else np.asarray(at, dtype=np.float64)
     found = []
@@ -73,24 +65,13 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
 
 
 def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
-    """Return the rms error of the angles that a displaced hub causes [rad], by the two halves of the ring.
+    """Return the rms error of the angles that a displaced hub causes [rad], by the two `halves` (2, n) of the ring.
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Angles from the whole ring [rad].
-    halves : ndarray, shape (2, n)
-        Angles from its inner and its outer half alone [rad].
-    parts : tuple of Template
-        The halves.
-
-    Notes
-    -----
-    A hub displaced by e causes an error e / r once per turn at radius r, so that the halves at r1 and r2 differ by
-    e (1 / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and
-    its trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the
-    angle itself: too small a distance of the hub enlarges all angles of a pendulum. Values below three standard errors
-    count as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    A hub displaced by e causes an error e / r once per turn at radius r, so that the halves at r1 and r2 differ by e (1
+    / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and its
+    trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the angle
+    itself: too small a distance of the hub enlarges all angles of a pendulum. Values below three standard errors count
+    as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
     """
     if np.ptp(angle) > _MANY_TURNS * TURN:
         return 0.0

@@ -45,10 +45,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is turned for display: first mirrored left to right, then quarter turns.
-
-    `quarters` counts quarter turns counter-clockwise as `numpy.rot90` makes them.
-    """
+    """How the coded picture is turned: first mirrored left to right, then `quarters` as by `numpy.rot90`."""
 
     quarters: int = 0
     mirrored: bool = False
@@ -261,10 +258,7 @@ def packets_of(packets: Any) -> Iterator[Any]:
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
     """Decode packets in order without damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
 
-    Yields
-    ------
-    frame, bad
-        A decoded frame, and the number of damaged packets so far; at the end None and their total.
+    Yields (frame, number of damaged packets so far); at the end (None, their total).
     """
     bad = good = 0
     while bad <= most_bad + 2 * good:

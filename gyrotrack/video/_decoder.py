@@ -48,20 +48,7 @@ _PATIENCE = 0.05
 
 
 class ReadAhead(Generic[T]):
-    """An iterator that runs in a separate thread, a few items ahead of the consumer.
-
-    Parameters
-    ----------
-    source : iterator
-        Used by that thread only until `close`; its exceptions are raised in the consumer.
-    chunk : int
-        Items transferred at a time.
-
-    Examples
-    --------
-    >>> list(ReadAhead(iter(range(20))))[-1]
-    19
-    """
+    """An iterator whose source runs in its own thread, `chunk` items ahead; exceptions are raised in the consumer."""
 
     def __init__(self, source: Iterator[T], chunk: int = CHUNK) -> None:
         self._source = source
@@ -131,22 +118,11 @@ class Part:
 
 
 class Reader:
-    """All frames of a film, once, in order of presentation.
+    """All frames of a film, or of a part, once, in order of presentation.
 
-    Parameters
-    ----------
-    path : Path
-        The film.
-    threads : int
-        1: frames are decoded on demand. More: a separate thread decodes some frames ahead, and the decoder uses this
-        number of threads for frames in parallel.
-    part : Part
-        The frames to read; by default all.
-
-    Notes
-    -----
-    A packet that cannot be decoded is skipped and counted. After the iteration `decoded`, `stamps` and `warnings`
-    describe the film.
+    With one thread frames are decoded on demand, with more a separate thread decodes some frames ahead, and the decoder
+    uses this number of threads. A packet that cannot be decoded is skipped and counted. After the iteration `decoded`,
+    `stamps` and `warnings` describe the film.
     """
 
     def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
@@ -242,14 +218,8 @@ def film_warnings(
 ) -> tuple[str, ...]:
     """Return warnings about a decoded film, as sentences.
 
-    Parameters
-    ----------
-    info : ClipInfo
-        Metadata of the film.
-    seconds : ndarray, shape (n,)
-        Timestamps of its frames [s], NaN where a frame has none.
-    bad_packets, corrupt : int
-        Packets that could not be decoded, and frames that the decoder marks as damaged.
+    `seconds` (n,) are timestamps [s], NaN where a frame has none; `bad_packets` could not be decoded; `corrupt` frames
+    are marked as damaged by the decoder.
     """
     found = []
     if info.frames_declared > len(seconds):
@@ -365,16 +335,8 @@ Rows = npt.NDArray[np.uint8]
 class RepeatDetector:
     """Detects frames of a film that repeat the previous one.
 
-    Parameters
-    ----------
-    packets : Packets
-        Of the whole film.
-
-    Attributes
-    ----------
-    regular : bool
-        Whether runs of repeated frames are periodic, as after a conversion to another rate, according to the packets or
-        to the frames so far.
+    `regular` tells whether runs of repeated frames are periodic, as after a conversion to another rate, according to
+    the packets of the whole film or to the frames so far.
     """
 
     def __init__(self, packets: Packets) -> None:
@@ -415,10 +377,7 @@ def _difference(rows: Rows, last: Rows) -> float:
 
 
 def _usual(differences: tuple[float, ...]) -> float:
-    """Return the typical difference between unrepeated frames: a high quantile, as three in four may be repeated.
-
-    The largest of few values may be due to a cut.
-    """
+    """Return the typical difference of unrepeated frames, a high quantile (3 in 4 may be repeated; not a cut)."""
     return sorted(differences)[min(len(differences) - 2, int(_MOST * len(differences)))]
 
 

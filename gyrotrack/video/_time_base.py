@@ -33,13 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Decide the capture rate: the one requested, else the profile's, else the camera's tag, else the container's.
-
-    Raises
-    ------
-    VideoError
-        If only a container rate below 100 fps is known, or a rate is not a positive number.
-    """
+    """Return the requested rate [1/s], else the profile's, the camera's tag's, or the container's from 100 fps."""
     for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
@@ -71,21 +65,12 @@ COARSEST_TICK = 1e-3
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
-    """Return the numbers of a film's frames by their timestamps, without those of missing frames.
+    """Return the numbers of a film's frames by their timestamps (n,) [s], NaN where missing, without missing frames.
 
-    Parameters
-    ----------
-    pts : ndarray, shape (n,)
-        Timestamps in s, in order, NaN where a frame has none.
-    tick : float
-        Unit of the timestamps in s; 1 ms at most counts.
-
-    Notes
-    -----
-    The period is the median spacing. A step counts as a gap only beyond 1.5 periods and 1.1 ticks more than one,
-    because stamps in whole ticks jitter by one: in Matroska (1 ms) a single missing frame cannot be detected above 900
-    frames/s. Films whose stamps are otherwise not equally spaced
-    (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
+    `tick` is the unit of the timestamps in s; 1 ms at most counts. The period is the median spacing. A step counts as a
+    gap only beyond 1.5 periods and 1.1 ticks more than one, because stamps in whole ticks jitter by one: in Matroska (1
+    ms) a single missing frame cannot be detected above 900 frames/s. Films whose stamps are otherwise not equally
+    spaced (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
@@ -178,10 +163,7 @@ class FrameTimes:
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
-        """Return the times in s at a capture rate, (n,).
-
-        An inserted frame gets a time between those of its neighbours.
-        """
+        """Return the times in s at a capture rate, (n,); an inserted frame is between its neighbours."""
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
             same = self.again & (np.diff(self.number, prepend=-1) == 0)
@@ -210,13 +192,7 @@ class Timing:
             )
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
-        """Return when the frames with the timestamps `pts` (n,) [s] were taken; `tick` is the stamps' unit [s].
-
-        Raises
-        ------
-        VideoError
-            Timestamps are requested and not available.
-        """
+        """Return when frames with timestamps `pts` (n,) of the unit `tick` [s] were taken; an error if unavailable."""
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:

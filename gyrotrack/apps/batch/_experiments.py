@@ -67,31 +67,16 @@ class Clip:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One case to be processed.
+    """One case to be processed."""
 
-    Attributes
-    ----------
-    label : str
-        Name of the case.
-    clips : tuple of Clip
-        One film of the casing and one or more of the rotor, or a single film that is only tracked.
-    data : Path or None
-        An existing case file instead of films.
-    surface : str
-        Surface on which the casing turns.
-    inertia_rotor, inertia_casing : str or None
-        Moments of inertia as `gyrotrack.io._records.Inertia` reads them.
-    folder : str
-        Unique name of its folder of results.
-    """
-
-    label: str
+    label: str  # name of the case
+    # one film of the casing and one or more of the rotor, or a single film that is only tracked
     clips: tuple[Clip, ...] = ()
-    data: Path | None = None
-    surface: str = ""
-    inertia_rotor: str | None = None
+    data: Path | None = None  # an existing case file instead of films
+    surface: str = ""  # surface on which the casing turns
+    inertia_rotor: str | None = None  # moments of inertia as `gyrotrack.io._records.Inertia` reads them
     inertia_casing: str | None = None
-    folder: str = ""
+    folder: str = ""  # unique name of its folder of results
 
     @property
     def alone(self) -> bool:
@@ -100,13 +85,8 @@ class Experiment:
 
 
 def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
-    """Assign a unique folder name to each experiment, and check the experiments.
-
-    A ConfigurationError is raised if there is none, two have the same label, or one lacks a film of the casing or of
-    the rotor.
-    """
-    found, folders = [], set[str]()
-    labels: set[str] = set()
+    """Assign a unique folder name to each experiment, and check that they are complete and have different labels."""
+    found, folders, labels = [], set[str](), set[str]()
     for e in experiments:
         if e.label in labels:
             raise ConfigurationError(
@@ -114,13 +94,7 @@ def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experi
             )
         labels.add(e.label)
         _check_films(e, where)
-        folder = stem = folder_name(e.label)
-        number = 1
-        while folder.casefold() in folders:
-            number += 1
-            folder = f"{stem}_{number}"
-        folders.add(folder.casefold())
-        found.append(Experiment(**{**vars(e), "folder": folder}))
+        found.append(replace(e, folder=unique_name(e.label, folders)))
     if not found:
         raise ConfigurationError(
             f"{where} contains no film and no case.",
@@ -145,6 +119,17 @@ def folder_name(label: str) -> str:
     return f"{name}_" if name.partition(".")[0].casefold() in _DEVICES else name
 
 
+def unique_name(label: str, taken: set[str]) -> str:
+    """Return the name of a folder for a label that is not among the names `taken`, and add it to them."""
+    name = stem = folder_name(label)
+    number = 1
+    while name.casefold() in taken:
+        number += 1
+        name = f"{stem}_{number}"
+    taken.add(name.casefold())
+    return name
+
+
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
@@ -155,23 +140,17 @@ def with_inertias(
     """
     made = []
     for e in experiments:
-        if e.data is None and not e.alone:
-            own: dict[str, Any] = {
-                f"inertia_{body}": getattr(e, f"inertia_{body}") or given[body]
-                for body in ("rotor", "casing")
-            }
-            for body in ("rotor", "casing"):
-                text = own[f"inertia_{body}"]
-                if text is not None:
-                    Inertia.of(text, body)
-                elif f"--inertia-{body}" not in skip:
-                    raise UsageError(
-                        f"The moment of inertia of the {body} of the case '{e.label[:60]}' is not given.",
-                        f"Write inertia_{body} in the manifest or study.toml, or give --inertia-{body}.",
-                    )
-            made.append(replace(e, **own))
-        else:
-            made.append(e)
+        own: dict[str, Any] = {}
+        for body in ("rotor", "casing") if e.data is None and not e.alone else ():
+            own[f"inertia_{body}"] = text = getattr(e, f"inertia_{body}") or given[body]
+            if text is not None:
+                Inertia.of(text, body)
+            elif f"--inertia-{body}" not in skip:
+                raise UsageError(
+                    f"The moment of inertia of the {body} of the case '{e.label[:60]}' is not given.",
+                    f"Write inertia_{body} in the manifest or study.toml, or give --inertia-{body}.",
+                )
+        made.append(replace(e, **own))
     return tuple(made)
 
 
@@ -189,10 +168,12 @@ def _inertia_text(value: Any) -> str | None:
 InertiaText = Annotated[str | None, BeforeValidator(_inertia_text)]
 
 
-class Film(BaseModel):
-    """One film."""
-
+class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Film(_Strict):
+    """One film."""
 
     file: str
     body: Literal["casing", "rotor"]
@@ -200,10 +181,8 @@ class Film(BaseModel):
     profile: str | None = None
 
 
-class Study(BaseModel):
+class Study(_Strict):
     """A study file (``study.toml``)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     label: str = Field(min_length=1, max_length=120)
     surface: str = ""
@@ -220,13 +199,7 @@ def read_study(path: Path) -> Experiment:
         Clip(root / c.file, c.body, c.capture_fps, root / c.profile if c.profile is not None else None)
         for c in sorted(study.clip, key=lambda c: c.body)
     )
-    return Experiment(
-        study.label,
-        clips,
-        surface=study.surface,
-        inertia_rotor=study.inertia_rotor,
-        inertia_casing=study.inertia_casing,
-    )
+    return Experiment(study.label, clips, None, study.surface, study.inertia_rotor, study.inertia_casing)
 
 
 _RULE = re.compile(r"(?:(?P<label>.+?)[ _-])?(?P<body>casing|rotor)(?![a-z]).*", re.IGNORECASE)
@@ -236,10 +209,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments below a folder; hidden folders, links to folders and the results (`skip`) are left out.
-
-    The capture rates [1/s] are those of films whose names do not contain one.
-    """
+    """Find the experiments below a folder, not in hidden folders, links and `skip`, with rates for unnamed ones."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
@@ -280,29 +250,25 @@ def _experiments_in(
         if bodies.count("casing") == 1 and "rotor" in bodies:
             made.append(Experiment(label, tuple(clips)))
         else:  # incomplete case: the films are only tracked
-            alone += [
-                Experiment(f"{label}/{c.file.stem}", (Clip(c.file, "", c.capture_fps, c.profile),))
-                for c in clips
-            ]
+            alone += [Experiment(f"{label}/{c.file.stem}", (replace(c, body=""),)) for c in clips]
     return [*made, *alone]
 
 
 MOST = 100_000
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Defaults(_Strict):
-    """Values for every case and film without its own values."""
-
-    casing_fps: float | None = Field(default=None, gt=0)
-    rotor_fps: float | None = Field(default=None, gt=0)
+class _Facts(_Strict):
     profile: str | None = None
     surface: str | None = None
     inertia_rotor: InertiaText = None
     inertia_casing: InertiaText = None
+
+
+class Defaults(_Facts):
+    """Values for every case and film without its own values."""
+
+    casing_fps: float | None = Field(default=None, gt=0)
+    rotor_fps: float | None = Field(default=None, gt=0)
 
 
 class CaseEntry(Defaults):
@@ -341,41 +307,27 @@ class Manifest(_Strict):
     clip: tuple[ClipEntry, ...] = Field(default=(), max_length=MOST)
 
 
-class _Row(_Strict):
+class _Row(_Facts):
     """One row of a CSV manifest."""
 
     case: str = ""
     body: Body = ""
     file: str = Field(min_length=1)
     capture_fps: float | None = Field(default=None, gt=0)
-    profile: str | None = None
-    surface: str | None = None
-    inertia_rotor: InertiaText = None
-    inertia_casing: InertiaText = None
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or, with the suffix ``.csv``, in CSV.
-
-    Films are checked only when they are opened, so that a missing film does not stop the others.
-    """
+    """Read a manifest in TOML or CSV; films are checked when they are opened, so that one does not stop the others."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")
     root = path.resolve().parent
     cases = [_case(root, entry, manifest.defaults, i) for i, entry in enumerate(manifest.case, 1)]
-    clips = [
-        Experiment(
-            c.label or Path(c.file).stem,
-            (
-                Clip(
-                    root / c.file, "", c.capture_fps, _resolved(root, c.profile or manifest.defaults.profile)
-                ),
-            ),
-        )
-        for c in manifest.clip
-    ]
-    return with_folders([*cases, *clips], path)
+    for c in manifest.clip:
+        profile = _resolved(root, c.profile or manifest.defaults.profile)
+        clip = Clip(root / c.file, "", c.capture_fps, profile)
+        cases.append(Experiment(c.label or Path(c.file).stem, (clip,)))
+    return with_folders(cases, path)
 
 
 def _case(root: Path, entry: CaseEntry, defaults: Defaults, number: int) -> Experiment:
@@ -412,23 +364,20 @@ def _from_rows(path: Path) -> list[Experiment]:
         raise ConfigurationError(
             f"{path}, line {reader.line_num}: {error}.", "Write the manifest as plain CSV."
         ) from error
-    own = [r for r in rows if not r.case]
-    made = [
-        Experiment(Path(r.file).stem, (Clip(root / r.file, "", r.capture_fps, _resolved(root, r.profile)),))
-        for r in own
-    ]
-    shared = sorted((r for r in rows if r.case), key=lambda r: r.case)
+
+    def clip(r: _Row, body: Body) -> Clip:
+        return Clip(root / r.file, body, r.capture_fps, _resolved(root, r.profile))
+
+    made = [Experiment(Path(r.file).stem, (clip(r, ""),)) for r in rows if not r.case]
+    shared = sorted((r for r in rows if r.case), key=lambda r: (r.case, r.body))
     for label, group in groupby(shared, key=lambda r: r.case):
         films = list(group)
-        facts = {
+        facts: dict[str, Any] = {
             name: next((v for r in films if (v := getattr(r, name)) is not None), None)
             for name in ("surface", "inertia_rotor", "inertia_casing")
         }
-        clips = tuple(
-            Clip(root / r.file, r.body, r.capture_fps, _resolved(root, r.profile))
-            for r in sorted(films, key=lambda r: r.body)
-        )
-        made.append(Experiment(label, clips, **{**facts, "surface": facts["surface"] or ""}))  # type: ignore[arg-type]
+        facts["surface"] = facts["surface"] or ""
+        made.append(Experiment(label, tuple(clip(r, r.body) for r in films), **facts))
     return made
 
 

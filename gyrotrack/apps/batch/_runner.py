@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -46,10 +46,7 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps, each after those that it needs.
-
-    `report` is called with (step, outcome) when a step has ended, `progress` with (steps ended, steps in total).
-    """
+    """One execution of all steps; `report` is called with (step, outcome), `progress` with (steps ended, in total)."""
 
     def __init__(
         self,
@@ -203,11 +200,8 @@ def _error(answer: dict[str, Any]) -> dict[str, Any]:
     if isinstance(found, dict):
         return found
     if found is not None or answer["code"] not in {0, _NOT_TRUSTED}:
-        return {
-            "code": "bug",
-            "message": f"The step ended with exit code {answer['code']} and no message.",
-            "hint": "",
-        }
+        message = f"The step ended with exit code {answer['code']} and no message."
+        return {"code": "bug", "message": message, "hint": ""}
     return {}
 
 
@@ -254,14 +248,11 @@ def _row(e: Experiment, outcomes: dict[str, Outcome]) -> Row:
     bad = [(name, o) for name, o in outcomes.items() if o.state == "failed"]
     blocked = any(o.state == "blocked" for o in outcomes.values())
     casing = (fit.get("cases") or [{}])[0].get("casing", {})
+    state = "failed" if blocked or not good or "fit" in dict(bad) else "partly"
     return Row(
         label=e.label,
         folder=e.folder,
-        state="done"
-        if not bad and not blocked
-        else "failed"
-        if blocked or not good or "fit" in dict(bad)
-        else "partly",
+        state=state if bad or blocked else "done",
         films=len(films),
         tracked=len(good),
         frames=sum(int(d.get("frames", 0)) for d in good),
@@ -273,7 +264,7 @@ def _row(e: Experiment, outcomes: dict[str, Outcome]) -> Row:
         trusted=all(o.trusted for o in outcomes.values()),
         warnings=sum(len(o.document.get("warnings", ())) for o in outcomes.values()),
         seconds=round(sum(o.seconds for o in outcomes.values()), 3),
-        problem=_problem(*bad[0]) if bad else "",
+        problem=next((f"{n}: {o.document.get('error', {}).get('message', 'it failed')}" for n, o in bad), ""),
     )
 
 
@@ -287,10 +278,6 @@ def _missing(diagnosis: dict[str, Any], improved: Outcome | None) -> str:
     return " or ".join([str(best.get("effect", "")), *alike])
 
 
-def _problem(name: str, outcome: Outcome) -> str:
-    return f"{name}: {outcome.document.get('error', {}).get('message', 'it failed')}"
-
-
 def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -> list[Path]:
     """Write ``summary.csv`` and ``summary.json`` into the folder of the results."""
     text = io.StringIO()
@@ -300,15 +287,12 @@ def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -
         cells = asdict(row).values()
         writer.writerow([plain_cell(c) if isinstance(c, str) else "" if c is None else c for c in cells])
     document = {**facts, "cases": [asdict(row) for row in rows]}
-    written = []
-    for name, content in (
-        ("summary.csv", text.getvalue()),
-        ("summary.json", json.dumps(document, indent=1, allow_nan=False) + "\n"),
-    ):
-        with new_file(folder / name, force=True) as stream:
+    plain = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    contents = {folder / "summary.csv": text.getvalue(), folder / "summary.json": plain}
+    for path, content in contents.items():
+        with new_file(path, force=True) as stream:
             stream.write(content.encode())
-        written.append(folder / name)
-    return written
+    return list(contents)
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
@@ -316,13 +300,10 @@ def lines(rows: Sequence[Row]) -> list[str]:
     out = [f"{'case':<20}{'films':>7}{'frames':>8}  {'fit':<14}{'rmse':>9}{'chi2/n':>9}  missing"]
     for r in rows:
         name = r.label if len(r.label) < 20 else "..." + r.label[-16:]
-        numbers = "".join(
-            f"{v:>9.3g}" if v is not None else f"{'-':>9}" for v in (r.rmse_casing, r.reduced_chi2)
-        )
-        verdict = r.fit or ("-" if r.state == "done" else r.state)
-        out.append(
-            f"{name:<20}{f'{r.tracked}/{r.films}':>7}{r.frames:>8}  {verdict:<14}{numbers}  {r.missing}".rstrip()
-        )
+        rmse, chi2 = ("-" if v is None else f"{v:.3g}" for v in (r.rmse_casing, r.reduced_chi2))
+        films, verdict = f"{r.tracked}/{r.films}", r.fit or ("-" if r.state == "done" else r.state)
+        line = f"{name:<20}{films:>7}{r.frames:>8}  {verdict:<14}{rmse:>9}{chi2:>9}  {r.missing}"
+        out.append(line.rstrip())
     failures = [f"  {r.label}: {r.problem}" for r in rows if r.problem]
     return [*out, *(["", "failures:", *failures] if failures else [])]
 
@@ -359,24 +340,18 @@ def run_batch(
     report: Report,
     bar: Callable[[], AbstractContextManager[Callable[[int, int | None], None]]],
 ) -> BatchResult:
-    """Run the steps of a batch that are not complete.
+    """Run the steps of a batch that are not complete, on this machine or on the Dask cluster of a scheduler.
 
-    They run in processes on this machine, by default one per core, or on the Dask cluster of a scheduler. `report` is
-    called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called with (done,
-    total). An OutputError is raised if another run uses the folder, or it contains other files.
+    `report` is called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called
+    with (done, total).
     """
     began = perf_counter()
     with locked_folder(output):
         journal = Journal(output / _JOURNAL)
-        place: Workers = (
-            ClusterWorkers(scheduler, certificates) if scheduler else LocalWorkers(workers or cores())
-        )
-        try:
-            with bar() as progress:
-                run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
-                outcomes = run.work(place)
-        finally:
-            place.close()
+        cluster = ClusterWorkers(scheduler, certificates) if scheduler else None
+        with closing(cluster or LocalWorkers(workers or cores())) as place, bar() as progress:
+            run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
+            outcomes = run.work(place)
         rows = summarise(cases, steps, outcomes)
         counts = {state: sum(o.state == state for o in outcomes.values()) for state in STATES}
         seconds = round(perf_counter() - began, 3)

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 
 from gyrotrack._errors import OutputError
 from gyrotrack._versions import __version__
-from gyrotrack.apps.batch._experiments import Clip, Experiment, folder_name
+from gyrotrack.apps.batch._experiments import Clip, Experiment, unique_name
 from gyrotrack.io._atomic import locked, refuse_special
 
 VERBS = ("extract", "sync", "fit", "diagnose", "improve", "report")
@@ -83,11 +83,8 @@ def plan(experiments: Sequence[Experiment], results: Path, request: Request) -> 
 
 
 def _experiment_steps(e: Experiment, folder: Path, request: Request) -> list[Step]:
-    steps: list[Step] = []
-    names: set[str] = set()
-    for clip in e.clips:
-        stem = _unique(clip.file.stem, names)
-        steps.append(_extract(e, clip, folder / f"{stem}.h5"))
+    names = {"case"}
+    steps = [_extract(e, c, folder / f"{unique_name(c.file.stem, names)}.h5") for c in e.clips]
     if e.alone:
         return steps
     case = folder / "case.h5" if e.data is None else e.data.resolve()
@@ -115,15 +112,7 @@ def _experiment_steps(e: Experiment, folder: Path, request: Request) -> list[Ste
 
 
 def _extract(e: Experiment, clip: Clip, output: Path) -> Step:
-    words = [
-        str(clip.file),
-        "-o",
-        str(output),
-        "--force",
-        "--resume",
-        "--workers",
-        "1",
-    ]
+    words = [str(clip.file), "-o", str(output), "--force", "--resume", "--workers", "1"]
     if clip.capture_fps is not None:
         words += ["--capture-fps", f"{clip.capture_fps:g}"]
     if clip.profile is not None:
@@ -139,37 +128,21 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
         inertia = getattr(e, f"inertia_{body}")
         if inertia is not None:
             words += [f"--inertia-{body}", inertia]
-    return Step(
-        f"{e.folder}/sync",
-        e.folder,
-        "sync",
-        tuple(words),
-        case,
-        (),
-        (casing.name,),
-        tuple(r.name for r in rotors),
-    )
+    needs = (casing.name,), tuple(r.name for r in rotors)
+    return Step(f"{e.folder}/sync", e.folder, "sync", tuple(words), case, (), *needs)
 
 
 def arguments_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
     """Return the final arguments of a step: without failed films, with the name of the latest fit."""
     lost = {str(steps[name].output) for name in step.needs_any if not ended[name].good}
-    fits = [
-        document.get("fit_id") or document.get("final", {}).get("fit_id")
-        for name in step.needs
-        if steps[name].verb in {"fit", "improve"} and (document := ended[name].document)
-    ]
+    made = [ended[name].document for name in step.needs if steps[name].verb in {"fit", "improve"}]
+    fits = [_fit_of(document) for document in made if document]
     return [str(fits[-1]) if word == FIT else word for word in step.words if word not in lost]
 
 
-def _unique(stem: str, taken: set[str]) -> str:
-    name = base = folder_name(stem)
-    number = 1
-    while name.casefold() in taken or name.casefold() == "case":
-        number += 1
-        name = f"{base}_{number}"
-    taken.add(name.casefold())
-    return name
+def _fit_of(document: Mapping[str, Any]) -> Any:
+    """Return the name of the fit in a document of `fit` or `improve`."""
+    return document.get("fit_id") or document.get("final", {}).get("fit_id")
 
 
 HEADER = {"format": "gyrotrack batch", "version": 1}
@@ -206,15 +179,11 @@ class Journal:
 
     def kept(self, step: Step, key: str) -> Outcome | None:
         """Return the outcome in an earlier run if neither sources nor output of the step have changed."""
-        record = self._records.get(step.name)
-        if record is None or record.get("key") != key or not record.get("fingerprint"):
+        record = self._records.get(step.name, {})
+        document, known = record.get("document", {}), record.get("fingerprint")
+        if record.get("key") != key or not known or fingerprint(step, document) != known:
             return None
-        document = record.get("document", {})
-        if fingerprint(step, document) != record["fingerprint"]:
-            return None
-        return Outcome(
-            "kept", document, record["fingerprint"], record.get("seconds", 0.0), record.get("trusted", True)
-        )
+        return Outcome("kept", document, known, record.get("seconds", 0.0), record.get("trusted", True))
 
     def add(self, step: Step, key: str, outcome: Outcome) -> None:
         """Append the outcome of a step and flush it to the disk."""
@@ -260,9 +229,7 @@ def step_key(
 def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
     """Return a hash of the output of a step, or "" if it does not exist."""
     if step.verb in {"fit", "improve"}:  # the same ledger contains later fits
-        return _fit_digest(
-            step.output, str(document.get("fit_id") or document.get("final", {}).get("fit_id"))
-        )
+        return _fit_digest(step.output, str(_fit_of(document)))
     return file_digest(step.output) or ""
 
 
@@ -295,10 +262,7 @@ def _parsed(text: str) -> Any:
 
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
-    """Create the folder if necessary, and lock it against other batches within the context.
-
-    An OutputError says that another batch uses it, it cannot be created, or it contains other files.
-    """
+    """Create the folder if necessary, and lock it against other batches; an OutputError if it contains other files."""
     with _lock_file(results), locked(results):
         yield
 

@@ -78,10 +78,12 @@ class Child:
         if not line.endswith("\n"):
             self.close()
             if late.is_set():
-                return failure(
-                    "timeout", f"The time limit of {timeout:g} s was reached.", "Raise it with --timeout."
-                )
-            return _crashed(process.returncode)
+                what = f"The time limit of {timeout:g} s was reached."
+                return failure("timeout", what, "Raise it with --timeout.")
+            code = process.returncode
+            how = f"by signal {-code}" if code and code < 0 else f"with exit code {code}"
+            hint = "Check the limits of memory, processes and open files."
+            return failure("crash", f"The worker process ended {how}, without an answer.", hint)
         return checked(line)
 
     def close(self) -> None:
@@ -158,21 +160,9 @@ def checked(text: str | bytes) -> Answer:
     ):
         return failure("crash", "The worker's answer is not valid.", "Install the same version everywhere.")
     if answer.get("version", __version__) != __version__:
-        return failure(
-            "version",
-            f"The worker runs gyrotrack {str(answer['version'])[:40]}, not {__version__}.",
-            "Install the same version everywhere.",
-        )
+        what = f"The worker runs gyrotrack {str(answer['version'])[:40]}, not {__version__}."
+        return failure("version", what, "Install the same version everywhere.")
     return answer
-
-
-def _crashed(code: int | None) -> Answer:
-    how = f"by signal {-code}" if code and code < 0 else f"with exit code {code}"
-    return failure(
-        "crash",
-        f"The worker process ended {how}, without an answer.",
-        "Check the limits of memory, processes and open files.",
-    )
 
 
 def failure(code: str, message: str, hint: str) -> Answer:
@@ -235,10 +225,7 @@ class Certificates:
     key: Path | None = None
 
     def security(self, address: str) -> Any:
-        """Return distributed's `Security` for an address, or None for one without TLS.
-
-        A UsageError is raised if certificates for a tls:// address are missing, or given for another address.
-        """
+        """Return distributed's `Security` for a tls:// address, else None; certificates must be given for it alone."""
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
             if any(named.values()):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import sys
 import traceback
@@ -199,7 +200,8 @@ def _report(error: Exception, *, as_json: bool) -> int:
         return _report_usage(error, as_json=as_json)
     if isinstance(error, typer.Abort):
         return _interrupted(as_json=as_json)
-    if _is_documented(error):
+    # the errors of both packages have a code, a message and a hint
+    if all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint")):
         stated: Any = error
         report_error(stated.code, stated.message, stated.hint, as_json=as_json)
         return int(getattr(stated, "exit_code", FAULT))
@@ -209,65 +211,40 @@ def _report(error: Exception, *, as_json: bool) -> int:
     place = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
     message = f"Internal error in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
-    report_error(
-        "bug",
-        message,
-        "This is a bug: run the command with --debug and report the traceback.",
-        as_json=as_json,
-    )
+    hint = "This is a bug: run the command with --debug and report the traceback."
+    report_error("bug", message, hint, as_json=as_json)
     return FAULT
 
 
-_MEMORY = (
-    "There is not enough memory.",
-    "Close other programs, raise the memory limit, or process a shorter film.",
+# code, message, hint
+_LIMIT = "Raise the limit (`ulimit -{}`), or close other programs."
+_SHORTER = "Close other programs, raise the memory limit, or process a shorter film."
+_MEMORY = ("memory", "There is not enough memory.", _SHORTER)
+_PROCESSES = ("processes", "No further process or thread can be started.", _LIMIT.format("u"))
+_FILES = ("files", "No further file can be opened.", _LIMIT.format("n"))
+_DISK = ("disk", "The disk is full or the quota is reached.", "Free some space and run the command again.")
+_WORKER = (
+    "processes",
+    "A worker process could not be started, or was ended by the system.",
+    "Raise the limits of memory and processes (`ulimit -v`, `ulimit -u`).",
 )
-_PROCESSES = (
-    "No further process or thread can be started.",
-    "Raise the limit (`ulimit -u`), or close other programs.",
-)
-_FILES = ("No further file can be opened.", "Raise the limit (`ulimit -n`), or close other programs.")
-_DISK = ("The disk is full or the quota is reached.", "Free some space and run the command again.")
 
 # libraries report exhausted resources in many ways: MemoryError, OSError with an errno, RuntimeError("can't start new
 # thread"), cv2.error, an ImportError of a shared library that cannot be mapped, a broken process pool
 _BY_NUMBER = {
-    errno.ENOMEM: ("memory", *_MEMORY),
-    errno.EAGAIN: ("processes", *_PROCESSES),
-    errno.EMFILE: ("files", *_FILES),
-    errno.ENFILE: ("files", *_FILES),
-    errno.ENOSPC: ("disk", *_DISK),
-    errno.EDQUOT: ("disk", *_DISK),
-    errno.EFBIG: ("disk", *_DISK),
+    errno.ENOMEM: _MEMORY,
+    errno.EAGAIN: _PROCESSES,
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), _FILES),
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _DISK),
 }
-_BY_TEXT = (
-    (
-        ("can't start new thread", "can't create new thread", "pthread_create failed"),
-        ("processes", *_PROCESSES),
+_BY_TEXT = {
+    "can't (start|create) new thread|pthread_create failed": _PROCESSES,
+    "too many open files": _FILES,
+    "(cannot|unable to) allocate|failed to map segment|(out of|insufficient) memory|bad[_ ]alloc|memory allocation": (
+        _MEMORY
     ),
-    (("too many open files",), ("files", *_FILES)),
-    (
-        (
-            "cannot allocate memory",
-            "failed to map segment",
-            "out of memory",
-            "insufficient memory",
-            "unable to allocate",
-            "bad_alloc",
-            "bad allocation",
-            "memory allocation",
-        ),
-        ("memory", *_MEMORY),
-    ),
-    (
-        ("process pool", "resource temporarily unavailable"),
-        (
-            "processes",
-            "A worker process could not be started, or was ended by the system.",
-            "Raise the limits of memory and processes (`ulimit -v`, `ulimit -u`).",
-        ),
-    ),
-)
+    "process pool|resource temporarily unavailable": _WORKER,
+}
 
 
 def _exhausted_resource(error: BaseException | None) -> tuple[str, str, str] | None:
@@ -276,20 +253,15 @@ def _exhausted_resource(error: BaseException | None) -> tuple[str, str, str] | N
         if error is None:
             return None
         if isinstance(error, MemoryError):
-            return ("memory", *_MEMORY)
+            return _MEMORY
         if isinstance(error, OSError) and error.errno in _BY_NUMBER:
             return _BY_NUMBER[error.errno]
         text = f"{type(error).__name__} {error}".lower()
-        for words, answer in _BY_TEXT:
-            if any(word in text for word in words):
+        for words, answer in _BY_TEXT.items():
+            if re.search(words, text):
                 return answer
         error = error.__cause__ or error.__context__
     return None
-
-
-def _is_documented(error: Exception) -> bool:
-    """Return whether an error has a code, a message and a hint, as the errors of both packages have."""
-    return all(isinstance(getattr(error, name, None), str) for name in ("code", "message", "hint"))
 
 
 def _report_usage(error: Any, *, as_json: bool) -> int:

@@ -23,16 +23,9 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack._versions import __version__
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, NOT_TRUSTED, TERMINATED, Output, command_line
-from gyrotrack.apps.cli._settings import (
-    InertiaCasing,
-    InertiaRotor,
-    Json,
-    Quiet,
-    Verbose,
-    function_of,
-    option,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from gyrotrack.apps.batch._experiments import Experiment
@@ -86,13 +79,13 @@ def batch_command(
     rotor_fps: Annotated[
         float | None, option("--rotor-fps N", "Capture rate of the rotor films in a folder [1/s].")
     ] = None,
-    inertia_rotor: InertiaRotor = None,
-    inertia_casing: InertiaCasing = None,
+    inertia_rotor: shared.InertiaRotor = None,
+    inertia_casing: shared.InertiaCasing = None,
     timeout: Annotated[float, option("--timeout S", "Time limit of one step [s].", min=1.0)] = 7200.0,
     dry_run: Annotated[bool, option("--dry-run", "List the steps and run none.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
 ) -> int:
     """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
 
@@ -208,7 +201,7 @@ def config_command(
     ] = None,
     *,
     everything: Annotated[bool, option("--all", "Also show options at their defaults.")] = False,
-    as_json: Json = False,
+    as_json: shared.Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
 
@@ -227,7 +220,7 @@ def config_command(
     settings = settings_in_use()
     rows: dict[str, dict[str, dict[str, Any]]] = {}
     for entry in chosen:
-        defaults = inspect.signature(function_of(entry)).parameters
+        defaults = inspect.signature(shared.function_of(entry)).parameters
         held = settings.values.get(entry.name, {})
         for parameter, key in options_of(entry).items():
             if parameter in held:

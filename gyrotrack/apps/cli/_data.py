@@ -11,24 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import UsageError
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
-from gyrotrack.apps.cli._settings import (
-    Cuts,
-    Force,
-    InertiaCasing,
-    InertiaRotor,
-    Json,
-    Label,
-    Likelihood,
-    Marker,
-    OutputFile,
-    Quiet,
-    StartTime,
-    StopTime,
-    Surface,
-    Verbose,
-    option,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from gyrotrack.io._contents import Inspection
@@ -47,23 +32,12 @@ def import_command(
         Path | None,
         option("--body FILE", "The same quantities of a single body, instead of casing and rotor."),
     ] = None,
-    inertia: Annotated[
-        str | None, option("--inertia I", "Moment of inertia of the single body [kg m2].")
-    ] = None,
-    output: OutputFile,
-    columns: Annotated[
-        list[str] | None,
-        option(
-            "--column QUANTITY=COLUMN",
-            "Meaning of a column, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
-            "revolutions=3; of one body only: casing.revolutions=5.",
-        ),
-    ] = None,
-    marker: Marker = None,
-    centre: Annotated[
-        str | None, option("--centre C", "Centre of rotation: a point, X,Y in px, or orbit.")
-    ] = None,
-    likelihood: Likelihood = 0.6,
+    inertia: shared.BodyInertia = None,
+    output: shared.OutputFile,
+    columns: shared.Columns = None,
+    marker: shared.Marker = None,
+    centre: shared.Centre = None,
+    likelihood: shared.Likelihood = 0.6,
     casing_fps: Annotated[
         float | None, option("--casing-fps N", "Capture rate of a file without times, casing or body [1/s].")
     ] = None,
@@ -73,23 +47,21 @@ def import_command(
     rotor_start: Annotated[
         list[float] | None, option("--rotor-start T", "Start of a rotor file of points [s]; once per file.")
     ] = None,
-    pulses_per_turn: Annotated[
-        float | None, option("--pulses-per-turn N", "The file contains times of pulses, N per turn.")
-    ] = None,
-    start: StartTime = None,
-    stop: StopTime = None,
-    cut: Cuts = None,
+    pulses_per_turn: shared.PulsesPerTurn = None,
+    start: shared.StartTime = None,
+    stop: shared.StopTime = None,
+    cut: shared.Cuts = None,
     keep_all: Annotated[
         bool, option("--keep-all", "Keep drive, brake and rest at the ends of the record (--body).")
     ] = False,
-    label: Label = None,
-    surface: Surface = "",
-    inertia_rotor: InertiaRotor = None,
-    inertia_casing: InertiaCasing = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    label: shared.Label = None,
+    surface: shared.Surface = "",
+    inertia_rotor: shared.InertiaRotor = None,
+    inertia_casing: shared.InertiaCasing = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
 ) -> None:
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
@@ -125,25 +97,14 @@ def import_command(
         for part, fps, begin in [("casing", casing_fps, 0.0), *(("rotor", rotor_fps, t) for t in starts)]
     ]
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
+    named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
     if body is not None and inertia is not None and casing is None and not rotor:
         moment = Inertia.of(inertia)
-        case = import_body(
-            body, moment.value, label=title, surface=surface, options=options[0], limits=limits
-        )
-        case = replace(case, I_casing_u=moment.u)
+        case = replace(import_body(body, moment.value, options=options[0], **named), I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
-        inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
-        case = import_case(
-            casing,
-            rotor,
-            label=title,
-            surface=surface,
-            I_rotor=inertias[0].value,
-            I_casing=inertias[1].value,
-            options=options,
-            limits=limits,
-        )
-        case = replace(case, I_rotor_u=inertias[0].u, I_casing_u=inertias[1].u)
+        r, c = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
+        case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
+        case = replace(case, I_rotor_u=r.u, I_casing_u=c.u)
     else:
         raise UsageError(
             "A case needs either --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
@@ -187,7 +148,7 @@ class Table(StrEnum):
 def export_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Case or recording.")],
     *,
-    output: OutputFile,
+    output: shared.OutputFile,
     table: Annotated[
         Table,
         option(
@@ -195,9 +156,9 @@ def export_command(
             "motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
         ),
     ] = Table.motion,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
 
@@ -218,9 +179,9 @@ def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
     verify: Annotated[bool, option("--verify", "Check every chunk against its checksum.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
 ) -> int:
     """Show the contents of a file and check its integrity (exit code 3 if it is damaged).
 

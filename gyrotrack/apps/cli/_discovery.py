@@ -13,18 +13,9 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output
-from gyrotrack.apps.cli._settings import (
-    CaseFiles,
-    EffectsFile,
-    Force,
-    From,
-    Json,
-    LedgerFile,
-    Quiet,
-    option,
-    own_effects,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from fitting.discovery._dependence import Dependence
@@ -39,7 +30,7 @@ _MIN_P = 1e-300
 
 
 def laws_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
     beyond_library: Annotated[
         bool, option("--beyond-library", "Search also if an effect of the library explains the data.")
@@ -51,13 +42,13 @@ def laws_command(
     law: Annotated[
         int | None, option("--law N", "Number in the table of the law for --save-law; 1 if not given.", min=1)
     ] = None,
-    picture: Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")] = None,
-    effects: EffectsFile = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    picture: shared.Picture = None,
+    effects: shared.EffectsFile = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
 
@@ -72,8 +63,7 @@ def laws_command(
     from fitting.study._law_documents import save_law as save
 
     out = Output(as_json=as_json, quiet=quiet)
-    if picture is not None:
-        _check_picture(picture, (".png", ".svg", ".pdf"), force=force)
+    _check_picture(picture, force=force)
     if save_law is not None:
         check_name(*save_law)
     elif law is not None:
@@ -82,7 +72,7 @@ def laws_command(
     with WorkerPool() as workers, out.progress("searching for laws") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
-        own = own_effects(effects)
+        own = shared.own_effects(effects)
         entry = study.entry(fit_id)
         known = entry.diagnosis(fit, own) if entry is not None else None
         found = laws(
@@ -90,15 +80,9 @@ def laws_command(
         )
         if known is None and found.diagnosis is not None:
             study.keep_diagnosis(fit_id, found.diagnosis, own)
-    document = laws_document(found, fit_id)
-    if picture is not None:
-        from gyrotrack.plotting._results import write_laws_picture
-
-        write_laws_picture(found, picture, force=force)
-    out.result(document)
-    out.show(_laws_table(found, fit_id))
-    if picture is not None:
-        out.show(f"written: {picture}")
+    written = _drawn(found, picture, force=force)
+    out.result(laws_document(found, fit_id))
+    out.show(_laws_table(found, fit_id), *written)
     if save_law is None:
         return DONE
     (name, path), law = save_law, law or 1
@@ -112,14 +96,26 @@ def laws_command(
     return DONE
 
 
-def _check_picture(picture: Path, formats: tuple[str, ...], *, force: bool) -> None:
+def _check_picture(picture: Path | None, *, force: bool) -> None:
     from gyrotrack.io._atomic import refuse_existing
 
-    if picture.suffix.lower() not in formats:
+    if picture is None:
+        return
+    if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError(
-            f"Unknown picture format: {picture}.", f"Use a name that ends in one of: {', '.join(formats)}."
+            f"Unknown picture format: {picture}.", "Use a name that ends in one of: .png, .svg, .pdf."
         )
     refuse_existing(picture, force=force)
+
+
+def _drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
+    """Draw a result, if a picture is wanted, and return the line that says so."""
+    if picture is None:
+        return []
+    from gyrotrack.plotting._results import write_picture
+
+    write_picture(found, picture, force=force)
+    return [f"written: {picture}"]
 
 
 def _laws_table(found: Laws, fit_id: str) -> str:
@@ -210,15 +206,13 @@ def plan_command(
             "touchpoint (ratios); for example --bound omega_casing=0,60.",
         ),
     ] = None,
-    picture: Annotated[
-        Path | None, option("--picture FILE", "Also draw limits, power and the next run: .png or .svg.")
-    ] = None,
-    effects: EffectsFile = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    picture: shared.Picture = None,
+    effects: shared.EffectsFile = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
@@ -227,7 +221,7 @@ def plan_command(
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
     from fitting.discovery._next_run import Bounds
-    from fitting.discovery._plan import plan
+    from fitting.discovery._plan import plan, read_planned
     from fitting.study._serialisation import plan_document
     from gyrotrack.io._atomic import refuse_special
 
@@ -246,15 +240,12 @@ def plan_command(
             f"--size {size:g} is not a positive torque.", "Give an rms torque in N m: --size 1e-6."
         )
     changes = _bounds(bound or ())
-    if picture is not None:
-        _check_picture(picture, (".png", ".svg"), force=force)
+    _check_picture(picture, force=force)
     out = Output(as_json=as_json, quiet=quiet)
-    own = own_effects(effects)
+    own = shared.own_effects(effects)
     with out.progress("planning") as progress:
         progress(0, None)
         if described:
-            from fitting.discovery._plan import read_planned
-
             refuse_special(described[0])
             usual: Bounds | None = read_planned(described[0]).bounds if changes else None
             subject: Any = described[0]
@@ -263,12 +254,9 @@ def plan_command(
             usual, subject = (Bounds.of(fit) if changes else None), fit
         bounds = replace(usual, **changes) if usual is not None else None
         found = plan(subject, own, size=size, bounds=bounds, progress=progress)
-    if picture is not None:
-        from gyrotrack.plotting._results import write_plan_picture
-
-        write_plan_picture(found, picture, force=force)
+    written = _drawn(found, picture, force=force)
     out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
-    out.show(_plan_table(found), *([f"written: {picture}"] if picture is not None else []))
+    out.show(_plan_table(found), *written)
     return DONE if found.fit.converged else NOT_TRUSTED
 
 
@@ -382,10 +370,10 @@ def compare_command(
         typer.Argument(metavar="A B...", help="Cases (.h5) that have been fitted, or ledgers (.fits.json)."),
     ],
     *,
-    picture: Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")] = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    picture: shared.Picture = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
 
@@ -400,17 +388,11 @@ def compare_command(
     out = Output(as_json=as_json, quiet=quiet)
     if len(runs) < 2:
         raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
-    if picture is not None:
-        _check_picture(picture, (".png", ".svg", ".pdf"), force=force)
+    _check_picture(picture, force=force)
     found = compare(latest_fits(runs))
-    if picture is not None:
-        from gyrotrack.plotting._results import write_comparison_picture
-
-        write_comparison_picture(found, picture, force=force)
+    written = _drawn(found, picture, force=force)
     out.result(found.document())
-    out.show(_comparison_table(found))
-    if picture is not None:
-        out.show(f"written: {picture}")
+    out.show(_comparison_table(found), *written)
 
 
 def _comparison_table(found: Comparison) -> str:

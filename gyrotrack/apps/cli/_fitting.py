@@ -11,6 +11,7 @@ import typer
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps._study import FitRequest, open_study, read_cases
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     DONE,
     NOT_TRUSTED,
@@ -22,36 +23,22 @@ from gyrotrack.apps.cli._output import (
     ladder_tables,
     prediction_tables,
 )
-from gyrotrack.apps.cli._settings import (
-    CaseFiles,
-    DataKind,
-    EffectsFile,
-    Force,
-    From,
-    Json,
-    LedgerFile,
-    PriorRotor,
-    PriorStudy,
-    Quiet,
-    RotorKind,
-    option,
-    own_effects,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from fitting.effects._effect import Effect
     from fitting.inference._budget import ParameterBudget
-    from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
+    from fitting.study._scan import Predicted
 
 
 _LOSSES = ("linear", "huber", "cauchy")
 
 
 def fit_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
     model: Annotated[
         str | None,
@@ -64,7 +51,7 @@ def fit_command(
         list[str] | None, option("--add E", "Effect to add, by name or as a law: 'casing: -k*omega_c**3'.")
     ] = None,
     drop: Annotated[list[str] | None, option("--drop E", "Effect to remove.")] = None,
-    effects: EffectsFile = None,
+    effects: shared.EffectsFile = None,
     joint: Annotated[bool, option("--joint", "Fit the cases together.")] = False,
     share: Annotated[list[str] | None, option("--share P", "Parameter with one value for all cases.")] = None,
     per_case: Annotated[
@@ -79,18 +66,18 @@ def fit_command(
         ),
     ] = None,
     fix: Annotated[list[str] | None, option("--fix P=V", "Fix a parameter at a value (SI units).")] = None,
-    data: DataKind = None,
-    rotor: RotorKind = "windows",
+    data: shared.DataKind = None,
+    rotor: shared.RotorKind = "windows",
     loss: Annotated[str, option("--loss L", "Loss function: linear, huber or cauchy.")] = "linear",
     hold_out: Annotated[
         bool, option("--hold-out", "Also predict each case from a fit of the others.")
     ] = False,
-    prior: PriorStudy = None,
-    prior_rotor: PriorRotor = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    prior: shared.PriorStudy = None,
+    prior_rotor: shared.PriorRotor = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Fit a model: parameters, uncertainties, goodness of fit.
 
@@ -98,8 +85,8 @@ def fit_command(
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
-    from fitting.inference._cross_validation import predict_recordings
     from fitting.study._paper import curve_bias
+    from fitting.study._scan import predict_recordings
 
     if (share or per_case or hold_out) and not joint:
         raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")
@@ -111,7 +98,7 @@ def fit_command(
         model=model,
         add=tuple(add or ()),
         drop=tuple(drop or ()),
-        own=own_effects(effects),
+        own=shared.own_effects(effects),
         share=tuple(share or ()),
         per_case=tuple(per_case or ()),
         held=_fixed_values(fix or ()),
@@ -188,15 +175,13 @@ def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
     return held
 
 
-_MIN_SHARE = (
-    1e-3  # smaller contributions to the variance are omitted from the table, not from the JSON document
-)
+_MIN_SHARE = 1e-3  # smaller contributions to the variance are omitted from the table, not from the document
 
 
 def budget_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
-    start: From = None,
+    start: shared.From = None,
     clock_rate: Annotated[
         float | None,
         option(
@@ -212,9 +197,9 @@ def budget_command(
             "sheet).",
         ),
     ] = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Uncertainty budget of every parameter: contributions, type A or B, sensitivity, share (GUM).
 
@@ -255,17 +240,17 @@ def _budget_table(found: Mapping[str, ParameterBudget], fit_id: str) -> str:
 
 
 def scan_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
     csv: Annotated[Path | None, option("--csv FILE", "Also write all fits as one flat table.")] = None,
     latex: Annotated[
         Path | None, option("--latex FILE", "Also write the tables as LaTeX (booktabs).")
     ] = None,
-    data: DataKind = None,
-    rotor: RotorKind = "windows",
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    data: shared.DataKind = None,
+    rotor: shared.RotorKind = "windows",
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Fit every on/off combination of the paper's terms, and its reduced and general models.
 
@@ -299,15 +284,15 @@ def scan_command(
 
 
 def diagnose_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
-    effects: EffectsFile = None,
-    prior: PriorStudy = None,
-    prior_rotor: PriorRotor = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    effects: shared.EffectsFile = None,
+    prior: shared.PriorStudy = None,
+    prior_rotor: shared.PriorRotor = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Locate the lack of fit in time, speed and torque, and rank the effects that could be missing.
 
@@ -324,7 +309,7 @@ def diagnose_command(
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
-        own = own_effects(effects)
+        own = shared.own_effects(effects)
         found = diagnose(fit, own, workers=workers)
         study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
@@ -332,15 +317,15 @@ def diagnose_command(
 
 
 def improve_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
-    effects: EffectsFile = None,
-    prior: PriorStudy = None,
-    prior_rotor: PriorRotor = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    effects: shared.EffectsFile = None,
+    prior: shared.PriorStudy = None,
+    prior_rotor: shared.PriorRotor = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Add effects one by one until the residuals are consistent with noise, and print the history of fits.
 
@@ -356,7 +341,7 @@ def improve_command(
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
-        own = own_effects(effects)
+        own = shared.own_effects(effects)
         kept = study.recorder(parent, base)
         history = improve(base, own, progress=progress, workers=workers, keep=kept)
         # a report needs it, and most of the work is done
@@ -382,16 +367,16 @@ _VERDICTS = {
 
 
 def ladder_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
-    data: DataKind = None,
-    rotor: RotorKind = "windows",
+    data: shared.DataKind = None,
+    rotor: shared.RotorKind = "windows",
     name: Annotated[str | None, option("--name ID=TEXT", "Name a fit: f2='quadratic drag'.")] = None,
     note: Annotated[str | None, option("--note ID=TEXT", "Write a note on a fit; empty removes it.")] = None,
     delete: Annotated[str | None, option("--delete ID", "Delete a fit on which no other is based.")] = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """List the fits of these cases: one bar per fit, each below the fit on which it is based.
 
@@ -428,8 +413,8 @@ def ladder_command(
 def effects_command(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="Effect to show in full.")] = None,
     *,
-    effects: EffectsFile = None,
-    as_json: Json = False,
+    effects: shared.EffectsFile = None,
+    as_json: shared.Json = False,
 ) -> None:
     """Show the library of effects: formula, units, signature, similar effects.
 
@@ -438,7 +423,7 @@ def effects_command(
     from fitting.effects._library import LIBRARY, find
 
     out = Output(as_json=as_json)
-    own = {e.name: e for e in own_effects(effects)}
+    own = {e.name: e for e in shared.own_effects(effects)}
     if name is not None:
         effect = own.get(name) or find(name)
         out.result(_effect_document(effect))
@@ -458,21 +443,14 @@ def _effect_document(e: Effect) -> dict[str, Any]:
         "joint": e.joint,
         "law": e.law,
         "latex": latex(e.expression),
-        "parameters": [
-            {
-                "symbol": p.symbol,
-                "unit": p.unit,
-                "role": p.role,
-                "lower": p.lower,
-                "upper": p.upper,
-                "meaning": p.meaning,
-            }
-            for p in e.parameters
-        ],
+        "parameters": [{key: getattr(p, key) for key in _PARAMETER} for p in e.parameters],
         "signature": e.signature,
         "confused_with": list(e.confused_with),
         "source": e.source,
     }
+
+
+_PARAMETER = ("symbol", "unit", "role", "lower", "upper", "meaning")
 
 
 def _where(e: Effect) -> str:

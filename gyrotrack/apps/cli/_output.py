@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fitting.discovery._verdict import Diagnosis
-    from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
     from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
+    from fitting.study._scan import Predicted
 
 # C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(
@@ -353,25 +353,16 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             f"{r['fit_id']:<6}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
             f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
-        lines.append(
-            f"      {added}"
-            + (
-                f"  (remainder: {r['torque_left_Nm']:.2g} {record.torque_unit})"
-                if r.get("torque_left_Nm")
-                else ""
-            )
-        )
+        if left := r.get("torque_left_Nm"):
+            added += f"  (remainder: {left:.2g} {record.torque_unit})"
+        lines.append(f"      {added}")
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"      {line}" for line in _wrapped(comment)]
     last = steps[-1]
     counted = bool(last.get("samples"))
+    rmse, bic = _formatted(last.get("rmse_noise"), ".4g"), _formatted(last.get("bic_noise"), ".1f")
     lines += [
-        " ".join(
-            (
-                f"{'noise':<6}{_formatted(last.get('rmse_noise'), '.4g'):>9} {1:>9} {1:>9}",
-                f"{_formatted(last.get('bic_noise'), '.1f'):>10}  expected for noise alone",
-            )
-        ),
+        f"{'noise':<6}{rmse:>9} {1:>9} {1:>9} {bic:>10}  expected for noise alone",
         "",
         f"rmse of the angular rate of the {record.body} [rad/s]; cross-validation error in units",
         "of the noise" + (f"; {last['samples']} samples, effectively {last['n_eff']:.0f}" if counted else ""),
@@ -394,10 +385,7 @@ _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: NDArray[np.float64], *, width: int = WIDTH) -> str:
-    """Return a curve as one line of characters, each for the value farthest from zero in an interval.
-
-    A space represents an interval without finite values.
-    """
+    """Return a curve as one line of characters, each for the farthest value from zero in an interval; space: none."""
     levels = _levels()
     n, parts = len(value), min(width, len(value))
     edges = [n * k // parts for k in range(parts + 1)] if parts else []

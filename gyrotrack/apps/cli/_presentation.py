@@ -14,35 +14,24 @@ import typer
 
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.apps._study import open_study, read_cases
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
-from gyrotrack.apps.cli._settings import (
-    CaseFiles,
-    EffectsFile,
-    Films,
-    Force,
-    From,
-    Json,
-    LedgerFile,
-    Quiet,
-    film_folders,
-    option,
-    own_effects,
-)
+from gyrotrack.apps.cli._settings import option
 
 
 def report_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
     output: Annotated[Path, option("-o --output FILE", "Report to write: .html or .pdf.")] = Path(
         "report.html"
     ),
-    films: Films = None,
-    effects: EffectsFile = None,
-    start: From = None,
-    ledger: LedgerFile = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    films: shared.Films = None,
+    effects: shared.EffectsFile = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Write a report of the latest fit and its history: one self-contained HTML file or a PDF.
 
@@ -61,7 +50,7 @@ def report_command(
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
         steps = study.steps_to(start)
-        diagnosis = study.diagnosis(start, steps[0].fit, own_effects(effects), workers=workers)
+        diagnosis = study.diagnosis(start, steps[0].fit, shared.own_effects(effects), workers=workers)
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(
@@ -69,7 +58,7 @@ def report_command(
             steps,
             diagnosis,
             recordings=recordings,
-            films=film_folders(cases, films),
+            films=shared.film_folders(cases, films),
             provenance=where,
             force=force,
         )
@@ -78,16 +67,16 @@ def report_command(
 
 
 def figures_command(
-    cases: CaseFiles,
+    cases: shared.CaseFiles,
     *,
     output: Annotated[Path, option("-o --output DIR", "Folder for figures and tables.")] = Path("figures"),
     formats: Annotated[
         list[str] | None, option("--format F", "pdf (default), svg or png; repeatable.")
     ] = None,
-    films: Films = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    films: shared.Films = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Draw the seven figures and write the eight tables of the paper for any study, as files for LaTeX.
 
@@ -118,7 +107,7 @@ def figures_command(
             data,
             [read_case(case) for case in cases],
             formats=wanted,
-            films=film_folders(cases, films),
+            films=shared.film_folders(cases, films),
             force=force,
         )
     drawn = {f.stem for f in files if f.suffix.lstrip(".") in wanted}
@@ -156,7 +145,7 @@ def view_command(
     ] = None,
     *,
     folder: Annotated[Path, option("--folder DIR", "Work folder, for the results of films.")] = Path(),
-    films: Films = None,
+    films: shared.Films = None,
     port: Annotated[int, option("--port N", "Port of the page; 0 selects a free one.", min=0, max=65535)] = 0,
     browser: Annotated[
         bool, option("--browser/--no-browser", "Open the page in the browser of the desktop.")
@@ -164,10 +153,10 @@ def view_command(
     window: Annotated[
         bool, option("--window", "Open the page in a separate window (package pywebview).")
     ] = False,
-    start: From = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Open the workbench in the browser: from films to a case, and from a case to the missing effect.
 
@@ -186,7 +175,7 @@ def view_command(
     if case is not None:
         with out.progress("fitting") as progress:
             progress(0, None)
-            bench = Workbench(Laboratory.open(case, film_folders([case], films), ledger, start))
+            bench = Workbench(Laboratory.open(case, shared.film_folders([case], films), ledger, start))
     else:
         project = Project(folder)
         for source in sources or []:
@@ -199,7 +188,8 @@ def view_command(
         else:
             out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
         sys.stdout.flush()
-        if browser and not window and _has_desktop():
+        displays = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")  # no browser in a terminal
+        if browser and not window and (displays or sys.platform in {"darwin", "win32"}):
             import webbrowser
 
             webbrowser.open(url)
@@ -218,13 +208,6 @@ def _only_case(sources: Sequence[Path]) -> Path | None:
     if cases and len(sources) > 1:
         raise UsageError("The workbench opens one case at a time.", "Give the case alone.")
     return cases[0] if cases else None
-
-
-def _has_desktop() -> bool:
-    """Return whether there is a desktop with a browser (not one in a terminal)."""
-    return sys.platform in {"darwin", "win32"} or any(
-        os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
 
 
 def _require_packages(*, window: bool) -> None:

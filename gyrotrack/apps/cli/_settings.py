@@ -76,10 +76,7 @@ class Settings:
 
 
 def find(named: Path | None = None) -> tuple[Path | None, bool]:
-    """Return the settings file and whether it is trusted: given by the user, or the user's own file.
-
-    The order is: the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml, the user's own file.
-    """
+    """Return the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml or the user's own; the third one is not trusted."""
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):
         return None, True
@@ -107,21 +104,9 @@ def user_file() -> Path | None:
 
 
 def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
-    """Read a settings file and check it against the options of all commands.
+    """Read a settings file and check it against the options of all commands; an error names every line and key.
 
-    Parameters
-    ----------
-    path : Path or None
-        The file.
-    entries : tuple of Entry
-        The commands.
-    trusted : bool
-        Whether the user gave the file; one that was found in the working folder may set fewer options.
-
-    Raises
-    ------
-    ConfigurationError
-        The file is invalid; line and key of every error are reported.
+    A file that was found in the working folder, and not given by the user (`trusted`), may set fewer options.
     """
     if path is None:
         return Settings()
@@ -319,6 +304,29 @@ def film_folders(cases: Sequence[Path], given: Sequence[Path] | None) -> list[Pa
     return list(given) if given else list(dict.fromkeys([*(c.parent for c in cases), Path()]))
 
 
+Hub = Annotated[
+    str | None,
+    option("--hub X,Y", "Centre of rotation [px], also outside of the image; by default detected."),
+]
+BodyInertia = Annotated[
+    str | None,
+    option("--inertia I", "Moment of inertia of the single body, such as '5.5e-5 +- 0.1e-5' (kg m2)."),
+]
+Columns = Annotated[
+    list[str] | None,
+    option(
+        "--column QUANTITY=COLUMN",
+        "Meaning of a column of a table, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
+        "revolutions=3; of one of two bodies only: casing.revolutions=5.",
+    ),
+]
+PulsesPerTurn = Annotated[
+    float | None, option("--pulses-per-turn N", "The file is a column of times of pulses [s], N per turn.")
+]
+Centre = Annotated[
+    str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y in px, or orbit.")
+]
+Picture = Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")]
 Marker = Annotated[str | None, option("--marker NAME", "Point to follow, in files of points.")]
 Likelihood = Annotated[float, option("--likelihood P", "Minimum likelihood of the points that are used.")]
 StartTime = Annotated[float | None, option("--from T", "Exclude samples before this time [s].")]

@@ -14,6 +14,7 @@ import typer
 
 from gyrotrack._errors import DatasetError, GyrotrackError, UsageError
 from gyrotrack.apps._study import changed, open_study
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     Output,
     Progress,
@@ -23,20 +24,7 @@ from gyrotrack.apps.cli._output import (
     fit_tables,
     ladder_tables,
 )
-from gyrotrack.apps.cli._settings import (
-    EffectsFile,
-    Force,
-    InertiaCasing,
-    InertiaRotor,
-    Json,
-    Label,
-    LedgerFile,
-    OutputFile,
-    Quiet,
-    Surface,
-    option,
-    own_effects,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from fitting.discovery._select import Step
@@ -49,12 +37,12 @@ _WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows, as shares
 
 def simulate_command(
     *,
-    output: OutputFile,
+    output: shared.OutputFile,
     add: Annotated[
         list[str] | None, option("--add E", "Effect to add to the reduced model, by name or as a law.")
     ] = None,
     drop: Annotated[list[str] | None, option("--drop E", "Effect to remove.")] = None,
-    effects: EffectsFile = None,
+    effects: shared.EffectsFile = None,
     set_values: Annotated[
         list[str] | None,
         option("--set KEY=VALUE", "Set a parameter: casing.air.quadratic.k=1e-9 (SI units)."),
@@ -88,13 +76,13 @@ def simulate_command(
     hide: Annotated[
         bool, option("--hide", "Add a random effect and store its name in a sealed file.")
     ] = False,
-    label: Label = None,
-    surface: Surface = "",
-    inertia_rotor: InertiaRotor = None,
-    inertia_casing: InertiaCasing = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    label: shared.Label = None,
+    surface: shared.Surface = "",
+    inertia_rotor: shared.InertiaRotor = None,
+    inertia_casing: shared.InertiaCasing = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
 
@@ -128,7 +116,7 @@ def simulate_command(
         torque_time=torque_time,
         centre_offset=centre_offset,
     )
-    model = changed(Model.of(REDUCED), add or (), drop or (), own_effects(effects))
+    model = changed(Model.of(REDUCED), add or (), drop or (), shared.own_effects(effects))
     hidden = hide_effect(model, strength) if hide else None
     if hidden is not None:
         model, strength, seed = hidden.model, hidden.strength, hidden.seed
@@ -177,8 +165,8 @@ def reveal_command(
     answer: Annotated[
         str | None, option("--answer E", "Answer: an effect, several separated by commas, or `none`.")
     ] = None,
-    ledger: LedgerFile = None,
-    as_json: Json = False,
+    ledger: shared.LedgerFile = None,
+    as_json: shared.Json = False,
 ) -> None:
     """Open a sealed challenge and score an answer: one given here, or the latest fit of the case.
 
@@ -228,8 +216,8 @@ def demo_command(
     *,
     clips: Annotated[Path | None, option("--clips DIR", "Folder with study.toml and the films.")] = None,
     output: Annotated[Path, option("-o --output DIR", "Folder for the results.")] = Path("gyrotrack_demo"),
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Run the whole analysis of the sample clips: films, angles, common clock, model, missing effect, report.
 
@@ -246,14 +234,9 @@ def demo_command(
     case = output / "case.h5"
     casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
     rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
-    inertias = [
-        "--inertia-rotor",
-        str(study["inertia_rotor"]),
-        "--inertia-casing",
-        str(study["inertia_casing"]),
-    ]
-    names = ["--label", str(study["label"]), "--surface", str(study["surface"])]
-    _run(out, [["sync", *casing, *rotors, "-o", case, *inertias, *names, "--force"]])
+    keys = ("inertia_rotor", "inertia_casing", "label", "surface")
+    options = [w for k in keys for w in (f"--{k.replace('_', '-')}", str(study[k]))]
+    _run(out, [["sync", *casing, *rotors, "-o", case, *options, "--force"]])
     document = _study(out, case, output, folder / study["clip"][-1]["file"])
     document["seconds"] = perf_counter() - began
     out.result(document)
@@ -268,13 +251,10 @@ def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
 
     steps_of_history, diagnosis, document = _fit_and_diagnose(out, case)
     out.show(f"\n6. Write the report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
+    target, stated = output / "report.html", {"command": "gyrotrack demo"}
+    recordings = [read_case(case)]
     report = write_report(
-        output / "report.html",
-        steps_of_history,
-        diagnosis,
-        recordings=[read_case(case)],
-        provenance={"command": "gyrotrack demo"},
-        force=True,
+        target, steps_of_history, diagnosis, recordings=recordings, provenance=stated, force=True
     )
     picture = story_picture(steps_of_history, diagnosis, output / "story.png", frame=_frame(film), force=True)
     return {"case": case, "report": report, "picture": picture, **document}
@@ -307,16 +287,13 @@ def _fit_and_diagnose(out: Output, case: Path) -> tuple[list[Step], Diagnosis, d
     steps_of_history = improve(base, first=diagnosis.candidates, keep=kept)
     steps = [entry.document["rung"] for entry in kept.entries]
     out.show(*ladder_tables(steps, study.data[0].record))
-    return (
-        steps_of_history,
-        diagnosis,
-        {
-            "diagnosis": diagnosis_document(diagnosis, first.fit_id),
-            "ladder": steps,
-            "final": fit_document(steps_of_history[-1].fit, kept.entries[-1].fit_id),
-            "verdict": history_verdict(steps_of_history),
-        },
-    )
+    document = {
+        "diagnosis": diagnosis_document(diagnosis, first.fit_id),
+        "ladder": steps,
+        "final": fit_document(steps_of_history[-1].fit, kept.entries[-1].fit_id),
+        "verdict": history_verdict(steps_of_history),
+    }
+    return steps_of_history, diagnosis, document
 
 
 def _frame(film: Path) -> Any:

@@ -4,37 +4,20 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from math import isfinite
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gyrotrack._errors import UsageError
+from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing, command_line
-from gyrotrack.apps.cli._settings import (
-    Cuts,
-    Force,
-    InertiaCasing,
-    InertiaRotor,
-    Json,
-    Label,
-    Likelihood,
-    Marker,
-    OptionalOutputFile,
-    OutputFile,
-    Quiet,
-    StartTime,
-    StopTime,
-    Surface,
-    Verbose,
-    option,
-)
+from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from gyrotrack.io._records import Recording
     from gyrotrack.synchronisation._decision import Match
-    from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._film import Film
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
     from gyrotrack.tracking._tracked import Tracked
@@ -43,7 +26,7 @@ if TYPE_CHECKING:
 def profile_command(
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Film that shows all markers.")],
     *,
-    output: OptionalOutputFile = None,
+    output: shared.OptionalOutputFile = None,
     picture: Annotated[
         Path | None,
         option("--picture FILE.png", "Also draw the markers that were found into a frame of the film."),
@@ -51,10 +34,10 @@ def profile_command(
     capture_fps: Annotated[
         float | None, option("--capture-fps N", "Capture rate of the camera, for the profile [1/s].")
     ] = None,
-    hub: Annotated[str | None, option("--hub X,Y", "Centre of rotation [px]; by default detected.")] = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    hub: shared.Hub = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int | None:
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
@@ -64,7 +47,7 @@ def profile_command(
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
-    from gyrotrack._errors import TrackingError, UsageError
+    from gyrotrack._errors import TrackingError
     from gyrotrack.io._atomic import new_file, refuse_existing
     from gyrotrack.plotting._proposal import write_body_picture, write_picture
     from gyrotrack.tracking._any_body import read_excerpt
@@ -157,16 +140,16 @@ def _profile_document(target: Path, picture: Path | None, found: Proposal) -> di
 def _marker(marker: ProposedMarker) -> dict[str, Any]:
     import numpy as np
 
-    paper = marker.marker
+    entry, found = marker.profile, marker.marker
     return {
-        "name": marker.profile.name,
-        "colour": marker.profile.colour,
-        "hue_deg": marker.profile.hue,
-        "body": marker.profile.body,
-        "inner_px": paper.inner,
-        "outer_px": paper.outer,
-        "half_width_rad": paper.half_width,
-        "contrast": float(np.hypot(*paper.contrast)),
+        "name": entry.name,
+        "colour": entry.colour,
+        "hue_deg": entry.hue,
+        "body": entry.body,
+        "inner_px": found.inner,
+        "outer_px": found.outer,
+        "half_width_rad": found.half_width,
+        "contrast": float(np.hypot(*found.contrast)),
         "seen": marker.seen,
         "step_rad": marker.step,
     }
@@ -174,11 +157,8 @@ def _marker(marker: ProposedMarker) -> dict[str, Any]:
 
 def _profile_lines(target: Path, found: Proposal) -> str:
     x, y = found.centre
-    given = found.profile.hub is not None
-    mark = (
-        "--hub" if given else f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
-    )
-    lines = [f"centre ({x:.1f}, {y:.1f}) px from {mark}"]
+    mark = f"a {found.profile.circle_colour} disc" if found.disc else "the markers' orbit"
+    lines = [f"centre ({x:.1f}, {y:.1f}) px from {mark if found.profile.hub is None else '--hub'}"]
     lines.append(f"{'marker':<16}{'colour':<10}{'body':<8}{'radius [px]':>13}{'contrast':>10}{'seen':>7}")
     for m in map(_marker, found.markers):
         radius = f"{m['inner_px']:.0f} - {m['outer_px']:.0f}"
@@ -208,7 +188,7 @@ class Times(StrEnum):
 def extract_command(
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Film.")],
     *,
-    output: OptionalOutputFile = None,
+    output: shared.OptionalOutputFile = None,
     capture_fps: Annotated[
         float | None, option("--capture-fps N", "Capture rate of the camera [1/s].")
     ] = None,
@@ -243,9 +223,9 @@ def extract_command(
         ),
     ] = None,
     resume: Annotated[bool, option("--resume", "Continue an interrupted run, if there is one.")] = False,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
@@ -277,7 +257,12 @@ def extract_command(
         check_overlay(overlay, force=force)
     if contact_sheet is not None:
         check_contact_sheet(contact_sheet, force=force)
-    recording, fps = _tracked(task, done, out, resume=resume, force=force)
+    recording, fps = done, math.nan
+    if recording is None:
+        bar = partial(out.progress, f"tracking {video.name}", "frames")
+        recording, fps = task.run(command=command_line(), bar=bar, tell=out.note, resume=resume, force=force)
+    else:
+        out.note(f"{target} is already complete.")
     for warning in recording.warnings:
         out.warn(warning)
     document = _extraction_document(target, recording, fps)
@@ -295,22 +280,6 @@ def extract_command(
     out.result(document)
     out.show(_extraction_lines(document))
     return NOT_TRUSTED if doubts_of(recording) else DONE
-
-
-def _tracked(
-    task: ExtractionJob, done: Recording | None, out: Output, *, resume: bool, force: bool
-) -> tuple[Recording, float]:
-    """Return the recording, tracked unless it is complete, and the processing rate [frames/s]."""
-    if done is not None:
-        out.note(f"{task.target} is already complete.")
-        return done, float("nan")
-    return task.run(
-        command=command_line(),
-        bar=lambda: out.progress(f"tracking {task.video.name}", "frames"),
-        tell=out.note,
-        resume=resume,
-        force=force,
-    )
 
 
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
@@ -350,7 +319,7 @@ def _extraction_lines(document: dict[str, Any]) -> str:
         f"{name}: {part['samples']} angles, median uncertainty {1e3 * part['median_sigma']:.2g} mrad"
         for name, part in document["body"].items()
     ]
-    rate = f" at {document['fps']:.0f} frames/s" if isfinite(document["fps"]) else ""
+    rate = f" at {document['fps']:.0f} frames/s" if math.isfinite(document["fps"]) else ""
     source = document["capture_fps_from"].replace("asked for", "--capture-fps")
     stamped = "; times from the timestamps" if document["times_from"] == "stamps" else ""
     lines.append(f"capture rate {document['capture_fps']:g} fps (from {source}){stamped}")
@@ -362,15 +331,15 @@ def sync_command(
     casing: Annotated[Path, typer.Argument(metavar="CASING.h5", help="Recording of the casing.")],
     rotors: Annotated[list[Path], typer.Argument(metavar="ROTOR.h5", help="Recordings of the rotor.")],
     *,
-    output: OutputFile,
-    label: Label = None,
-    surface: Surface = "",
-    inertia_rotor: InertiaRotor = None,
-    inertia_casing: InertiaCasing = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: shared.OutputFile,
+    label: shared.Label = None,
+    surface: shared.Surface = "",
+    inertia_rotor: shared.InertiaRotor = None,
+    inertia_casing: shared.InertiaCasing = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
 ) -> None:
     """Synchronise the clips of one experiment, and combine them into a case.
 
@@ -391,19 +360,14 @@ def sync_command(
     title = label if label is not None else output.stem
     with out.progress("synchronising clips") as progress:
         done = synchronised(casing, rotors, title, surface, inertias, progress)
-    settings = {
-        "casing": casing,
-        "rotors": rotors,
-        "I_rotor": inertias[0].value,
-        "I_casing": inertias[1].value,
-    }
+    moments = dict(zip(("I_rotor", "I_casing"), (i.value for i in inertias), strict=True))
+    settings = {"casing": casing, "rotors": rotors, **moments}
     write_case(output, done.case, command=command_line(), settings=settings, force=force)
     for warning in done.case.warnings:
         out.warn(warning)
     for match in done.matches:
-        out.detail(
-            f"{match.name}: {match.method}; rms difference of the cameras {1e3 * match.misfit:.2f} mrad"
-        )
+        misfit = 1e3 * match.misfit
+        out.detail(f"{match.name}: {match.method}; rms difference of the cameras {misfit:.2f} mrad")
     clips = [_clip(path, match) for path, match in zip(rotors, done.matches, strict=True)]
     out.result({"output": output, "clips": clips, "warnings": done.case.warnings})
     out.show("\n".join([_HEADER, *(_line(clip) for clip in clips), f"written: {output}"]))
@@ -459,9 +423,7 @@ def spindown_command(
     report: Annotated[
         Path | None, option("--report FILE", "Report to write; by default next to the case.")
     ] = None,
-    hub: Annotated[
-        str | None, option("--hub X,Y", "Centre of rotation [px]; it may be outside of the image.")
-    ] = None,
+    hub: shared.Hub = None,
     profile: Annotated[
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
@@ -474,27 +436,15 @@ def spindown_command(
             "--capture-fps --casing-fps N", "Frames per second of the camera, also of a table without times."
         ),
     ] = None,
-    inertia: Annotated[
-        str | None, option("--inertia X", 'Moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5".')
-    ] = None,
-    pulses_per_turn: Annotated[
-        float | None, option("--pulses-per-turn N", "SOURCE is a column of times of pulses [s], N per turn.")
-    ] = None,
-    columns: Annotated[
-        list[str] | None,
-        option(
-            "--column QUANTITY=COLUMN",
-            "Meaning of a column of a table, by header or number: t=1, 'angle=phi [deg]', x=2.",
-        ),
-    ] = None,
-    marker: Marker = None,
-    centre: Annotated[
-        str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y or orbit.")
-    ] = None,
-    likelihood: Likelihood = 0.6,
-    start: StartTime = None,
-    stop: StopTime = None,
-    cut: Cuts = None,
+    inertia: shared.BodyInertia = None,
+    pulses_per_turn: shared.PulsesPerTurn = None,
+    columns: shared.Columns = None,
+    marker: shared.Marker = None,
+    centre: shared.Centre = None,
+    likelihood: shared.Likelihood = 0.6,
+    start: shared.StartTime = None,
+    stop: shared.StopTime = None,
+    cut: shared.Cuts = None,
     keep_all: Annotated[
         bool,
         option(
@@ -503,9 +453,9 @@ def spindown_command(
         ),
     ] = False,
     label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 

@@ -56,10 +56,7 @@ _FINAL = {
 
 @dataclass(frozen=True)
 class Section:
-    """The figures of one case, with a heading if there are several cases.
-
-    `overview` are speed, residual and torque against speed; `details` are drawn for a PDF only.
-    """
+    """The figures of one case, with a heading if there are several; `details` are drawn for a PDF only."""
 
     heading: str
     surface: str
@@ -91,6 +88,9 @@ class Added:
     values: str
 
 
+_UNPHYSICAL = "Negative dissipation, unphysical: {}. The parameters of this model are not physical constants."
+
+
 def report_parts(
     view: StudyView,
     recordings: Sequence[Case],
@@ -117,13 +117,8 @@ def report_parts(
         "facts": _facts(view),
         "rms": [f"{short(x, 2)}" for x in view.residual_rms],
         "sentence": typeset(view.sentence),
-        "outcome": f"{history_finding(view)} {_FINAL[view.final.verdict]}"
-        if view.improved
-        else history_finding(view),
-        "caveat": f"Negative dissipation, unphysical: {', '.join(unphysical)}. The parameters of this model are not "
-        "physical constants."
-        if unphysical
-        else "",
+        "outcome": history_finding(view) + (f" {_FINAL[view.final.verdict]}" if view.improved else ""),
+        "caveat": _UNPHYSICAL.format(", ".join(unphysical)) if unphysical else "",
         "failures": _failures(view),
         "sections": sections,
         "history": history_picture(view),
@@ -137,7 +132,9 @@ def report_parts(
         "final_equations": _equations(view.final, "final") if view.improved else [],
         "added": _added(view),
         "whiteness": _whiteness(view),
-        "clips": [row for case in recordings for row in tables.clip_rows(case.recordings, case.placements)],
+        "clips": [
+            tables.clip_row(r, c.placements.get(k)) for c in recordings for k, r in c.recordings.items()
+        ],
         "provenance": tables.origin_rows(view.base, provenance),
     }
 
@@ -179,12 +176,8 @@ def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | Non
     found.append(charts.energy_chart(v, steps))
     if tracks is not None:
         found += charts.tracking_charts(tracks)
-    return tuple(
-        chart_picture(
-            c, [i for i in v.intervals if i.body == "casing"], name=f"{c.name}{index}", size=(6.6, 2.4)
-        )
-        for c in found
-    )
+    shaded = [i for i in v.intervals if i.body == "casing"]
+    return tuple(chart_picture(c, shaded, name=f"{c.name}{index}", size=(6.6, 2.4)) for c in found)
 
 
 def _headline(view: StudyView) -> tuple[str, str, str]:
@@ -206,40 +199,24 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
     rows = []
     failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
     if failures:
-        more = f"; {len(failures) - _MAX_INTERVALS} more" if len(failures) > _MAX_INTERVALS else ""
-        rows.append(
-            (
-                "Where",
-                "Unmodelled torque "
-                + "; ".join(_interval(f, named=len(view.cases) > 1) for f in failures[:_MAX_INTERVALS])
-                + more,
-            )
-        )
+        named = len(view.cases) > 1
+        parts = [_interval(f, named=named) for f in failures[:_MAX_INTERVALS]]
+        parts += [f"{len(failures) - _MAX_INTERVALS} more"] if len(failures) > _MAX_INTERVALS else []
+        rows.append(("Where", f"Unmodelled torque {'; '.join(parts)}"))
     best = next((c for c in view.candidates if c.significant), None)
+    tested = f"{len(view.candidates)} candidate effects tested, none"
+    text = f"{tested} significant" if view.candidates else ""
     if view.differs is not None:
-        rows.append(
-            (
-                "Significance",
-                f"ΔBIC {short(view.differs.delta_bic)}, p {_equal(probability(view.differs.p_value))}",
-            )
-        )
-    elif best is not None and view.verdict == "adequate":
-        strongest = f"{best.effect.name}, p {_equal(probability(best.p_value))}"
-        tested = (
-            f"{len(view.candidates)} candidate effects tested, none accepted; most significant: {strongest}"
-        )
-        rows.append(("Significance", tested))
+        text = f"ΔBIC {short(view.differs.delta_bic)}, p {_equal(probability(view.differs.p_value))}"
     elif best is not None:
-        certainty = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
-        certainty += f"p {_equal(probability(best.p_value))}"
-        if best.indistinguishable_from:
-            certainty += f"; indistinguishable from {', '.join(best.indistinguishable_from)}"
-        else:
-            certainty += "; no indistinguishable candidate"
-        rows.append(("Significance", certainty))
-    elif view.candidates:
-        rows.append(("Significance", f"{len(view.candidates)} candidate effects tested, none significant"))
-    return rows
+        p = f"p {_equal(probability(best.p_value))}"
+        alike = ", ".join(best.indistinguishable_from)
+        alike = f"indistinguishable from {alike}" if alike else "no indistinguishable candidate"
+        bic = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
+        text = f"{bic}{p}; {alike}"
+        if view.verdict == "adequate":
+            text = f"{tested} accepted; most significant: {best.effect.name}, {p}"
+    return [*rows, ("Significance", text)] if text else rows
 
 
 def _interval(f: Failure, *, named: bool) -> str:
@@ -327,16 +304,13 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         # invalid bytes in file names become question marks
         text = json.dumps(document, ensure_ascii=False).encode("utf-8", "replace")
         (folder / "report.json").write_bytes(text)
-        (folder / "report.typ").write_bytes(
-            resources.files("gyrotrack.apps.report").joinpath("report.typ").read_bytes()
-        )
+        template = resources.files("gyrotrack.apps.report").joinpath("report.typ")
+        (folder / "report.typ").write_bytes(template.read_bytes())
         try:
             return bytes(typst.compile(folder / "report.typ", root=folder))
         except typst.TypstError as error:
-            raise OutputError(
-                f"Typst failed: {str(error).splitlines()[0]}.",
-                "Write .html and print it from a browser.",
-            ) from error
+            what = f"Typst failed: {str(error).splitlines()[0]}."
+            raise OutputError(what, "Write .html and print it from a browser.") from error
 
 
 class _Images:
@@ -349,11 +323,8 @@ class _Images:
     def plain(self, value: Any) -> Any:
         """Return a value as JSON types."""
         if isinstance(value, Picture):
-            return {
-                "file": self._write(".svg", value.svg.encode("utf-8", "replace")),
-                "caption": value.caption,
-                "finding": value.finding,
-            }
+            file = self._write(".svg", value.svg.encode("utf-8", "replace"))
+            return {"file": file, "caption": value.caption, "finding": value.finding}
         if isinstance(value, Tile):
             return {"file": self._write(".jpg", value.jpeg), "text": value.text}
         if is_dataclass(value) and not isinstance(value, type):

@@ -122,10 +122,7 @@ class PaperFigure:
 
 
 def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -> list[PaperFigure]:
-    """Return the figures of the paper; the first, a frame of the film, only if a film was found.
-
-    Must be called, and the figures saved, within the context `style`.
-    """
+    """Return the figures of the paper within the context `style`; the first only if a frame of the film was found."""
     found = []
     if frame is not None:
         figure = canvas(_WIDE, _WIDE * frame.shape[0] / frame.shape[1])
@@ -134,37 +131,8 @@ def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -
         ax.set_axis_off()
         caption = "A frame of the film: centre, inner corners of the markers, rays to the marker centres."
         found.append(PaperFigure("gyroscope", figure, caption))
-    for name, chart, caption in (
-        ("angular-positions", _angles, "Angular position of the casing, median over 51 points."),
-        (
-            "rotor-data",
-            _rotor_data,
-            (
-                "Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the "
-                "curve between them, from the reduced model or as stored with the case."
-            ),
-        ),
-        ("rotor-fits", _rotor_fits, f"Angular velocity of the rotor and its fits. {_NAMES}"),
-        (
-            "casing-fits",
-            _casing_fits,
-            f"Angular velocity of the casing (grey, with two standard uncertainties) and its fits. {_NAMES}",
-        ),
-        (
-            "residuals",
-            _residuals,
-            (
-                "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
-                f"uncertainty due to noise. {_NAMES}"
-            ),
-        ),
-        (
-            "energy",
-            _energy,
-            f"Kinetic plus dissipated energy relative to its initial value; constant for a complete model. {_NAMES}",
-        ),
-    ):
-        found.append(PaperFigure(name, _panels(cases, chart), caption))
+    for name, (chart, caption) in _FIGURES.items():
+        found.append(PaperFigure(name, _panels(cases, chart), caption.replace("{names}", _NAMES)))
     return found
 
 
@@ -290,6 +258,33 @@ def _energy(case: PaperCase) -> Chart:
         traces.append(Trace(f.name, balance.time, change, colour, width=width))
     return _chart(r"$K_f + \int \tau\,d\psi$, change", "%", traces)
 
+
+_FIGURES: dict[str, tuple[Callable[[PaperCase], Chart], str]] = {
+    "angular-positions": (_angles, "Angular position of the casing, median over 51 points."),
+    "rotor-data": (
+        _rotor_data,
+        (
+            "Angular velocity of the rotor: measured in its windows (with two standard uncertainties) and the curve "
+            "between them, from the reduced model or as stored with the case."
+        ),
+    ),
+    "rotor-fits": (_rotor_fits, "Angular velocity of the rotor and its fits. {names}"),
+    "casing-fits": (
+        _casing_fits,
+        "Angular velocity of the casing (grey, with two standard uncertainties) and its fits. {names}",
+    ),
+    "residuals": (
+        _residuals,
+        (
+            "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
+            "uncertainty due to noise. {names}"
+        ),
+    ),
+    "energy": (
+        _energy,
+        "Kinetic plus dissipated energy relative to its initial value; constant for a complete model. {names}",
+    ),
+}
 
 FORMATS = ("pdf", "svg", "png")
 _DPI = 300

@@ -6,9 +6,10 @@ import math
 import platform
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,37 +39,7 @@ _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _GREEK = {"omega": "ω", "phi": "φ", "eps": "ε", "tau": "τ", "psi": "ψ", "kappa": "κ", "chi": "χ"}
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """One parameter of the final model."""
-
-    symbol: str
-    index: str
-    effect: str
-    case: str
-    value: str
-    relative: str
-    before: str
-    note: str
-    is_new: bool
-
-
-@dataclass(frozen=True)
-class CandidateRow:
-    """One candidate effect; its law as SVG and as text."""
-
-    effect: str
-    kind: str
-    joint: str
-    score: str
-    delta_bic: str
-    p_value: str
-    held_out_gain: str
-    rivals: str
-    parameters: tuple[str, ...]
-    law: str
-    svg: str
-    significant: bool
+Row = dict[str, Any]  # cells by the names that the templates of the report use
 
 
 @dataclass(frozen=True)
@@ -81,22 +52,7 @@ class LimitRow:
     strength: str
 
 
-@dataclass(frozen=True)
-class ClipRow:
-    """One clip of a case."""
-
-    source: str
-    body: str
-    frames: str
-    fps: str
-    markers: tuple[str, ...]
-    sigma: str
-    offset: str
-    ambiguous: str
-    warnings: tuple[str, ...]
-
-
-def parameter_rows(view: StudyView) -> list[ParameterRow]:
+def parameter_rows(view: StudyView) -> list[Row]:
     """Return the parameters of the final model, with their values in the base model."""
     from fitting.inference._result import not_determined
 
@@ -107,21 +63,19 @@ def parameter_rows(view: StudyView) -> list[ParameterRow]:
         effect, _, symbol = key.rpartition(".")
         head, index = _split(symbol)
         before = view.base.estimates.get(name) if view.improved else None
-        rows.append(
-            ParameterRow(
-                symbol=_GREEK.get(head, head),
-                index=index + ("0" if effect == "initial" else ""),
-                effect="initial value" if effect == "initial" else effect,
-                case=label if len(view.cases) > 1 else "",
-                value=with_uncertainty(e.value, e.stderr, e.unit),
-                relative=_relative(e),
-                before=with_uncertainty(before.value, before.stderr, before.unit)
-                if before is not None
-                else "",
-                note=_note(e, before, undetermined=name in weak, fixed=key in view.final.model.constants),
-                is_new=effect in view.added,
-            )
-        )
+        fixed = key in view.final.model.constants
+        row = {
+            "symbol": _GREEK.get(head, head),
+            "index": index + ("0" if effect == "initial" else ""),
+            "effect": "initial value" if effect == "initial" else effect,
+            "case": label if len(view.cases) > 1 else "",
+            "value": with_uncertainty(e.value, e.stderr, e.unit),
+            "relative": _relative(e),
+            "before": "" if before is None else with_uncertainty(before.value, before.stderr, before.unit),
+            "note": _note(e, before, undetermined=name in weak, fixed=fixed),
+            "is_new": effect in view.added,
+        }
+        rows.append(row)
     return rows
 
 
@@ -146,34 +100,33 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
     if undetermined:
         return "not determined by these data"
     if before is not None and math.isfinite(before.stderr) and before.stderr > 0:
-        away = abs(before.value - e.value) / math.hypot(
-            before.stderr, e.stderr if math.isfinite(e.stderr) else 0.0
-        )
+        own = e.stderr if math.isfinite(e.stderr) else 0.0
+        away = abs(before.value - e.value) / math.hypot(before.stderr, own)
         if away > _LARGE_CHANGE:
             return f"changed by {away:.0f} σ"
     return ""
 
 
-def candidate_rows(view: StudyView) -> list[CandidateRow]:
-    """Return the candidate effects, best first."""
+def candidate_rows(view: StudyView) -> list[Row]:
+    """Return the candidate effects, best first, with their laws as SVG and as text."""
     from fitting.effects._expression import latex
     from gyrotrack.plotting._discovery import formula
 
     return [
-        CandidateRow(
-            effect=c.effect.name,
-            kind="physics" if c.physical else "measurement",
-            joint=(JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
-            score=short(c.score),
-            delta_bic=short(c.delta_bic),
-            p_value=probability(c.p_value),
-            held_out_gain=short(c.held_out_gain, 2),
-            rivals=", ".join(c.indistinguishable_from),
-            parameters=tuple(with_symbol(k, e) for k, e in c.estimates.items()) if c.significant else (),
-            law=c.effect.law,
-            svg=formula(latex(c.effect.expression), f"law{i}", size=11.5),
-            significant=c.significant,
-        )
+        {
+            "effect": c.effect.name,
+            "kind": "physics" if c.physical else "measurement",
+            "joint": (JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
+            "score": short(c.score),
+            "delta_bic": short(c.delta_bic),
+            "p_value": probability(c.p_value),
+            "held_out_gain": short(c.held_out_gain, 2),
+            "rivals": ", ".join(c.indistinguishable_from),
+            "parameters": [with_symbol(k, e) for k, e in c.estimates.items()] if c.significant else [],
+            "law": c.effect.law,
+            "svg": formula(latex(c.effect.expression), f"law{i}", size=11.5),
+            "significant": c.significant,
+        }
         for i, c in enumerate(view.candidates)
     ]
 
@@ -202,36 +155,34 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
 def with_symbol(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
     head, index = _split(key.partition("@")[0].rpartition(".")[2])
-    symbol = _GREEK.get(head, head) + (
-        f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS)
-    )
+    index = f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS)
     at = f" ({key.partition('@')[2]})" if "@" in key else ""
-    return f"{symbol}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}" + (
-        " (at a bound)" if e.at_bound else ""
-    )
+    end = " (at a bound)" if e.at_bound else ""
+    return f"{_GREEK.get(head, head)}{index}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}{end}"
 
 
-def clip_rows(recordings: Mapping[str, Recording], placements: Mapping[str, Placement]) -> list[ClipRow]:
-    """Return the tracking quality of each clip."""
-    return [_clip(r, placements.get(key)) for key, r in recordings.items()]
-
-
-def _clip(r: Recording, placement: Placement | None) -> ClipRow:
+def clip_row(r: Recording, placement: Placement | None) -> Row:
+    """Return the tracking quality of a clip."""
     sigmas = [f"{name}: {_milliradians(b.sigma)}" for name, b in r.bodies.items() if len(b.sigma)]
     lost = r.frames_declared - r.frames_decoded
-    return ClipRow(
-        source=r.source,
-        body=r.body,
-        frames=f"{r.frames_decoded}" + (f" ({lost} of {r.frames_declared} not decoded)" if lost > 0 else ""),
-        fps=short(r.capture_fps, 4),
-        markers=tuple(f"{m.name}: {_statuses(m.status)}" for m in r.markers.values()),
-        sigma="; ".join(sigmas) or "–",
-        offset="–" if placement is None else _offset(placement),
-        ambiguous="–"
-        if placement is None
-        else ("yes: the start is not unique" if placement.ambiguous else "no"),
-        warnings=r.warnings,
-    )
+    offset = ambiguous = "–"
+    if placement is not None:
+        offset, ambiguous = (
+            _offset(placement),
+            "yes: the start is not unique" if placement.ambiguous else "no",
+        )
+    return {
+        "source": r.source,
+        "body": r.body,
+        "frames": f"{r.frames_decoded}"
+        + (f" ({lost} of {r.frames_declared} not decoded)" if lost > 0 else ""),
+        "fps": short(r.capture_fps, 4),
+        "markers": [f"{m.name}: {_statuses(m.status)}" for m in r.markers.values()],
+        "sigma": "; ".join(sigmas) or "–",
+        "offset": offset,
+        "ambiguous": ambiguous,
+        "warnings": r.warnings,
+    }
 
 
 def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
@@ -313,20 +264,19 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         def energy(tau: Array) -> float:
             return -float(np.trapezoid(np.sum(tau * state[:, :2], axis=1), time))
 
+        split = [n.partition("@") for n in layout.names]
         at = [
             i
-            for i, n in enumerate(layout.names)
-            if n.partition("@")[0].rpartition(".")[0] == effect.name
-            and n.partition("@")[2] in {"", record.label}
+            for i, (key, _, label) in enumerate(split)
+            if key.rpartition(".")[0] == effect.name and label in {"", record.label}
         ]
         tau = torque(fit.theta)
         gradient = []
         for i in at:
             step = np.zeros_like(fit.theta)
             step[i] = 1e-4 * abs(fit.theta[i]) or 1e-12
-            gradient.append(
-                (energy(torque(fit.theta + step)) - energy(torque(fit.theta - step))) / (2 * step[i])
-            )
+            change = energy(torque(fit.theta + step)) - energy(torque(fit.theta - step))
+            gradient.append(change / (2 * step[i]))
         g = np.array(gradient)
         variance = float(g @ np.nan_to_num(fit.covariance[np.ix_(at, at)], posinf=0.0) @ g) if at else 0.0
         found.append((effect, tau, energy(tau), math.sqrt(max(variance, 0.0))))
@@ -384,27 +334,20 @@ def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
         rows.append((f"samples of {r.label}", _samples(data)))
     rows.append(("gyrotrack", __version__))
     rows.append(("Python", f"{platform.python_version()} on {sys.platform}"))
-    return [*rows, *_versions()]
+    found = []
+    for name in _LIBRARIES:
+        with suppress(metadata.PackageNotFoundError):
+            found.append(f"{name} {metadata.version(name)}")
+    return [*rows, ("libraries", ", ".join(found))]
 
 
 def _samples(data: CaseData) -> str:
     r = data.record
     if r.single:
         inertia = "no moment of inertia" if r.per_inertia else f"I {short(r.I_casing, 4)} kg m²"
-        return (
-            f"one body {len(r.casing)}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"
-        )
-    rotor = f"rotor {sum(len(w) for w in r.rotor)} in {len(r.rotor)} windows"
-    inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
-    samples = f"casing {len(r.casing)}, {rotor}; {data.n_effective:.0f} effective"
-    return f"{samples}; {inertia}; measured: {r.quantity}"
-
-
-def _versions() -> list[tuple[str, str]]:
-    rows: list[tuple[str, str]] = []
-    for name in _LIBRARIES:
-        try:
-            rows.append((name, metadata.version(name)))
-        except metadata.PackageNotFoundError:
-            continue
-    return [("libraries", ", ".join(f"{n} {v}" for n, v in rows))]
+        samples = f"one body {len(r.casing)}"
+    else:
+        inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
+        count = sum(len(w) for w in r.rotor)
+        samples = f"casing {len(r.casing)}, rotor {count} in {len(r.rotor)} windows"
+    return f"{samples}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"

@@ -94,27 +94,23 @@ class Clips:
 
     def frame(self, key: str, index: int, *, overlay: bool) -> bytes:
         """Return a frame as JPEG; a VideoError says that there is no such clip, film or frame."""
-        with self._lock:
-            picture = self._film(key).picture(index, overlay=overlay)
-        if picture is None:
-            raise VideoError(f"Frame {index} of {self._clips[key].recording.source} cannot be decoded.")
-        return jpeg(picture, SHOWN_WIDTH, QUALITY)
+        return jpeg(self._picture(key, index, overlay=overlay), SHOWN_WIDTH, QUALITY)
 
     def colour(self, key: str, index: int, x: float, y: float) -> dict[str, Any]:
         """Return the colour at a position in a frame; see `colour_at`."""
-        with self._lock:
-            picture = self._film(key).picture(index, overlay=False)
-        if picture is None:
-            raise VideoError(f"Frame {index} of {self._clips[key].recording.source} cannot be decoded.")
-        return colour_at(picture, x, y)
+        return colour_at(self._picture(key, index, overlay=False), x, y)
 
-    def _film(self, key: str) -> Film:
+    def _picture(self, key: str, index: int, *, overlay: bool) -> Picture:
         clip = self._clips.get(key)
         if clip is None or clip.path is None:
             raise VideoError("The film of this clip was not found.", "Give its folder with --films.")
-        if clip.film is None:
-            clip.film = Film(clip.path, clip.recording).__enter__()
-        return clip.film
+        with self._lock:
+            if clip.film is None:
+                clip.film = Film(clip.path, clip.recording).__enter__()
+            picture = clip.film.picture(index, overlay=overlay)
+        if picture is None:
+            raise VideoError(f"Frame {index} of {clip.recording.source} cannot be decoded.")
+        return picture
 
     def close(self) -> None:
         """Close all films."""
@@ -129,11 +125,8 @@ def colour_at(picture: Picture, x: float, y: float) -> dict[str, Any]:
     """Return name and RGB of the median colour around a position (x to the right, y down, each 0 to 1)."""
     height, width = picture.shape[:2]
     row, column = int(np.clip(y, 0, 1) * (height - 1)), int(np.clip(x, 0, 1) * (width - 1))
-    patch = picture[
-        max(0, row - _HALF_PATCH) : row + _HALF_PATCH + 1,
-        max(0, column - _HALF_PATCH) : column + _HALF_PATCH + 1,
-    ]
-    blue, green, red = (int(v) for v in np.median(patch.reshape(-1, 3), axis=0))
+    rows, columns = (slice(max(0, k - _HALF_PATCH), k + _HALF_PATCH + 1) for k in (row, column))
+    blue, green, red = (int(v) for v in np.median(picture[rows, columns].reshape(-1, 3), axis=0))
     return {"colour": colour_name(red, green, blue), "rgb": [red, green, blue]}
 
 
@@ -217,10 +210,8 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
     bodies = dict(recording.bodies)
     if body is not None:
         bodies[track.body] = _with_frame(body, float(recording.time[frame]), angle - track.mount_angle, sigma)
-    earlier = [
-        c for c in recording.extra.get("corrections", []) if (c["marker"], c["frame"]) != (marker, frame)
-    ]
-    corrections = [*earlier, note]
+    earlier = recording.extra.get("corrections", [])
+    corrections = [*(c for c in earlier if (c["marker"], c["frame"]) != (marker, frame)), note]
     notes = [w for w in recording.warnings if "by hand" not in w]
     count = len(corrections)
     notes.append(f"{count} frame{'s are' if count > 1 else ' is'} corrected by hand.")
@@ -235,15 +226,13 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> MarkerTrack:
     """Return a marker with a new angle in one frame, and without corners there."""
-    changed: dict[str, Any] = {}
-    for name in ("corner", "delta", "rho", "beta", "angle", "sigma", "u_r", "u_1", "u_2"):
-        changed[name] = getattr(track, name).copy()
-        changed[name][frame] = np.nan
-    for name, value in (("angle_fine", angle), ("sigma_calibrated", sigma)):
-        changed[name] = getattr(track, name).copy()
+    removed = ("corner", "delta", "rho", "beta", "angle", "sigma", "u_r", "u_1", "u_2")
+    values: dict[str, Any] = dict.fromkeys(removed, np.nan)
+    values |= {"angle_fine": angle, "sigma_calibrated": sigma}
+    values["status"] = STATUS["blurred" if np.isfinite(angle) else "lost"]
+    changed = {name: getattr(track, name).copy() for name in values}
+    for name, value in values.items():
         changed[name][frame] = value
-    changed["status"] = track.status.copy()
-    changed["status"][frame] = STATUS["blurred" if np.isfinite(angle) else "lost"]
     return replace(track, **changed)
 
 
@@ -267,10 +256,7 @@ FRAMES = 500
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
-    """Copy the first packets of a film, without decoding, to a file of the same format.
-
-    A TrackingError says that the format cannot be copied, or the copy has another orientation.
-    """
+    """Copy the first packets of a film to a file of the same format; a TrackingError if the format forbids it."""
     with opened(film) as (source, stream):
         try:
             with av.open(str(target), "w") as copy:
@@ -324,11 +310,11 @@ def preview(
         else:
             chosen = PAPER if profile is None else load(profile)
             recording = extract(excerpt, chosen, capture_fps=1.0)
-            markers = _marker_positions(recording)
+            markers = marker_positions(recording)
     count = recording.frames_decoded
     return {
         "frames": count,
-        "centre": _positions(recording.centre),
+        "centre": positions(recording.centre),
         "markers": markers,
         "kept": {name: len(b.time) / count for name, b in recording.bodies.items()},
         "sigma_mrad": {
@@ -339,15 +325,16 @@ def preview(
     }
 
 
-def _marker_positions(recording: Recording) -> list[dict[str, Any]]:
+def marker_positions(recording: Recording, frames: slice = slice(None)) -> list[dict[str, Any]]:
+    """Return name, body, position [px] or None, and completeness of each marker in some frames."""
     found = []
     for m in recording.markers.values():
         known = np.isfinite(m.rho)
         radius = float(np.median(m.rho[known])) if known.any() else float("nan")
-        angle = recording.sense * m.angle_fine
-        place = recording.centre + 1.15 * radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
-        whole = (m.status == STATUS["ok"]).tolist()
-        found.append({"name": m.name, "body": m.body, "place": _positions(place), "whole": whole})
+        angle = recording.sense * m.angle_fine[frames]
+        place = recording.centre[frames] + 1.15 * radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        whole = (m.status[frames] == STATUS["ok"]).tolist()
+        found.append({"name": m.name, "body": m.body, "place": positions(place), "whole": whole})
     return found
 
 
@@ -365,11 +352,12 @@ def _rotated_points(
         turned = (complex(*point) - hub) * np.exp(-1j * (tracked.angle - tracked.angle[0])) + hub
         place[tracked.frame] = np.stack([turned.real, turned.imag], axis=1) + tracked.hub_path
         whole = np.isfinite(place).all(axis=1).tolist()
-        found.append({"name": f"point {n}", "body": "single", "place": _positions(place), "whole": whole})
+        found.append({"name": f"point {n}", "body": "single", "place": positions(place), "whole": whole})
     return found
 
 
-def _positions(place: Any) -> list[list[float] | None]:
+def positions(place: Any) -> list[list[float] | None]:
+    """Return positions (n, 2) for the page, None where they are unknown."""
     known = np.isfinite(place).all(axis=1)
     return [p if k else None for p, k in zip(np.round(place, 2).tolist(), known.tolist(), strict=True)]
 

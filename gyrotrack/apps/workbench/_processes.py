@@ -100,18 +100,9 @@ class Jobs:
         module: str = "gyrotrack",
         replace: bool = False,
     ) -> Job:
-        """Queue a command.
+        """Queue a command; `finished` is called in a separate thread when it has ended.
 
-        Parameters
-        ----------
-        key : str
-            Identifies the step; if its job is active, an error is raised or, with `replace`, that job is cancelled.
-        words : sequence of str
-            Arguments.
-        finished : callable
-            Called in a separate thread when the job has ended.
-        module : str
-            Module to run.
+        If the latest job of the key is active, an error is raised or, with `replace`, that job is cancelled.
         """
         with self._lock:
             old = self._jobs.get(key)
@@ -257,9 +248,7 @@ class Ranker:
             if newest:
                 self._busy = False
         if not line:
-            raise GyrotrackError(
-                "The search was cancelled by a newer one." if not newest else "The search failed."
-            )
+            raise GyrotrackError(f"The search {'failed' if newest else 'was cancelled by a newer one'}.")
         return dict(json.loads(line))
 
     def _started(self) -> subprocess.Popen[str]:
@@ -411,20 +400,20 @@ class Prediction:
         If the search has refitted the candidate, both are those of the refit. Otherwise the strength of the candidate
         is that of its score test, the other parameters are refitted to first order, and the torque is None.
         """
-        fit = self._fit
-        if candidate.fit is not None:
-            from gyrotrack.plotting._study_data import added_torque
+        from gyrotrack.plotting._study_data import added_torque
 
-            values = self._residuals(candidate.fit.predictions[0].rows)
+        drawn, fit = None, self._fit
+        if candidate.fit is not None:
+            rows = candidate.fit.predictions[0].rows
             torque = added_torque(candidate.effect.name, fit, candidate.fit, 0)
-            drawn = None
             if torque is not None:
                 few = np.unique(np.linspace(0, len(torque.time) - 1, _DRAWN).astype(int))
                 names = ("time", "omega_c", "casing", "rotor")
                 drawn = {n: getattr(torque, n)[few].tolist() for n in names}
-            return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": drawn}
-        values = self._residuals(fit.predictions[0].rows + self._linear_change(candidate, columns))
-        return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": None}
+        else:
+            rows = fit.predictions[0].rows + self._linear_change(candidate, columns)
+        values = self._residuals(rows)
+        return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": drawn}
 
     def _linear_change(self, candidate: Candidate, columns: CaseColumns) -> Array:
         """Return the change of the modelled rows by a candidate and the refitted parameters, to first order."""

@@ -15,22 +15,21 @@ import shlex
 import shutil
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
-from gyrotrack.apps.workbench._films import corrected
+from gyrotrack.apps.workbench._films import corrected, marker_positions, positions
 from gyrotrack.apps.workbench._processes import Job, Jobs
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
 from gyrotrack.io._records import Inertia, Recording
-from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._profile import parse, to_toml
 from gyrotrack.video._container import probe
 
@@ -100,10 +99,7 @@ class State(BaseModel):
 
 
 class Project:
-    """The films, settings and steps of one work folder, to which all files are written.
-
-    A ConfigurationError says that the folder does not exist, or its state file is not valid.
-    """
+    """The films, settings and steps of one work folder, to which all files are written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
@@ -311,8 +307,7 @@ class Project:
     async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
         """Write an uploaded file of the `declared` size [bytes] to the work folder, and add it.
 
-        Folders in its name are ignored. A UsageError says that its name or kind is not accepted, or it is larger than
-        declared or allowed.
+        Folders in its name are ignored.
         """
         target = self._upload_target(name, declared)
         part = target.with_name(target.name + ".part")
@@ -327,17 +322,14 @@ class Project:
                 stream.flush()
                 os.fsync(stream.fileno())
         except FileExistsError as error:
-            raise OutputError(
-                f"{target.name} is already being uploaded.", "Wait until it is complete."
-            ) from error
-        except OSError as error:
+            what = f"{target.name} is already being uploaded."
+            raise OutputError(what, "Wait until it is complete.") from error
+        except BaseException as error:  # not an OSError: the page was closed
             part.unlink(missing_ok=True)
-            raise OutputError(
-                f"{target.name} cannot be written: {error.strerror}.", "Free some space."
-            ) from error
-        except BaseException:  # the page was closed
-            part.unlink(missing_ok=True)
-            raise
+            if not isinstance(error, OSError):
+                raise
+            what = f"{target.name} cannot be written: {error.strerror}."
+            raise OutputError(what, "Free some space.") from error
         if size != declared:
             part.unlink(missing_ok=True)
             raise UsageError(
@@ -383,10 +375,7 @@ class Project:
         return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
-        """Store hub [px] and markers (see `Pick`) that were clicked, write a profile, and preview the tracking.
-
-        `disc` is the colour of a disc at the hub; empty without a disc.
-        """
+        """Store hub [px], markers, and the colour of a disc or "", write a profile, and preview the tracking."""
         with self._lock:
             x = self.source(key)
             try:
@@ -438,37 +427,26 @@ class Project:
             x = self.source(key)
             name = self._unused_name(f"{Path(x.file).stem}.toml")
 
-            def finished(job: Job) -> None:
-                with self._lock:
-                    if job.state == "done":
-                        x.profile, x.picks, x.hub = name, [], None
-                        with suppress(GyrotrackError):
-                            self.preview(key)
-                        self._save()
+            def found(_document: dict[str, Any]) -> None:
+                x.profile, x.picks, x.hub = name, [], None
+                with suppress(GyrotrackError):
+                    self.preview(key)
 
-            self.jobs.start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], finished)
+            self._start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], found)
 
     def tracked(self, key: str, index: int) -> dict[str, Any]:
         """Return the positions of centre and markers in a frame of a tracked film [px]; empty if it is not tracked."""
         recording = self._recording(key)
         if recording is None or not 0 <= index < len(recording.time):
             return {}
-        centre = recording.centre[index]
-        markers = []
-        for m in recording.markers.values():
-            known = m.rho[np.isfinite(m.rho)]
-            radius = 1.15 * float(np.median(known)) if len(known) else math.nan
-            angle = recording.sense * m.angle_fine[index]
-            place = centre + radius * np.array([np.cos(angle), -np.sin(angle)])
-            found = np.isfinite(place).all()
-            whole = int(m.status[index]) == STATUS["ok"]
-            markers.append({"name": m.name, "place": place.tolist() if found else None, "whole": whole})
-        own = [c for c in recording.extra.get("corrections", []) if c["frame"] == index]
+        frame = slice(index, index + 1)
+        markers = marker_positions(recording, frame)
+        corrections = recording.extra.get("corrections", [])
         return {
-            "centre": centre.tolist() if np.isfinite(centre).all() else None,
-            "markers": markers,
-            "corrected": [c["marker"] for c in own],
-            "corrections": len(recording.extra.get("corrections", [])),
+            "centre": positions(recording.centre[frame])[0],
+            "markers": [m | {"place": m["place"][0], "whole": m["whole"][0]} for m in markers],
+            "corrected": [c["marker"] for c in corrections if c["frame"] == index],
+            "corrections": len(corrections),
         }
 
     def _recording(self, key: str) -> Recording | None:
@@ -515,8 +493,7 @@ class Project:
         return ["extract", _argument(x.file), *rate, *profile, "-o", x.output]
 
     def _single_options(self) -> list[str]:
-        s = self.state
-        return ([f"--inertia={s.inertia}"] if s.inertia else []) + ([f"--label={s.label}"] if s.label else [])
+        return [f"--{k}={getattr(self.state, k)}" for k in ("inertia", "label") if getattr(self.state, k)]
 
     def track(self, keys: Sequence[str] = ()) -> None:
         """Track films, by default all that are not tracked with their current settings."""
@@ -535,7 +512,7 @@ class Project:
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
                     words.append("--force")  # the name was not in use when the film was added
-                self.jobs.start(f"track:{x.key}", words, self._tracked(x, self.track_words(x)))
+                self._start(f"track:{x.key}", words, partial(self._tracked, x, self.track_words(x)))
 
     def _is_current(self, x: Source) -> bool:
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
@@ -561,18 +538,22 @@ class Project:
     def _is_fitted(self) -> bool:
         return self._is_matched() and bool(self.state.fit) and self.state.fitted == self.state.matched
 
-    def _tracked(self, x: Source, words: list[str]) -> Callable[[Job], None]:
+    def _start(self, key: str, words: list[str], done: Callable[[dict[str, Any]], None]) -> None:
+        """Start a command; when it has succeeded, call `done` with its document and save the state."""
+
         def finished(job: Job) -> None:
             with self._lock:
-                if job.state != "done":
-                    return
-                x.words, x.result = words, _stored_result(job.document)
-                self.state.matched = []
-                if x.body == "single":
-                    self.state.case = x.output
-                self._save()
+                if job.state == "done":
+                    done(job.document)
+                    self._save()
 
-        return finished
+        self.jobs.start(key, words, finished)
+
+    def _tracked(self, x: Source, words: list[str], document: dict[str, Any]) -> None:
+        x.words, x.result = words, _stored_result(document)
+        self.state.matched = []
+        if x.body == "single":
+            self.state.case = x.output
 
     def _route(self) -> str:
         """Return the way to the case: "sync" of recordings, "import" of tables, "single" body, or "" if undecided."""
@@ -629,9 +610,7 @@ class Project:
         rotors = [x for x in s.sources if x.body == "rotor"]
         casing = next((x for x in s.sources if x.body == "casing"), None)
         inertias = [f"--inertia-rotor={s.inertia_rotor}", f"--inertia-casing={s.inertia_casing}"]
-        names = ([f"--label={s.label}"] if s.label else []) + (
-            [f"--surface={s.surface}"] if s.surface else []
-        )
+        names = [f"--{k}={getattr(s, k)}" for k in ("label", "surface") if getattr(s, k)]
         if route == "single":
             x = s.sources[0]
             words = ["spindown", _argument(x.file), "-o", case, "--report", f"{Path(case).stem}.html"]
@@ -654,14 +633,11 @@ class Project:
             case = words[words.index("-o") + 1]
             again = ["--force"] if self.state.match else []
 
-            def finished(job: Job) -> None:
-                with self._lock:
-                    if job.state == "done":
-                        self.state.case = case
-                        self.state.match, self.state.matched = self._match_result(job.document), words
-                        self._save()
+            def matched(document: dict[str, Any]) -> None:
+                self.state.case = case
+                self.state.match, self.state.matched = self._match_result(document), words
 
-            self.jobs.start("match", [*words, *again], finished)
+            self._start("match", [*words, *again], matched)
 
     def _match_result(self, document: dict[str, Any]) -> dict[str, Any]:
         """Return the result for the page: each clip with its interval on the clock of the casing."""
@@ -686,15 +662,11 @@ class Project:
             if not self.state.case:
                 raise UsageError("There is no case yet.", "Synchronise the clips first.")
 
-            def finished(job: Job) -> None:
-                with self._lock:
-                    if job.state == "done":
-                        keys = ("fit_id", "verdict", "n_eff", "bic")
-                        self.state.fit = {k: job.document.get(k) for k in keys}
-                        self.state.fitted = self.state.matched
-                        self._save()
+            def fitted(document: dict[str, Any]) -> None:
+                self.state.fit = {k: document.get(k) for k in ("fit_id", "verdict", "n_eff", "bic")}
+                self.state.fitted = self.state.matched
 
-            self.jobs.start("fit", ["fit", self.state.case], finished)
+            self._start("fit", ["fit", self.state.case], fitted)
 
     def cancel(self, name: str) -> None:
         """Cancel a step: "match", "fit", or "track:KEY"."""
@@ -777,9 +749,8 @@ def _stored_result(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _duration(x: Source) -> float | None:
-    if x.result.get("frames") and x.result.get("capture_fps"):
-        return float(x.result["frames"]) / float(x.result["capture_fps"])
-    return None
+    frames, rate = x.result.get("frames"), x.result.get("capture_fps")
+    return float(frames) / float(rate) if frames and rate else None
 
 
 def _sample_clips() -> Path | None:

@@ -25,14 +25,7 @@ from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.workbench._films import (
-    QUALITY,
-    SHOWN_WIDTH,
-    Clips,
-    SourceFrames,
-    colour_at,
-    profile_text,
-)
+from gyrotrack.apps.workbench import _films as films
 from gyrotrack.apps.workbench._processes import Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
@@ -64,10 +57,7 @@ _HEADERS = (
 
 
 class Guard:
-    """ASGI middleware that rejects requests that are not from the page of the workbench.
-
-    Every request must contain the secret `token`: in a header or, for the page itself, in the address.
-    """
+    """ASGI middleware that rejects requests without the secret `token` in a header or, for the page, in the address."""
 
     def __init__(self, app: App, port: int, token: str) -> None:
         self._app = app
@@ -215,7 +205,7 @@ class Laboratory:
     """One case with its fits and films, and the processes that rank candidate effects and write the report."""
 
     session: Session
-    clips: Clips
+    clips: films.Clips
     ranker: Ranker
     case: Path
     ledger: Path | None
@@ -223,7 +213,7 @@ class Laboratory:
 
     @classmethod
     def open(
-        cls, case: Path, films: Sequence[Path], ledger: Path | None = None, start: str | None = None
+        cls, case: Path, folders: Sequence[Path], ledger: Path | None = None, start: str | None = None
     ) -> Laboratory:
         """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted."""
         tracked = read_case(case)
@@ -234,7 +224,8 @@ class Laboratory:
         # prepares the answer to the first request of the page
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         jobs = Jobs(case.resolve().parent, 1)
-        return cls(session, Clips(tracked, list(films)), Ranker(case), case.resolve(), ledger, jobs)
+        clips = films.Clips(tracked, list(folders))
+        return cls(session, clips, Ranker(case), case.resolve(), ledger, jobs)
 
     @property
     def report(self) -> Path:
@@ -272,7 +263,7 @@ class Workbench:
 
     def __init__(self, laboratory: Laboratory | None = None, project: Project | None = None) -> None:
         self._laboratory, self.project = laboratory, project
-        self._frames = SourceFrames()
+        self._frames = films.SourceFrames()
         self._opening = Lock()
         self.stop: Callable[[], None] = lambda: None
 
@@ -342,7 +333,7 @@ class Workbench:
             "colour": lambda a: self.laboratory.clips.colour(
                 text(a, "clip"), whole(a, "index"), number(a, "x"), number(a, "y")
             ),
-            "profile": lambda a: {"toml": profile_text(a)},
+            "profile": lambda a: {"toml": films.profile_text(a)},
         }
 
     def _project_calls(self, p: Project) -> dict[str, Call]:
@@ -368,7 +359,7 @@ class Workbench:
             "match": then(lambda _: p.match()),
             "fit": then(lambda _: p.fit()),
             "cancel": then(lambda a: p.cancel(text(a, "step"))),
-            "colour": lambda a: colour_at(
+            "colour": lambda a: films.colour_at(
                 self._frames.picture(p.path(p.source(text(a, "key"))), whole(a, "index")),
                 number(a, "x"),
                 number(a, "y"),
@@ -463,7 +454,7 @@ class Workbench:
             path = self.project.path(self.project.source(query.get("key", "")))
             picture = self._frames.picture(path, whole(query, "index"))
             size = {"x-gyrotrack-size": f"{picture.shape[1]},{picture.shape[0]}"}
-            return jpeg(picture, SHOWN_WIDTH, QUALITY), size
+            return jpeg(picture, films.SHOWN_WIDTH, films.QUALITY), size
 
         return await pictured(work)
 

@@ -33,10 +33,7 @@ _MAX_NAME = 60
 
 @dataclass
 class Step:
-    """One fit of the tree: change, parent, name in the ledger, and name and note by the user.
-
-    A fit of the ledger is restored on first use.
-    """
+    """One fit of the tree: change, parent, name in the ledger, name and note by the user; restored on first use."""
 
     change: str
     parent: int
@@ -62,10 +59,7 @@ class Step:
 
 
 class Session:
-    """The fits of one case, from the ledger and new ones, as a tree; one of them is current.
-
-    Steps keep their index for the whole session; `undo` restores a deleted one.
-    """
+    """The fits of one case as a tree, one of them current; indices are kept, and `undo` restores a deleted fit."""
 
     def __init__(
         self, data: CaseData, base: Fit, fit_id: str, ledger: Ledger, case: Case | None = None
@@ -96,10 +90,7 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add an effect (by name or as ``body: law``), remove one, or use other initial values; fit; return the state.
-
-        After an error the state is unchanged.
-        """
+        """Add an effect (name or ``body: law``), remove one, or set initial values; fit; an error changes nothing."""
         from fitting._errors import FittingError
         from fitting.discovery._select import found_starts, needs_search
         from fitting.effects._user import resolve
@@ -131,9 +122,7 @@ class Session:
             noise = self.fit.noise
             try:
                 found = fit(model, [self._data], start=start, noise=noise, quick=True)
-            except (
-                FittingError
-            ):  # the values of the previous fit can be poor initial values: use the defaults
+            except FittingError:  # the values of the previous fit can be poor initial values
                 found = fit(model, [self._data], noise=noise, quick=True)
             self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
             self._show(len(self.steps) - 1)
@@ -321,10 +310,7 @@ class Session:
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, with their values in the compared fit.
-
-        The differences are in standard uncertainties of the current fit.
-        """
+        """Return the parameters of a fit, and their differences from the compared one in standard uncertainties."""
         from fitting._numbers import with_uncertainty
 
         compared = self._compared(step)
@@ -350,15 +336,8 @@ class Session:
         depth, up = 0, step.parent
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent
-        own = {
-            "place": place,
-            "depth": depth,
-            "fit_id": step.fit_id,
-            "parent": step.parent,
-            "name": step.name,
-            "note": step.note,
-        }
-        return own | {k: document.get(k) for k in keys}
+        own = {key: getattr(step, key) for key in ("fit_id", "parent", "name", "note")}
+        return {"place": place, "depth": depth} | own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
         """Return the steps with their indices, each followed by its successors."""
@@ -376,9 +355,8 @@ class Session:
 
     def _compared(self, step: Step) -> int:
         """Return the index of the step to compare with; negative if there is none."""
-        return (
-            self.reference if self.reference >= 0 and self.steps[self.reference] is not step else step.parent
-        )
+        other = self.reference >= 0 and self.steps[self.reference] is not step
+        return self.reference if other else step.parent
 
     def _whole_board(self, step: Step) -> dict[str, Any]:
         shown = (self.current, self._compared(step), id(step.fit))
@@ -389,11 +367,7 @@ class Session:
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
-        from gyrotrack.plotting._case_charts import (
-            case_dashboard,
-            difference_chart,
-            torque_angle_charts,
-        )
+        from gyrotrack.plotting._case_charts import case_dashboard, difference_chart, torque_angle_charts
         from gyrotrack.plotting._study_data import case_view
         from gyrotrack.plotting._tracking import tracks_of
 
@@ -406,9 +380,8 @@ class Session:
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
         dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
         charts = list(dashboard.charts)
-        charts[3:3] = torque_angle_charts(
-            [self._harmonics(s) for s in steps], names, self._data.record.body, step.fit.torque_unit
-        )
+        harmonics, body = [self._harmonics(s) for s in steps], self._data.record.body
+        charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
         failures = find_failures(step.fit, list(self._torques(step)))
@@ -434,22 +407,19 @@ def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
     """Return the fits of a case in the ledger as steps, which are restored on first use."""
     entries = ledger.of([data]) if ledger is not None else []
     places = {e.fit_id: i for i, e in enumerate(entries)}
-    steps = []
-    for e in entries:
-        d = e.document
-        steps.append(
-            Step(
-                change=str(d.get("added") or "base"),
-                parent=places.get(str(d.get("parent", "")), -1),
-                found=None,
-                fit_id=e.fit_id,
-                name=e.stored.name,
-                note=e.stored.note,
-                rung=d.get("rung"),
-                restore=partial(e.shown, (data,)),
-            )
+    return [
+        Step(
+            change=str(e.document.get("added") or "base"),
+            parent=places.get(str(e.document.get("parent", "")), -1),
+            found=None,
+            fit_id=e.fit_id,
+            name=e.stored.name,
+            note=e.stored.note,
+            rung=e.document.get("rung"),
+            restore=partial(e.shown, (data,)),
         )
-    return steps
+        for e in entries
+    ]
 
 
 def _document(found: dict[str, Any]) -> dict[str, Any]:

@@ -69,10 +69,7 @@ class Piece:
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
-    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`.
-
-    A DatasetError says that the angle jumps.
-    """
+    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`, jumps are an error."""
     if table.quantity != "angle" or table.counted:
         return table.value
     if not is_wrapped(table.value):

@@ -7,7 +7,7 @@ contains no uncertainty, that of its samples is estimated from their scatter.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,10 +91,7 @@ _STEADY = 100.0
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
-    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2`` or ``t=1 [us]`` for one body.
-
-    An option that begins with ``casing.`` or ``rotor.`` applies to the file of that body only.
-    """
+    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         role_name, equals, column = (part.strip() for part in option.partition("="))
@@ -114,7 +111,13 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
     return names
 
 
+_SHOWN = 8
 EXPECTED = "Use the header `t,angle`, `t,angle,sigma`, `t,omega` or `t,omega,sigma`, or give the columns with --column."
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(f"'{name[:30]}'" for name in names[:_SHOWN])
+    return f"{shown} and {len(names) - _SHOWN} more" if len(names) > _SHOWN else shown
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], dict[str, str], list[str]]:
@@ -127,7 +130,7 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
         named_by_unit = clean(base).casefold() == unit
         if below and unit and not named_by_unit and clean(unit).casefold() != below.casefold():
             raise DatasetError(
-                f"{raw.path}, line {raw.header_line}: the unit of '{name}' is '{below}' in the next line.",
+                f"{raw.header_place}: the unit of '{name}' is '{below}' in the next line.",
                 "Correct one of them.",
             )
         units[index] = below or clean(unit)
@@ -206,8 +209,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         values = [without_spikes(raw.numbers(i), "", []) for i in axes]
         return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values]))]
     raise DatasetError(
-        f"{raw.path}, line {raw.header_line}: {len(places)} columns for '{role}': "
-        f"{', '.join(map(repr, names))[:120]}.",
+        f"{raw.header_place}: {len(places)} columns for '{role}': {', '.join(map(repr, names))[:120]}.",
         f"Choose one, for example --column '{role}={names[0]}'.",
     )
 
@@ -246,7 +248,7 @@ def times_of(
         return time * scale_of(raw, "t", units["t"]) + options.start
     if "frame" in columns:
         return raw.numbers(columns["frame"], "frame") / frame_rate(raw.path, options) + options.start
-    where = f"{raw.path}, line {raw.header_line}"
+    where = raw.header_place
     if options.fps:
         return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
@@ -282,7 +284,7 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
     scale = factor(role, unit)
     if scale is None:
         raise DatasetError(
-            f"{raw.path}, line {raw.header_line}: unknown unit '{unit[:30]}'.",
+            f"{raw.header_place}: unknown unit '{unit[:30]}'.",
             f"Use one of {', '.join(UNITS[role])}.",
         )
     return scale
@@ -296,20 +298,16 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     """
     columns, units, unused = find_columns(raw, options)
     quantity = "angle" if "angle" in columns else "omega"
-    if quantity not in columns and ("t" in columns or "frame" in columns):
+    if quantity not in columns and ("t" in columns or "frame" in columns or options.fps):
         raise DatasetError(
-            f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.",
-            EXPECTED + " Times of events need --pulses-per-turn.",
+            f"{raw.header_place}: there is no column for the angle or omega among {_listed(raw.names)}.",
+            EXPECTED + " Times of events and signals of a light gate need --pulses-per-turn.",
         )
     notes = list(raw.notes)
     if "t" in columns and not units["t"] and (unit := _unit_since_1970(raw, columns["t"])):
         units["t"] = unit
         notes.append(f"{raw.path.name}: the times are assumed to be counted in {unit} since 1970")
     time = times_of(raw, columns, units, options)
-    if quantity not in columns:
-        raise DatasetError(
-            f"{raw.path}, line {raw.header_line}: there is no column for the angle or omega.", EXPECTED
-        )
     value = without_spikes(raw.numbers(columns[quantity], quantity), quantity, notes, raw.line)
     unit = units[quantity]
     if quantity == "angle" and not unit and _wraps_at_360(value):
@@ -456,10 +454,7 @@ def _raise_if(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str)
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Sort a table by time and average repeated times; repairs are added to `notes`.
-
-    A DatasetError says that times restart, because of several recordings in one file or a reset of the clock.
-    """
+    """Sort a table by time and average repeated times, with `notes`; a DatasetError if times restart."""
     name = table.path.name
     table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
     backward = np.flatnonzero(np.diff(table.time) < 0)
@@ -515,10 +510,7 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps, which are intervals longer than 20 times the local median of eleven.
-
-    The median is local because intervals between pulses of a slowing body increase.
-    """
+    """Return the pieces between gaps: intervals over 20 times the median of eleven, local because a body slows down."""
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]

@@ -116,10 +116,7 @@ def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
 
 
 def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
-    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB 7.3 file, which is HDF5.
-
-    MATLAB stores arrays in column order, HDF5 in row order, so that they are transposed. A struct is a group.
-    """
+    """Return the vectors, or the columns of a matrix, in a MATLAB 7.3 file: HDF5 with arrays in column order."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             check_tree(file)
@@ -277,10 +274,7 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.30
 
 
 def read_project(path: Path, sha256: str, content: bytes) -> Points:
-    """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin.
-
-    A DatasetError says that the XML is damaged, declares entities, or has no points.
-    """
+    """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
         raise DatasetError(
             f"{path} declares XML entities.", "A Tracker project contains none; export it again."

@@ -30,6 +30,7 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
 )
 from gyrotrack.io.readers._raw_table import TURN, RawTable
+from gyrotrack.io.readers._sampled_signal import is_regular, is_sampled, rising_edges, signal_columns
 
 _MAX_MISSED = 20
 _END = 3
@@ -62,14 +63,10 @@ _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
 def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle of a body from a column of event times, or from the state of a light gate.
+    """Return the angle of a body from a column of event times, the state of a light gate, or a sampled signal.
 
-    With a column of states (0 and 1), events are the changes from 0 to 1; otherwise each row is an event.
-
-    Raises
-    ------
-    DatasetError, UsageError
-        There are too few event times, or the number of pulses per turn is not positive.
+    Events are the changes from 0 to 1 of a column of states, the rising edges of a signal at equally spaced times, or
+    else the rows.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
@@ -104,6 +101,14 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
         notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
         time, line = time[rising], line[rising]
+    elif (signal := _signal(raw, place, time, options)) is not None:
+        values = raw.numbers(signal)[known][order]
+        there = np.isfinite(values)
+        edges, after = rising_edges(time[there], values[there], raw.path.name, notes)
+        if is_regular(edges):
+            name = raw.names[signal] or str(signal + 1)
+            notes.append(f"{raw.path.name}: pulses are the rising edges of the sampled signal '{name}'")
+            time, line = edges, line[there][after]
     return from_events(raw, time, line, per_turn, notes)
 
 
@@ -116,6 +121,20 @@ def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
         if options.marker is not None and options.marker.casefold() in raw.names[i].casefold()
     ]
     return next(iter(named or found), None)
+
+
+def _signal(raw: RawTable, place: int, time: Floats, options: ReadOptions) -> int | None:
+    """Return the column of a sampled signal; the option `marker` selects one of several."""
+    found = signal_columns(raw, place) if is_sampled(time) else []
+    if options.marker is not None:
+        found = [i for i in found if options.marker.casefold() in raw.names[i].casefold()]
+    if len(found) > 1:
+        names = [raw.names[i] or str(i + 1) for i in found]
+        raise UsageError(
+            f"{raw.path}: {len(found)} columns may contain the pulses: {', '.join(map(repr, names))}.",
+            f"Choose one, for example --marker '{names[0]}'.",
+        )
+    return next(iter(found), None)
 
 
 def _gates(raw: RawTable, place: int) -> list[int]:
@@ -133,22 +152,12 @@ def _gates(raw: RawTable, place: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Passages:
-    """Passages of a pendulum through one or two light gates near its equilibrium.
-
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        Middle of each passage [s].
-    duration : ndarray, shape (n,)
-        Time for which the gates are interrupted [s], inversely proportional to the speed.
-    notes : tuple of str
-        Repairs made while reading.
-    """
+    """Passages of a pendulum through one or two light gates near its equilibrium."""
 
     path: Path
-    time: Floats
-    duration: Floats
-    notes: tuple[str, ...]
+    time: Floats  # middle of each passage [s]
+    duration: Floats  # time for which the gates are interrupted [s], inversely proportional to the speed
+    notes: tuple[str, ...]  # repairs made while reading
 
 
 def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
@@ -185,13 +194,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
-    """Raise an error for a table of a pendulum that passes light gates.
-
-    Raises
-    ------
-    UsageError
-        The table contains passages, which have no angles.
-    """
+    """Raise a UsageError for a table of a pendulum that passes light gates: passages have no angles."""
     if passages_of(raw, options) is not None:
         raise UsageError(
             f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
@@ -313,10 +316,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
 
 
 def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
-    """Return the steps of the counts at the pulses of a part, the first excluded.
-
-    `ratio` are the intervals over their local typical values, `spread` the relative scatter of an interval.
-    """
+    """Return the steps at the pulses but the first, by intervals over their local typical values and their scatter."""
     count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
     x = np.linspace(0, 1, len(time))
     knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
@@ -548,12 +548,7 @@ def clock_scale(ticks: Floats) -> float:
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
     """Return the column with the counts of an encoder that were sampled, by several counts a row; None without one.
 
-    Parameters
-    ----------
-    raw : RawTable
-        A table that is read with a number of pulses per turn.
-    columns : dict
-        Columns by quantity; in a table without header, the second of two columns may be the counts.
+    The table is read with a number of pulses per turn; without header, the second of two columns may be the counts.
     """
     place = columns.get("revolutions")
     if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:
@@ -594,10 +589,7 @@ def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, opti
 
 
 def _continued_count(count: Floats) -> tuple[Floats, int]:
-    """Return counts without the overflows of a binary counter, and the width of the counter [bit]; 0 if it has none.
-
-    A counter of n bits changes by more than half of 2^n only where it overflows.
-    """
+    """Return counts without the overflows of an n-bit counter (steps of over 2^n / 2), and n; 0 if it has none."""
     low, high = float(count.min()), float(count.max())
     for bits in (8, 16, 24, 32):
         size = 2.0**bits

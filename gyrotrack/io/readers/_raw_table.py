@@ -47,7 +47,7 @@ class RawTable:
     # numbers (ndarray, shape (n,)) or cells of text (list of str), one per column
     columns: tuple[Floats | list[str], ...]
     line: Integers  # shape (n,); line of each sample in the file
-    header_line: int = 1  # line of the header
+    header_line: int = 0  # line of the header; 0 in files without lines
     decimal_comma: bool = False
     notes: tuple[str, ...] = field(default=())  # repairs made while reading
 
@@ -55,6 +55,11 @@ class RawTable:
     def headed(self) -> bool:
         """Whether the columns have names."""
         return any(self.names)
+
+    @property
+    def header_place(self) -> str:
+        """The file, and the line of the header if it has lines, for messages."""
+        return f"{self.path}, line {self.header_line}" if self.header_line else str(self.path)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
         """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text."""
@@ -82,10 +87,7 @@ class RawTable:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell, NaN if it is empty or infinite, None if it is not a number.
-
-    With `times`, clock times such as ``12:03:04.5`` and ISO 8601 are converted to seconds.
-    """
+    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if empty or infinite, else None."""
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan
@@ -128,10 +130,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """Return the lines that are neither blank nor comments, with their numbers, and notes on excluded lines.
-
-    A header that is repeated, and text without numbers below the samples, are excluded.
-    """
+    """Return numbered lines without blank ones, comments, repeated headers and text below the samples, and notes."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
     elif b"\0" in content:
@@ -360,10 +359,7 @@ def is_unit(text: str) -> bool:
 
 
 def factor(role: str, unit: str) -> float | None:
-    """Return the factor of a unit to SI for a role (any role if it is empty); None if the unit is unknown.
-
-    Units that are not in the table are converted with `pint`, if it is installed.
-    """
+    """Return the factor of a unit to SI for a role (any if empty), with `pint` if installed; None if it is unknown."""
     bare = clean(unit)
     tables = [UNITS[role]] if role else list(UNITS.values())
     for table in tables:
