@@ -24,6 +24,7 @@ from gyrotrack.io._records import (
     Placement,
     Recording,
     Series,
+    doubts_of,
     speed_warnings,
 )
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
@@ -286,7 +287,15 @@ def synchronise(
         rotor=of_rotor,
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
-        warnings=(*_warnings(matches, rotor_tracks, order), *speed_warnings(of_casing, of_rotor, remedy)),
+        warnings=(
+            *(
+                f"{n}: {doubt}"
+                for n, r in zip(names, [casing, *rotors], strict=True)
+                for doubt in doubts_of(r)
+            ),
+            *_warnings(matches, rotor_tracks, order),
+            *speed_warnings(of_casing, of_rotor, remedy),
+        ),
         extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))
