@@ -38,7 +38,7 @@ from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._compression import CASING_DEGREE
+from fitting.inference._compression import CASING_DEGREE, integrated
 from fitting.inference._linear_algebra import (
     block_diagonal,
     orthogonal_to,
@@ -140,8 +140,7 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     inertia = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
     kinetic = 0.5 * (state[:, :2] ** 2) @ inertia
     power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
-    lost = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
-    energy = kinetic + lost
+    energy = kinetic + integrated(t, power)
     scale = energy[0] if energy[0] > _SLOW_START * kinetic.max() else kinetic.max()
     return EnergyBalance(t, energy, (energy - energy[0]) / scale)
 
