@@ -26,17 +26,6 @@ from fitting.inference._noise import Noise
 from fitting.inference._record import Record
 from fitting.inference._result import Estimate, Fit
 
-EFFECT_OF = {
-    "a1": "rotor.air.linear",
-    "a2": "rotor.air.quadratic",
-    "b1": "touchpoint.constant",
-    "b2": "casing.air.linear",
-    "c": "bearing.constant",
-    "d": "bearing.linear",
-    "e": "bearing.quadratic",
-    "f": "bearing.power",
-}
-
 
 @dataclass(frozen=True)
 class Column:
@@ -62,6 +51,7 @@ COLUMNS = {
         Column("g", "bearing.power.g", "1", 0),
     )
 }
+EFFECT_OF = {symbol: c.key.rpartition(".")[0] for symbol, c in COLUMNS.items() if symbol != "g"}
 
 
 @dataclass(frozen=True)
