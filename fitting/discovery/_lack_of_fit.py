@@ -277,9 +277,8 @@ class _Periodogram:
 
     def share(self, rate: float) -> float:
         """Return the share of the process noise in the variance of the response at a frequency [rad/s]."""
-        return self._project.whitener.share(
-            orthonormal(self._orthogonal(self._response_to(np.array([rate]))), _RANK)
-        )
+        response = self._orthogonal(self._response_to(np.array([rate])))
+        return self._project.whitener.share(orthonormal(response, _RANK))
 
     def _response_to(self, rates: Array) -> Array:
         phase = np.outer(self._response.centres, rates)
@@ -356,9 +355,8 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
             gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)
             chi2, count = chi2 + float(gamma @ (s.T @ r)), count + 2
             torque = max(torque, float(np.hypot(*gamma)))
-        p_value = (
-            min(1.0, len(_ORDERS) * float(tail_probability(chi2, count, fit.noise, shares))) if count else 1.0
-        )
+        single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
+        p_value = min(1.0, len(_ORDERS) * single)
         # a high order hardly moves the body: to account for an error of the motion it would exceed all other torques
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, torque, p_value, fit.torque_unit)

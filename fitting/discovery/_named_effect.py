@@ -105,21 +105,17 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
         spline = _cubic_spline(c.along_motion("t")) if slow else np.zeros((len(v), 0))
         splines.append(c.torque_rows(-spline * bool(rotor.any()), spline * bool(casing.any())))
     effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
-    rows = [
-        _projected(found, i, parts) for i, parts in enumerate(zip(deviations, splines, effects, strict=True))
-    ]
+    columns = enumerate(zip(deviations, splines, effects, strict=True))
+    rows = [_projected(found, i, parts) for i, parts in columns]
     free, residual = np.concatenate([r[3] for r in rows]), np.concatenate([r[4][:, 0] for r in rows])
     response = _orthogonal(np.concatenate([r[0] for r in rows]), free)
     names, p = _active_bounds(found, free, residual)
     per_case = len(cases) > 1 and effect.per_case
     spline = block_diagonal([r[1] for r in rows]) if per_case else np.concatenate([r[1] for r in rows])
     torque = np.concatenate([r[2] for r in rows])[:, 0]
-    any_in_time = (
-        slow and _rise_with_spline(found, effect, spline, torque, free, residual) < criteria.equivalence_width
-    )
-    return FormTest(
-        _limit(response, square / max(torque_square, _TINY), criteria), variable, names, p, any_in_time
-    )
+    rise = _rise_with_spline(found, effect, spline, torque, free, residual) if slow else math.inf
+    limit = _limit(response, square / max(torque_square, _TINY), criteria)
+    return FormTest(limit, variable, names, p, rise < criteria.equivalence_width)
 
 
 def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, Array]:
@@ -275,17 +271,13 @@ def with_free_inertia(
         model = base.model.with_effect(LIBRARY[INERTIA])
         freed = fit_like(base, model, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)
-        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][
-            :_MOST_REFITS
-        ]
-        near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]
+        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed]
+        near = [c for c in usable[:_MOST_REFITS] if c.score > usable[0].score - criteria.equivalence_width]
         refits = [(c.effect.name, refit(freed, c.screened, criteria)) for c in near]
-        best = min(
-            ((name, f) for name, f in refits if f is not None), key=lambda item: item[1].bic, default=None
-        )
-        if best is None:
+        usable_fits = [(f.bic, name, f) for name, f in refits if f is not None]
+        if not usable_fits:
             return None
-        name, found = best
+        _, name, found = min(usable_fits, key=lambda item: item[0])
         share, stated = found.estimates[_SHARE], relative_uncertainty(base)
         largest = criteria.inertia_sigma * stated if stated > 0 else criteria.inertia_largest
         credible = abs(share.value) <= largest + criteria.inertia_sigma * share.stderr

@@ -84,9 +84,8 @@ class ScoreContext:
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
-        self._whiteners = [
-            [n.whitener.at(_level_between(n.least, n.level, x)) for n in fit.noise] for x in shares
-        ]
+        levels = [[_level_between(n.least, n.level, x) for n in fit.noise] for x in shares]
+        self._whiteners = [[n.whitener.at(x) for n, x in zip(fit.noise, at, strict=True)] for at in levels]
         # a parameter at its bound is held, unless it is released: only the refit enforces the bound
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names

@@ -102,9 +102,7 @@ def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str
     """
     ranges = {}
     for key, width in WIDTHS.items():
-        values = [
-            e.value for fit in reduced for name, e in fit.estimates.items() if name.partition("@")[0] == key
-        ]
+        values = [e.value for fit in reduced for e in _of(fit, key)]
         mean = sum(values) / len(values) if values else 0.0
         if mean > 0:
             for name in (key, *(f"{key}@{label}" for label in labels)):
@@ -339,9 +337,8 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     reduced = [fit(Model.of(REDUCED), [d]) for d in data]
     noise = [f.noise[0] for f in reduced]
     count.add(1)
-    air, bearing = (
-        tuple(_rows(runs, d, n, count) for d, n in zip(data, noise, strict=True)) for runs in (AIR, BEARING)
-    )
+    known = list(zip(data, noise, strict=True))
+    air, bearing = (tuple(_rows(runs, d, n, count) for d, n in known) for runs in (AIR, BEARING))
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)
