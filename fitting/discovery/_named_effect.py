@@ -32,7 +32,6 @@ with the ratio free, and the best ones are refitted with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -54,9 +53,8 @@ from fitting.inference._linear_algebra import (
     orthogonal_to,
     orthonormal,
     piecewise_linear,
-    r_factor,
 )
-from fitting.inference._problem import Projection
+from fitting.inference._metrics import FewRows
 from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
@@ -105,14 +103,16 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
         spline = _cubic_spline(c.along_motion("t")) if slow else np.zeros((len(v), 0))
         splines.append(c.torque_rows(-spline * bool(rotor.any()), spline * bool(casing.any())))
     effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
-    columns = enumerate(zip(deviations, splines, effects, strict=True))
-    rows = [_projected(found, i, parts) for i, parts in columns]
-    free, residual = np.concatenate([r[3] for r in rows]), np.concatenate([r[4][:, 0] for r in rows])
-    response = _orthogonal(np.concatenate([r[0] for r in rows]), free)
+    columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
+    known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
+    rows = [FewRows.of(*case) for case in known]
+    free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
+    tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
+    response = _orthogonal(np.concatenate([t[0] for t in tested]), free)
     names, p = _active_bounds(found, free, residual)
     per_case = len(cases) > 1 and effect.per_case
-    spline = block_diagonal([r[1] for r in rows]) if per_case else np.concatenate([r[1] for r in rows])
-    torque = np.concatenate([r[2] for r in rows])[:, 0]
+    spline = (block_diagonal if per_case else np.concatenate)([t[1] for t in tested])
+    torque = np.concatenate([t[2] for t in tested])[:, 0]
     rise = _rise_with_spline(found, effect, spline, torque, free, residual) if slow else math.inf
     limit = _limit(response, square / max(torque_square, _TINY), criteria)
     return FormTest(limit, variable, names, p, rise < criteria.equivalence_width)
@@ -146,19 +146,6 @@ def _cubic_spline(t: Array) -> Array:
     x = (t - t[0]) / (t[-1] - t[0])
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1]
     return np.concatenate([np.vander(x, 4), np.abs(x[:, None] - knots) ** 3], axis=1)
-
-
-def _projected(found: Fit, index: int, parts: Sequence[Array]) -> list[Array]:
-    """Return columns, those of all variables of the fit, and the residual of one case, as R of a QR decomposition."""
-    data, p, noise = found.problem.data[index], found.predictions[index], found.noise[index]
-    project = Projection(data, noise.whitener.at(noise.pure))
-    white = project(np.concatenate([*parts, p.columns, (data.z - p.rows)[:, None]], axis=1))
-    *few, columns, residual = np.split(
-        r_factor(white), np.cumsum([*(part.shape[1] for part in parts), p.columns.shape[1]]), axis=1
-    )
-    free = np.zeros((len(columns), p.count))
-    free[:, p.places] = columns
-    return [*few, free, residual]
 
 
 def _orthogonal(columns: Array, free: Array) -> Array:
