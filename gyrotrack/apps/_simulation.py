@@ -12,7 +12,7 @@ import hashlib
 import json
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ from gyrotrack.io._records import Case, Series
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
-_CASING_CLIP = "casing.mp4"
 _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
@@ -52,8 +51,6 @@ def write_record(
     force: bool = False,
 ) -> Path:
     """Write a simulated recording as a case file."""
-    casing = _series([record.casing])
-    rotor = _series(list(record.rotor))
     case = Case(
         I_rotor=record.I_rotor,
         I_casing=record.I_casing,
@@ -61,11 +58,8 @@ def write_record(
         I_casing_u=record.I_casing_u,
         label=record.label,
         surface=surface,
-        casing=Series(**{**vars(casing), "window": None}),
-        rotor=rotor,
-        recordings={},
-        placements={},
-        rotor_generated=None,
+        casing=replace(_series([record.casing]), window=None),
+        rotor=_series(list(record.rotor)),
         quantity=record.quantity,
     )
     return write_case(path, case, command=command, settings=settings, force=force)
@@ -206,28 +200,22 @@ class SimulatedRun:
         inertias = {INERTIA_ROTOR: self.inertias[0], INERTIA_CASING: self.inertias[1]}
         motion = _motion(self.model, {**self.model.constants, **self.numbers, **inertias}, self.experiment)
         clips = _clips(self.experiment)
-        total = sum(clip.frames for clip in clips)
-        done, written = 0, []
+        total, done = sum(clip.frames for clip in clips), 0
         for clip in clips:
 
             def count(k: int, _: int | None, before: int = done) -> None:
                 if progress is not None:
                     progress(before + k, total)
 
-            render_clip(
-                folder / clip.name,
-                Scene(),
-                motion,
-                clip.camera,
-                Light(),
-                frames=clip.frames,
-                seed=self.seed + done,
-                force=force,
-                progress=count,
-            )
-            written.append(folder / clip.name)
+            options: Any = {
+                "frames": clip.frames,
+                "seed": self.seed + done,
+                "force": force,
+                "progress": count,
+            }
+            render_clip(folder / clip.name, Scene(), motion, clip.camera, Light(), **options)
             done += clip.frames
-        return written
+        return self.film_files(folder)
 
 
 def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
@@ -270,12 +258,10 @@ class _Clip:
 
 
 def _clips(e: Experiment) -> list[_Clip]:
-    casing = _Clip(_CASING_CLIP, e.casing_fps, e.casing_fps, 0.0, e.duration)
-    rotor = [
-        _Clip(f"rotor_{i}.mp4", e.rotor_fps, _STORED_FPS, start, e.window_length)
-        for i, start in enumerate(e.windows, 1)
-    ]
-    return [casing, *rotor]
+    clips = [_Clip("casing.mp4", e.casing_fps, e.casing_fps, 0.0, e.duration)]
+    for i, start in enumerate(e.windows, 1):
+        clips.append(_Clip(f"rotor_{i}.mp4", e.rotor_fps, _STORED_FPS, start, e.window_length))
+    return clips
 
 
 def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -> Motion:
@@ -339,15 +325,8 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
     """
     if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
-    names = [
-        n
-        for n, e in LIBRARY.items()
-        if e.kind == "physical"
-        and e.searched
-        and not e.restoring
-        and n not in present
-        and n not in _NOT_DRAWN
-    ]
+    drawn = [n for n, e in LIBRARY.items() if e.kind == "physical" and e.searched and not e.restoring]
+    names = [n for n in drawn if n not in present and n not in _NOT_DRAWN]
     return LIBRARY[names[int(random.integers(len(names)))]]
 
 
@@ -383,10 +362,8 @@ def unseal(path: Path) -> Seal:
         salt, commitment = str(document["salt"]), str(document["commitment"])
         answer = _xor_with_salt(sealed, salt).decode()
         content = json.loads(answer)
-        effect, parameters = (
-            str(content["effect"]),
-            {str(k): float(v) for k, v in content["parameters"].items()},
-        )
+        effect = str(content["effect"])
+        parameters = {str(k): float(v) for k, v in content["parameters"].items()}
     except FileNotFoundError:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -414,12 +391,9 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     """Grade an answer: the effect and those indistinguishable from it (nothing for "none"), with values and errors."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
+    word = "right class" if set(named) & equivalent or (outside and not named) else "wrong"
     if named and named[0] in equivalent:
         word = "right"
-    elif set(named) & equivalent or (outside and not named):
-        word = "right class"
-    else:
-        word = "wrong"
     pulls = {
         k: (value - truth.parameters[k]) / error
         for k, (value, error) in found.items()

@@ -99,10 +99,8 @@ class Study:
             return []
         known = {e.fit_id: e for e in self.ledger.of(self.data)}
         chain = [entry]
-        while (
-            parent := known.get(str(chain[-1].document.get("parent", "")))
-        ) is not None and parent not in chain:
-            chain.append(parent)
+        while (found := known.get(str(chain[-1].document.get("parent", "")))) and found not in chain:
+            chain.append(found)
         return chain
 
     def diagnosis(
@@ -236,11 +234,8 @@ def open_study(
             f"{prior} is given as the study of both bodies.",
             "Give --prior-rotor the study of the rotor alone.",
         )
-    known = [
-        _prior_of(path, read, rotor=of_rotor)
-        for path, of_rotor in ((prior, False), (prior_rotor, True))
-        if path is not None
-    ]
+    studies = ((prior, False), (prior_rotor, True))
+    known = [_prior_of(path, read, rotor=of_rotor) for path, of_rotor in studies if path is not None]
     return Study(read, kept, reduce(Prior.joined, known) if known else None)
 
 
@@ -288,8 +283,12 @@ def read_cases(
     from fitting.inference._case_data import CaseData
     from fitting.inference._case_file import read_record
 
-    _require_choice("--data", data or "angle", ("angle", "velocity"))
-    _require_choice("--rotor", rotor, ("windows", "generated"))
+    choices = (("data", data or "angle", ("angle", "velocity")), ("rotor", rotor, ("windows", "generated")))
+    for option, word, words in choices:
+        if word not in words:
+            raise UsageError(
+                f"Unknown value {word[:40]!r} of --{option}.", f"Use one of: {', '.join(words)}."
+            )
     records = [read_record(path) for path in cases]
     if data is not None or rotor != "windows":
         from fitting.study._paper import prepared
@@ -324,11 +323,6 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
             raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
         found[name] = entries[-1]
     return found
-
-
-def _require_choice(option: str, word: str, words: tuple[str, ...]) -> None:
-    if word not in words:
-        raise UsageError(f"Unknown value {word[:40]!r} of {option}.", f"Use one of: {', '.join(words)}.")
 
 
 _NAMED = ("reduced", "general", "linear")
@@ -402,15 +396,9 @@ class FitRequest:
             )
         options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
         found = self._fitted(with_prior(study.data, prior), wanted, values, options)
-        kept = study.ledger.add(
-            found,
-            parent=entry.fit_id if entry is not None else "",
-            added=self.change,
-            previous=previous,
-            **options,
-            loss=self.loss,
-        )
-        return found, kept.fit_id
+        parent = entry.fit_id if entry is not None else ""
+        options |= {"parent": parent, "added": self.change, "previous": previous, "loss": self.loss}
+        return found, study.ledger.add(found, **options).fit_id
 
     def _fitted(
         self,
@@ -439,10 +427,8 @@ class FitRequest:
         share, per_case = (
             [n for n in names if any(covers(n, key) for key in wanted.free)] for names in entry.choices
         )
-        return (
-            (*self.share, *(n for n in share if n not in self.per_case)),
-            (*self.per_case, *(n for n in per_case if n not in self.share)),
-        )
+        own = (n for n in per_case if n not in self.share)
+        return (*self.share, *(n for n in share if n not in self.per_case)), (*self.per_case, *own)
 
     @property
     def change(self) -> str:

@@ -17,15 +17,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
-from gyrotrack.io._records import (
-    BodyTrack,
-    Case,
-    Floats,
-    Placement,
-    Recording,
-    Series,
-    speed_warnings,
-)
+from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, Series, speed_warnings
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
@@ -69,9 +61,7 @@ class Match:
     @property
     def ambiguous(self) -> bool:
         """Whether another start cannot be excluded, or the uncertainty is too large."""
-        return self.offset_sigma > MAX_START_SIGMA or any(
-            rival.delta_chi2 < EXCLUDED for rival in self.rivals
-        )
+        return self.offset_sigma > MAX_START_SIGMA or any(r.delta_chi2 < EXCLUDED for r in self.rivals)
 
     @property
     def method(self) -> str:
@@ -116,10 +106,8 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
     if common:
         free = _solve(pairs, best.starts, common_rate=False, windows=best.windows)
         if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < 1e-4:
-            common, fits = (
-                False,
-                [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)],
-            )
+            common = False
+            fits = [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)]
             best = min(fits, key=lambda fit: fit.chi2)
     rivals = [_rivals(fits, best, k) for k in range(len(prepared))]
     turns, locked = _common_direction(pairs, best, common_rate=common)
@@ -158,12 +146,8 @@ def _solve(
 
 def _combinations(prepared: list[Prepared]) -> list[tuple[Start, ...]]:
     """Return the most likely combinations of possible starts."""
-    options = []
-    for p in prepared:
-        lowest = p.solutions[0].chi2
-        options.append([s for s in p.solutions if s.chi2 < lowest + RIVAL])
-    combos = list(product(*options))
-    combos.sort(key=lambda combo: sum(solution.chi2 for solution in combo))
+    options = [[s for s in p.solutions if s.chi2 < p.solutions[0].chi2 + RIVAL] for p in prepared]
+    combos = sorted(product(*options), key=lambda combo: sum(solution.chi2 for solution in combo))
     return [tuple(solution.starts[0] for solution in combo) for combo in combos[:MAX_COMBINATIONS]]
 
 
@@ -268,10 +252,8 @@ def synchronise(
     matches = match_clips(curves[0], curves[1:], names[1:], cameras, progress)
     order = sorted(range(len(rotors)), key=lambda k: matches[k].start.offset)
     ids = {k: f"rotor_{window}" for window, k in enumerate(order)}
-    of_casing, of_rotor = (
-        _series([casing.bodies["casing"]]),
-        _windows([_on_clock(rotor_tracks[k], matches[k]) for k in order]),
-    )
+    of_casing = _series([casing.bodies["casing"]])
+    of_rotor = _windows([_on_clock(rotor_tracks[k], matches[k]) for k in order])
     remedy = (
         "name the bodies in a profile (`gyrotrack profile VIDEO -o P.toml`) and repeat "
         "`gyrotrack extract VIDEO --profile P.toml`"
@@ -296,10 +278,8 @@ def _check_distinct_films(recordings: Sequence[Recording], names: Sequence[str])
     seen: dict[str, str] = {}
     for recording, name in zip(recordings, names, strict=True):
         if recording.source_sha256 and recording.source_sha256 in seen:
-            raise SyncError(
-                f"{name} and {seen[recording.source_sha256]} come from the same film.",
-                "Give each film once.",
-            )
+            other = seen[recording.source_sha256]
+            raise SyncError(f"{name} and {other} come from the same film.", "Give each film once.")
         seen[recording.source_sha256] = name
 
 
@@ -351,18 +331,14 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
-def _rival_text(rival: Rival) -> str:
-    turn = " (one turn of the casing away)" if rival.kind == "turn" else ""
-    return f"{rival.offset:.3f} s{turn}"
-
-
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
     """Return warnings about uncertain starts and inconsistent clips."""
     found = []
     for match in matches:
         rivals = [rival for rival in match.rivals if rival.delta_chi2 < EXCLUDED]
         if rivals:
-            others = ", ".join(_rival_text(rival) for rival in rivals[:3])
+            away = {"turn": " (one turn of the casing away)"}
+            others = ", ".join(f"{r.offset:.3f} s{away.get(r.kind, '')}" for r in rivals[:3])
             found.append(f"{match.name}: ambiguous start, {match.start.offset:.3f} s or {others}")
         elif match.offset_sigma > MAX_START_SIGMA:
             found.append(
@@ -375,7 +351,5 @@ def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order
         if second.time[0] < first.time[-1]:
             found.append(f"{pair} overlap in time")
         elif np.nanmedian(second.omega) > 1.02 * np.nanmedian(first.omega):
-            found.append(
-                f"{pair}: the rotor is faster in the later clip, so that one of the starts may be wrong"
-            )
+            found.append(f"{pair}: the rotor is faster in the later clip; one of the starts may be wrong")
     return found
