@@ -31,7 +31,7 @@ from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, within
-from gyrotrack.plotting._proposal import write_body_picture
+from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._film import Film

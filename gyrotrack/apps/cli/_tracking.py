@@ -49,7 +49,7 @@ def profile_command(
     """
     from gyrotrack._errors import TrackingError
     from gyrotrack.io._atomic import new_file, refuse_existing
-    from gyrotrack.plotting._proposal import write_body_picture, write_picture
+    from gyrotrack.plotting._frames import write_body_picture, write_picture
     from gyrotrack.tracking._any_body import read_excerpt
     from gyrotrack.tracking._profile import to_toml
     from gyrotrack.tracking._proposal import propose
