@@ -35,14 +35,13 @@ if TYPE_CHECKING:
     from fitting.effects._user import resolve as effect
     from fitting.inference._budget import budget
     from fitting.inference._case_data import CaseData
-    from fitting.inference._cross_validation import predict_recordings
     from fitting.inference._profile import profile as profile_interval
     from fitting.inference._record import Record, make_record
     from fitting.inference._result import Estimate, Fit
     from fitting.inference._simulation import Experiment, simulate
     from fitting.study._comparison import compare
     from fitting.study._history import Ledger
-    from fitting.study._scan import Scan, scan
+    from fitting.study._scan import Scan, predict_recordings, scan
     from fitting.study._scan_tables import scan_lines
     from fitting.study._serialisation import load_fit
 
@@ -66,14 +65,13 @@ _MODULES = {
     "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
     "fitting.effects._user": ("effect", "read_effects"),
     "fitting.inference._budget": ("budget",),
-    "fitting.inference._cross_validation": ("predict_recordings",),
     "fitting.inference._profile": ("profile_interval",),
     "fitting.inference._record": ("Record", "make_record"),
     "fitting.inference._result": ("Estimate", "Fit"),
     "fitting.inference._simulation": ("Experiment", "simulate"),
     "fitting.study._comparison": ("compare",),
     "fitting.study._history": ("Ledger",),
-    "fitting.study._scan": ("Scan", "scan"),
+    "fitting.study._scan": ("Scan", "predict_recordings", "scan"),
     "fitting.study._scan_tables": ("scan_lines",),
     "fitting.study._serialisation": ("load_fit",),
 }

@@ -96,8 +96,7 @@ class Criteria:
         0.1, "family-wise p-value above which candidates of an oscillation are not refitted"
     )
     gross_misfit: float = _criterion(
-        0.7,
-        "rms phase drift by a torque like the residuals, of a gross misfit [rad]",
+        0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]"
     )
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
 

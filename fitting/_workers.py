@@ -63,9 +63,8 @@ class WorkerPool:
     """A process pool (started with "spawn", entered with ``with``) that degrades to serial execution.
 
     Without ``with``, on one core, where no process can be started and after a worker was killed, all calls run in the
-    calling process. The workers end with the process that started them.
-
-    By default there is one worker fewer than available cores, at most 4.
+    calling process. The workers end with the process that started them; by default there is one fewer than available
+    cores, at most 4.
     """
 
     processes: int = field(default_factory=lambda: min(available_cores() - 1, _MOST_PROCESSES))

@@ -114,7 +114,7 @@ def third(found: Fit, data: CaseData) -> float:
 
     What the recordings share is held; touch point, drag of the casing and start speeds are free, as in a joint fit.
     """
-    from fitting.inference._cross_validation import _prediction_error
+    from fitting.study._scan import _prediction_error
 
     shared = {k: found.estimates[k].value for k in found.model.free if k in found.estimates}
     # of an event every recording has its own; there is none here

@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext, over_many_tests
-from fitting.dynamics._mesh import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._result import Fit
@@ -71,37 +70,17 @@ _TESTS: dict[Joint, tuple[tuple[str, ...], ...]] = {
 
 @dataclass(frozen=True)
 class Dependence:
-    """The unmodelled torque as a smooth function of one variable, or of two.
+    """The unmodelled torque as a smooth function of one variable, or of two."""
 
-    Attributes
-    ----------
-    variable : str
-        "omega_c", "t", ...; two joined by "*".
-    body : str
-        Where the torque acts: "casing", "rotor", or "bearing" (internal).
-    p_value : float
-        Of no dependence, over all variables that were tried.
-    explained : float
-        Share of the lack of fit (excess of chi-square over its degrees of freedom) that it explains (0-1).
-    score : float
-        Fall of the deviance.
-    columns : int
-        Functions of the spline that the base cannot represent.
-    value : ndarray, shape (points,)
-        Values of the variable [s, rad/s or rad]; empty for two variables.
-    torque, sigma : ndarray, shape (points,)
-        Torque and its standard uncertainty there, the part that the base cannot represent [N m].
-    """
-
-    variable: str
-    body: str
-    p_value: float
-    explained: float
-    score: float
-    columns: int
-    value: Array = field(repr=False)
-    torque: Array = field(repr=False)
-    sigma: Array = field(repr=False)
+    variable: str  # "omega_c", "t", ...; two joined by "*"
+    body: str  # "casing", "rotor", or "bearing" (internal)
+    p_value: float  # of no dependence, over all variables that were tried
+    explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
+    score: float  # fall of the deviance
+    columns: int  # functions of the spline that the base cannot represent
+    value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
+    torque: Array = field(repr=False)  # the part that the base cannot represent [N m]
+    sigma: Array = field(repr=False)  # its standard uncertainty [N m]
     identified: Array = field(repr=False)
 
     @property
@@ -120,13 +99,9 @@ def torque_rows(effects: Sequence[Effect], cases: Sequence[CaseColumns]) -> Arra
     rows = [np.zeros(len(c.case.data.z)) for c in cases]
     for e in effects:
         for i, case in enumerate(cases):
-            numbers = case.numbers
-            values = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
-            shape = {p.symbol: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters if p.role == "shape"}
+            shape, strengths = case.fitted(e)
             columns = case.trials(e, [shape])[0].columns
-            phase = values.get("phase", 0.0)
-            quadratures = np.array([np.cos(phase), np.sin(phase)])[: columns.shape[1]]
-            rows[i] = rows[i] + columns @ (values["amplitude"] * quadratures)
+            rows[i] = rows[i] + columns @ strengths[: columns.shape[1]]
     return np.concatenate(rows)
 
 
@@ -182,7 +157,7 @@ def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
 def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:
     """Yield the rows of a spline of each variable, over the rows of all cases."""
     single = about.problem.data[0].record.single
-    known = [_motion(about, i, c) for i, c in enumerate(cases)]
+    known = [{v: c.along_motion(v) for v in ("t", "omega_r", "omega_c", "delta")} for c in cases]
     for body, choices in _TESTS.items():
         if single and body != "casing":
             continue
@@ -226,12 +201,6 @@ def _product(factors: Sequence[Array]) -> Array:
     for f in factors[1:]:
         total = (total[:, :, None] * f[:, None, :]).reshape(len(total), -1)
     return total
-
-
-def _motion(about: Fit, index: int, case: CaseColumns) -> dict[str, Array]:
-    path, t = about.predictions[index].path, case.response.centres
-    y = Sampler(path.mesh, t).value(path.y)
-    return {"t": t, "omega_r": y[:, 0], "omega_c": y[:, 1], "delta": y[:, 0] - y[:, 1]}
 
 
 class _Axis:

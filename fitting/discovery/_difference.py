@@ -34,30 +34,14 @@ _REFITTED = 2
 
 @dataclass(frozen=True)
 class DifferentParameter:
-    """A parameter shared by the recordings that has another value in each of them.
+    """A parameter shared by the recordings that has another value in each of them."""
 
-    Attributes
-    ----------
-    name : str
-        The parameter, ``<effect>.<symbol>``.
-    estimates : dict
-        Its value in each recording, by label. Their errors may be strongly correlated.
-    differences : dict
-        Its value in each other recording minus that in the first, by label.
-    indistinguishable_from : tuple of str
-        Other shared parameters whose difference describes the data as well.
-    delta_bic : float
-        BIC with a value for each recording minus BIC of the base.
-    p_value : float
-        Probability of such a difference in any of the shared parameters if they are equal.
-    """
-
-    name: str
-    estimates: dict[str, Estimate]
-    differences: dict[str, Estimate]
-    indistinguishable_from: tuple[str, ...]
-    delta_bic: float
-    p_value: float
+    name: str  # ``<effect>.<symbol>``
+    estimates: dict[str, Estimate]  # by label; their errors may be strongly correlated
+    differences: dict[str, Estimate]  # value in each other recording minus that in the first, by label
+    indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
+    delta_bic: float  # BIC with a value for each recording minus BIC of the base
+    p_value: float  # of such a difference in any of the shared parameters if they are equal
 
     @property
     def sentence(self) -> str:
@@ -92,17 +76,9 @@ def different_parameter(
 ) -> SeparateValues | None:
     """Return the shared parameter whose difference between the recordings describes the data best, or None.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit with one value for all recordings.
-    criteria : Criteria
-        Thresholds.
-    rival : tuple of Fit and float, optional
-        The fit of another explanation, whose noise is used, and its penalised BIC: the difference must describe the
-        data as well. Without it, better than the base.
-    least : float
-        Without a score of at least this size nothing is refitted.
+    `rival` is the fit of another explanation, whose noise is used, and its penalised BIC: the difference must
+    describe the data as well; without it, better than the base. Without a score of at least `least` nothing is
+    refitted.
     """
     layout = base.problem.layout
     # one at its bound may be there only because of the difference
@@ -156,20 +132,10 @@ def different_parameter(
 def improves_on_difference(
     separate: SeparateValues, effects: Sequence[Effect], lengths: Sequence[float], criteria: Criteria
 ) -> bool:
-    """Return whether an effect or law describes the data better than different values of a shared parameter.
+    """Return whether effects or laws describe the data better than different values of a shared parameter.
 
-    To first order about the fit with these values, the difference being part of the residuals.
-
-    Parameters
-    ----------
-    separate : SeparateValues
-        The parameter and its fit.
-    effects : sequence of Effect
-        Effects and laws that are not in the fit.
-    lengths : sequence of float
-        Description length of each; 0 for an effect of the library.
-    criteria : Criteria
-        Thresholds.
+    To first order about the fit with these values, the difference being part of the residuals; `lengths` are the
+    description lengths of the laws, 0 for effects of the library.
     """
     about = separate.fit
     cases = [CaseColumns(about, i) for i in range(len(about.predictions))]

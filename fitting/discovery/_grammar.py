@@ -100,12 +100,7 @@ _OF_SPEED = (
     _Form("saturation", "{x}/(abs({x}) + w)", (("w", "speed"),), 3),
     _Form("saturation", "atan({x}/w)", (("w", "speed"),), 3),
     _Form("saturation", "{x}/sqrt({x}**2 + w**2)", (("w", "speed"),), 5),
-    _Form(
-        "saturation",
-        "abs({x})**n/(abs({x})**n + w**n){s}",
-        (("w", "speed"), ("n", "steepness")),
-        6,
-    ),
+    _Form("saturation", "abs({x})**n/(abs({x})**n + w**n){s}", (("w", "speed"), ("n", "steepness")), 6),
     _Form("peak", "{x}/(1 + ({x}/w)**2)", (("w", "speed"),), 4),
     _Form("peak", "{x}*exp(-abs({x})/w)", (("w", "speed"),), 4),
     _Form("logarithm", "log(1 + abs({x})/w){s}", (("w", "speed"),), 3),
@@ -171,17 +166,13 @@ _FREE_PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
         ("abs(delta)**n*t*sign(delta)", ("delta", "t")),
     ),
 }
-_DECAYING = {
-    "rotor": ("omega_r", "omega_r*abs(omega_r)"),
-    "casing": ("omega_c", "omega_c*abs(omega_c)", "omega_r"),
-    "bearing": ("delta", "delta*abs(delta)"),
-}
 # drag that begins, ends or changes at one moment: a brake, a seal, a lubricant
 _SWITCHED = {
     "rotor": ("omega_r", "omega_r*abs(omega_r)"),
     "casing": ("omega_c", "omega_c*abs(omega_c)"),
     "bearing": ("delta", "delta*abs(delta)"),
 }
+_DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
 _HARMONICS = (3, 4)
 
 
@@ -247,9 +238,8 @@ def _products(body: Joint, span: float, *, single: bool) -> Iterator[LawForm]:
             yield _law(_Form("product", text, (), symbols), body, text, (), variables)
     for text, variables in _FREE_PRODUCTS[body]:
         if not single or "omega_r" not in variables:
-            yield _law(
-                _Form("product", "", (), 4), body, text, (_shape("n", "exponent", 1.0, span),), variables
-            )
+            shapes = (_shape("n", "exponent", 1.0, span),)
+            yield _law(_Form("product", "", (), 4), body, text, shapes, variables)
     for factor in _DECAYING[body]:
         if single and "omega_r" in factor:
             continue
@@ -283,17 +273,13 @@ def _law(
     lower = 0.0 if form.phase else -math.inf
     law = f"k*{text}" if not text.startswith("1/") else f"k/{text[2:]}"
     strength = Parameter("k", _unit(text, shapes), lower=lower, meaning="strength")
-    name = f"law.{body}.{'_'.join(variables)}.{_word(form.name)}"
+    name = f"law.{body}.{'_'.join(variables)}.{form.name.replace(' ', '_')}"
     jump = "t0" if form.name in {"step in time", "switched drag"} else ""
     effect = Effect(
         name, body, law, (strength, *shapes, *phase), state=state, breakpoint=jump, per_case=moment,
         signature=f"{form.name} of {' and '.join(variables)}" if "time" not in form.name else form.name,
     )  # fmt: skip
     return LawForm(effect, form.name, variables, form.symbols + 1)
-
-
-def _word(name: str) -> str:
-    return name.replace(" ", "_")
 
 
 def _unit(text: str, shapes: Sequence[Parameter]) -> str:

@@ -239,10 +239,9 @@ MOST_RIVALS = 6
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:
     """Return the explanations that the present recordings do not separate, in the linear theory of the score test.
 
-    Every set of at most two effects, among the candidates and the effects of the model that the paper does not have, is
-    scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower BIC.
-
-    `threshold` is the score from which each candidate is significant in the whole list.
+    Every set of at most two effects, among the candidates and the effects of the model that the paper does not have,
+    is scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower
+    BIC. `threshold` is the score from which each candidate is significant in the whole list.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]

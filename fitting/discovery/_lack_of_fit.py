@@ -391,12 +391,10 @@ def contradiction(
 def nonparametric_rivals(
     fit: Fit, chosen: Candidate | None, test: FormTest | None, criteria: Criteria
 ) -> tuple[str, ...]:
-    """Return the nonparametric torques that explain as much as the named effect, or its class, does.
+    """Return the nonparametric torques that explain as much as the named effect or its class; `fit` is without it.
 
-    A law of one speed can resemble a law of another speed on another body; a law with a free time constant or frequency
-    can resemble any slow torque in time.
-
-    `fit` is the one without the named effect `chosen`, `test` the test of its form.
+    A law of one speed can resemble a law of another speed on another body; a law with a free time constant or
+    frequency can resemble any slow torque in time.
     """
     if chosen is None or not chosen.physical:
         return ()

@@ -62,6 +62,7 @@ from fitting.discovery._score import (
     best_group,
     score,
     score_of_columns,
+    stacked,
 )
 from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
@@ -73,7 +74,7 @@ from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit_like
-from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
 
@@ -97,78 +98,34 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Difference:
-    """The largest difference of two laws of a set within the recordings.
+    """The largest difference of two laws of a set within the recordings."""
 
-    Attributes
-    ----------
-    formula : str
-        The other law.
-    torque_Nm : float
-        Largest difference of the net torque on a body, base included [N m].
-    label : str
-        The case in which it occurs.
-    t_start, t_stop : float
-        Times between which it is more than half of that [s].
-    omega_c, omega_r : (float, float)
-        Speeds there [rad/s].
-    """
-
-    formula: str
-    torque_Nm: float  # noqa: N815 - the unit's own capitals
-    label: str
-    t_start: float
+    formula: str  # the other law
+    torque_Nm: float  # noqa: N815 - of the net torque on a body, base included [N m]
+    label: str  # the case in which it occurs
+    t_start: float  # [s]; from then to t_stop it is more than half of that
     t_stop: float
-    omega_c: tuple[float, float]
+    omega_c: tuple[float, float]  # speeds there [rad/s]
     omega_r: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Law:
-    """A law that explains the unmodelled torque, and the evidence for it.
+    """A law that explains the unmodelled torque, and the evidence for it."""
 
-    Attributes
-    ----------
-    formula : str
-        Its terms as ``body: law``, joined by " + "; `fit --add` takes a single term.
-    form : str
-        Its form in words.
-    effects : tuple of Effect
-        Its terms, one or two.
-    score : float
-        Fall of the deviance when it is added to the base.
-    delta_bic : float
-        BIC with it minus BIC without.
-    description_length : float
-        What the length of its formula adds to BIC in the ranking.
-    p_value : float
-        Family-wise p-value: probability of such a score anywhere in the search if nothing is missing.
-    torque_rms_Nm : float
-        Rms of its torque along the measured motion [N m].
-    estimates : dict
-        Its parameters by ``<effect>.<symbol>``.
-    indistinguishable_from : tuple of str
-        Formulas of the other laws within the equivalence width.
-    same_torque_as : tuple of str
-        Those of them that have the same torque along the recorded motion.
-    differences : tuple of Difference
-        Where it differs from the others.
-    fit : Fit
-        The refit of base and law.
-    """
-
-    formula: str
-    form: str
-    effects: tuple[Effect, ...]
-    score: float
-    delta_bic: float
-    description_length: float
-    p_value: float
-    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
-    estimates: dict[str, Estimate]
-    indistinguishable_from: tuple[str, ...]
-    same_torque_as: tuple[str, ...]
-    differences: tuple[Difference, ...]
-    fit: Fit = field(repr=False)
+    formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
+    form: str  # in words
+    effects: tuple[Effect, ...]  # its terms, one or two
+    score: float  # fall of the deviance when it is added to the base
+    delta_bic: float  # BIC with it minus BIC without
+    description_length: float  # what the length of its formula adds to BIC in the ranking
+    p_value: float  # of such a score anywhere in the search if nothing is missing (family-wise)
+    torque_rms_Nm: float  # noqa: N815 - along the measured motion [N m]
+    estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
+    indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
+    same_torque_as: tuple[str, ...]  # those of them with the same torque along the recorded motion
+    differences: tuple[Difference, ...]  # where it differs from the others
+    fit: Fit = field(repr=False)  # the refit of base and law
 
     @property
     def body(self) -> str:
@@ -185,41 +142,20 @@ class Law:
 class Laws:
     """The answer of `laws`.
 
-    Attributes
-    ----------
-    fit : Fit
-        The base.
-    verdict : {"law", "library", "parameter", "none"}
-        A law was found; an effect of the library describes the data; a shared parameter differs between the recordings;
-        no law is significant.
-    sentence : str
-        The answer in words.
-    laws : tuple of Law
-        Laws, best first; those within the equivalence width of the first are the answer.
-    library : Candidate or None
-        The effect of the library that describes the data as well as any law.
-    depends_on : tuple of Dependence
-        The unmodelled torque as a function of each variable, the largest explained share first.
-    next_experiment : str
-        The run that separates the laws of the set; empty if there is only one.
-    trials : int
-        How many columns were scored.
-    diagnosis : Diagnosis or None
-        The diagnosis of the base; None where the search did without it.
-    differs : DifferentParameter or None
-        The shared parameter whose difference between the recordings describes the data as well as the laws do.
+    `verdict`: "law" (one was found), "library" (an effect of the library describes the data), "parameter" (a shared
+    parameter differs between the recordings), or "none" (no law is significant).
     """
 
-    fit: Fit
+    fit: Fit  # the base
     verdict: str
     sentence: str
-    laws: tuple[Law, ...]
-    library: Candidate | None
-    depends_on: tuple[Dependence, ...]
-    next_experiment: str
-    trials: int
-    diagnosis: Diagnosis | None = field(default=None, repr=False)
-    differs: DifferentParameter | None = None
+    laws: tuple[Law, ...]  # best first; those within the equivalence width of the first are the answer
+    library: Candidate | None  # the effect of the library that describes the data as well as any law
+    depends_on: tuple[Dependence, ...]  # torque against each variable, the largest share first
+    next_experiment: str  # the run that separates the laws of the set; empty for one law
+    trials: int  # how many columns were scored
+    diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if made
+    differs: DifferentParameter | None = None  # its difference describes the data as well as the laws do
 
     @property
     def answer(self) -> tuple[Law, ...]:
@@ -409,15 +345,8 @@ class _Scored(NamedTuple):
 
     def start(self, about: Fit, s: Score) -> dict[str, float]:
         """Return the variables of a fit, changed to first order by a law of the strength of its score."""
-        if len(self.cases) > 1 and (s.effect.per_case or s.own_phase):
-            columns = block_diagonal(
-                [
-                    c.trials(s.effect, [shape])[0].columns
-                    for c, shape in zip(self.cases, s.shape, strict=False)
-                ]
-            )
-        else:
-            columns = np.concatenate([c.trials(s.effect, [s.shape[0]])[0].columns for c in self.cases])
+        trials = [c.trials(s.effect, [x])[:1] for c, x in zip(self.cases, s.shape, strict=True)]
+        ((_, columns),) = stacked(trials, per_case=s.effect.per_case or s.own_phase)
         layout = about.problem.layout
         theta = about.theta
         if columns.shape[1] == len(s.gamma):
@@ -573,11 +502,7 @@ class _Search:
         ]
 
     def _refits(
-        self,
-        chosen: Sequence[_Chosen],
-        about: Fit,
-        noise: Sequence[Noise],
-        replaced: Sequence[LawForm] = (),
+        self, chosen: Sequence[_Chosen], about: Fit, noise: Sequence[Noise], replaced: Sequence[LawForm] = ()
     ) -> list[_Refitted]:
         """Return the refits of laws that replace some effects of a fit, from its values."""
         model = about.model
@@ -605,10 +530,9 @@ class _Search:
         names = {t.effect.name for t in r.terms}
         estimates = {k: e for k, e in r.fit.estimates.items() if k.rpartition(".")[0] in names}
         for now, t in zip(effects, r.terms, strict=True):
-            for key in [
-                k for k in estimates if k.partition("@")[0] == f"{now.name}.k" and now.law != t.effect.law
-            ]:
-                estimates[key] = replace(estimates[key], value=-estimates[key].value)
+            for key, e in estimates.items():
+                if now.law != t.effect.law and key.partition("@")[0] == f"{now.name}.k":
+                    estimates[key] = replace(e, value=-e.value)
         return Law(
             " + ".join(formula_of(e) for e in effects),
             " + ".join(t.form for t in r.terms),
@@ -650,10 +574,7 @@ def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns
         ]
         choices = [{shapes[0].symbol: float(a), shapes[1].symbol: float(b)} for a in axes[0] for b in axes[1]]
         trials = [c.trials(s.effect, choices) for c in cases]
-        groups = [
-            (tuple(t.shape for t in each), np.concatenate([t.columns for t in each]))
-            for each in zip(*trials, strict=True)
-        ]
+        groups = stacked(trials, per_case=False)
         found = best_group(context, s.effect, groups, context.levels, null=False)
         if found.score > best.score:
             best = replace(found, null=s.null, trials=s.trials)
@@ -801,9 +722,8 @@ def _difference(one: Law, other: Law) -> Difference | None:
             low -= 1
         while high < len(t) - 1 and difference[high + 1] > 0.5 * difference[peak]:
             high += 1
-        y = Sampler(one.fit.predictions[case].path.mesh, t[low : high + 1]).value(
-            one.fit.predictions[case].path.y
-        )
+        path = one.fit.predictions[case].path
+        y = Sampler(path.mesh, t[low : high + 1]).value(path.y)
         worst = Difference(
             other.formula,
             float(difference[peak]),

@@ -124,16 +124,9 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
 
 def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, Array]:
     """Return the torques of a fitted effect on rotor and casing in each cell [N m]."""
-    numbers = {p.role: case.numbers[f"{effect.name}.{p.symbol}"] for p in effect.parameters}
-    shape = {
-        p.symbol: case.numbers[f"{effect.name}.{p.symbol}"]
-        for p in effect.parameters
-        if p.role in {"shape", "fixed"}
-    }
-    rotor, casing = case.torque(effect, shape)
-    phase = numbers.get("phase", 0.0)
-    strengths = numbers.get("amplitude", 1.0) * np.array([np.cos(phase), np.sin(phase)])[: rotor.shape[1]]
-    return np.asarray(rotor @ strengths), np.asarray(casing @ strengths)
+    shape, strengths = case.fitted(effect)
+    rotor, casing = (x @ strengths[: x.shape[1]] for x in case.torque(effect, shape))
+    return rotor, casing
 
 
 def _variable(effect: Effect) -> str:

@@ -55,30 +55,14 @@ _ELSE = "change what only one of them depends on (air pressure, surface, lubrica
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of the runs that are possible with this apparatus; each a pair (smallest, largest).
+    """Bounds of the runs that are possible with this apparatus; each a pair (smallest, largest)."""
 
-    Attributes
-    ----------
-    omega_rotor : tuple of float
-        Initial angular rate of the rotor [rad/s].
-    omega_casing : tuple of float
-        Initial angular rate of the casing, spun by hand [rad/s]; negative against the rotor.
-    duration : tuple of float
-        Duration of the recording [s].
-    inertia_casing : tuple of float
-        Moment of inertia of the casing over the present one, with an inertia ring.
-    touchpoint : tuple of float
-        Friction at the touch point over the present one, on another surface.
-    reversible : bool
-        Whether the rotor can be started in the other sense of rotation.
-    """
-
-    omega_rotor: tuple[float, float]
-    omega_casing: tuple[float, float]
-    duration: tuple[float, float]
-    inertia_casing: tuple[float, float] = (1.0, _RING)
-    touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)
-    reversible: bool = True
+    omega_rotor: tuple[float, float]  # initial angular rate [rad/s]
+    omega_casing: tuple[float, float]  # spun by hand [rad/s]; negative: against the rotor
+    duration: tuple[float, float]  # of the recording [s]
+    inertia_casing: tuple[float, float] = (1.0, _RING)  # over the present one, with an inertia ring
+    touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)  # friction, over the present one
+    reversible: bool = True  # whether the rotor can be started in the other sense
 
     @classmethod
     def of(cls, fit: Fit) -> Bounds:
@@ -103,44 +87,20 @@ class Bounds:
 
 @dataclass(frozen=True)
 class NextRun:
-    """The proposed run and its expected information.
-
-    Attributes
-    ----------
-    run : Run
-        Initial conditions.
-    bounds : Bounds
-        The bounds of the search.
-    rivals : tuple of tuple of str
-        The explanations that it separates; empty if there are none.
-    separation : float
-        Smallest expected difference of deviance between two rivals after this run; NaN without rivals.
-    present : float
-        The same without it.
-    repeated : float
-        The same after one more run like the present ones.
-    gains : dict of str to float
-        By effect, detection limit after the run over the present one.
-    times, omega_rotor, omega_casing : ndarray
-        The predicted motion [s, rad/s].
-    inseparable : tuple of tuple of str
-        Pairs of rivals that no run within the bounds separates.
-    sentence : str
-        The result in words.
-    """
+    """The proposed run and its expected information."""
 
     run: Run
     bounds: Bounds
-    rivals: tuple[tuple[str, ...], ...]
-    separation: float
-    present: float
-    repeated: float
-    gains: dict[str, float]
-    times: Array = field(repr=False)
-    omega_rotor: Array = field(repr=False)
-    omega_casing: Array = field(repr=False)
-    inseparable: tuple[tuple[str, str], ...] = ()
-    sentence: str = ""
+    rivals: tuple[tuple[str, ...], ...]  # the explanations that it separates
+    separation: float  # smallest expected difference of deviance of two rivals after it; NaN without rivals
+    present: float  # the same without it
+    repeated: float  # the same after one more run like the present ones
+    gains: dict[str, float]  # by effect, detection limit after the run over the present one
+    times: Array = field(repr=False)  # of the predicted motion [s]
+    omega_rotor: Array = field(repr=False)  # predicted [rad/s]
+    omega_casing: Array = field(repr=False)  # predicted [rad/s]
+    inseparable: tuple[tuple[str, str], ...] = ()  # pairs of rivals that no run within the bounds separates
+    sentence: str = ""  # the result in words
 
 
 class _Criterion:
@@ -224,9 +184,7 @@ _FEW = 24
 
 
 def separating_run(
-    fit: Fit,
-    explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]],
-    criteria: Criteria,
+    fit: Fit, explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]], criteria: Criteria
 ) -> str:
     """Return the run that separates rival explanations, in words; empty with fewer than two.
 

@@ -219,11 +219,7 @@ def read_planned(path: str | Path) -> PlannedRecordings:
         if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
             raise EstimationError(f"{name}: bounds.{key} is not positive.", "Give (smallest, largest).")
     return PlannedRecordings(
-        model,
-        dict(table.parameters),
-        (table.inertia.rotor, table.inertia.casing),
-        tuple(experiments),
-        given,
+        model, dict(table.parameters), (table.inertia.rotor, table.inertia.casing), tuple(experiments), given
     )
 
 
@@ -283,33 +279,15 @@ _SIMULATIONS, _ESTIMATES = 2, 8
 
 @dataclass(frozen=True)
 class Plan:
-    """Detection limits and power of some recordings, and the next run.
+    """Detection limits and power of some recordings, and the next run."""
 
-    Attributes
-    ----------
-    fit : Fit
-        The model fitted to the recordings, measured or simulated.
-    planned : bool
-        The recordings are described and not measured.
-    size : float
-        Rms torque of an effect [N m] to which `power` and `runs_needed` refer.
-    effects : tuple of EffectLimits
-        Of every candidate effect, the one with the smallest detection limit first.
-    classes : tuple of tuple of str
-        Effects that these recordings would not separate.
-    next_run : NextRun or None
-        The proposed run; None if none can be simulated.
-    warning : str
-        A restriction of the answer; empty if there is none.
-    """
-
-    fit: Fit
-    planned: bool
-    size: float
-    effects: tuple[EffectLimits, ...]
-    classes: tuple[tuple[str, ...], ...]
-    next_run: NextRun | None
-    warning: str = field(default="")
+    fit: Fit  # to the recordings, measured or simulated
+    planned: bool  # the recordings are described and not measured
+    size: float  # rms torque of an effect [N m] to which `power` and `runs_needed` refer
+    effects: tuple[EffectLimits, ...]  # the one with the smallest detection limit first
+    classes: tuple[tuple[str, ...], ...]  # effects that these recordings would not separate
+    next_run: NextRun | None  # None if none can be simulated
+    warning: str = field(default="")  # a restriction of the answer; empty if there is none
 
 
 @single_blas_thread()

@@ -81,54 +81,22 @@ _RARE = 0.5
 
 @dataclass(frozen=True)
 class EffectLimits:
-    """Detection limit, upper limit and power of some recordings for one effect.
-
-    Attributes
-    ----------
-    effect : Effect
-        The effect.
-    strength : str
-        Symbol of its strength.
-    unit : str
-        Unit of its strength.
-    shape : dict of str to float
-        Shape constants for which the limits hold: those with the median detection limit.
-    stderr : float
-        Standard error of the strength when it is added to the model [unit]; infinite if the base absorbs it.
-    torque : float
-        Rms torque along the motion for a strength of 1 [N m / unit], of the body with the larger one; NaN for a camera.
-    detection_limit : float
-        Strength found with 90 % probability [unit].
-    detection_range : tuple of float
-        The smallest and the largest detection limit over the shapes tried, as rms torques [N m].
-    upper_limit : float
-        95 % upper limit of the strength [unit]; NaN if the effect is significant.
-    power : float
-        Probability of finding an effect of `size`.
-    size : float
-        Strength of this size [unit].
-    runs_needed : float
-        Runs like these, these included, that find it with 90 % probability; infinite if none do.
-    indistinguishable_from : tuple of str
-        Effects that these recordings would not separate from it at the larger of `size` and `detection_limit`.
-    curve : ndarray, shape (points, 2)
-        Noncentrality and power.
-    """
+    """Detection limit, upper limit and power of some recordings for one effect."""
 
     effect: Effect
-    strength: str
-    unit: str
-    shape: dict[str, float]
-    stderr: float
-    torque: float
-    detection_limit: float
-    detection_range: tuple[float, float]
-    upper_limit: float
-    power: float
-    size: float
-    runs_needed: float
-    indistinguishable_from: tuple[str, ...]
-    curve: Array = field(repr=False)
+    strength: str  # symbol
+    unit: str  # of the strength
+    shape: dict[str, float]  # shape constants with the median detection limit, for which the limits hold
+    stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
+    torque: float  # rms torque for a strength of 1 [N m / unit], the larger of both bodies; NaN for a camera
+    detection_limit: float  # strength found with 90 % probability [unit]
+    detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
+    upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
+    power: float  # probability of finding an effect of `size`
+    size: float  # strength of this size [unit]
+    runs_needed: float  # runs like these, these included, that find it with 90 % probability
+    indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
+    curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
     @property
     def absorbed(self) -> bool:
@@ -148,23 +116,13 @@ class EffectLimits:
 
 @dataclass(frozen=True)
 class UpperLimit:
-    """An effect that could still be hidden in the recordings.
-
-    Attributes
-    ----------
-    effect, symbol, unit : str
-        The effect, its strength, the unit of the strength.
-    upper_limit : float
-        95 % upper limit of the strength [unit].
-    torque_Nm : float
-        The same as an rms torque along the motion [N m].
-    """
+    """An effect that could still be hidden in the recordings."""
 
     effect: str
-    symbol: str
-    upper_limit: float
-    unit: str
-    torque_Nm: float  # noqa: N815 - the unit's own capitals
+    symbol: str  # of the strength
+    upper_limit: float  # 95 % upper limit of the strength [unit]
+    unit: str  # of the strength
+    torque_Nm: float  # noqa: N815 - the same as an rms torque along the motion [N m]
 
 
 @dataclass(frozen=True)
@@ -567,28 +525,25 @@ class Search:
     def _upper(self, effect: Effect, group: int, *, planned: bool) -> float:
         """Return the upper limit of the noncentrality; NaN if the effect is significant."""
         common = self._common[effect.name]
-        seen = common.basis.T @ (np.zeros_like(self._level.residual) if planned else self._level.residual)
-        tests = self._tests.get(effect.name, ())
-        if (
-            any(float(t.best(t.basis.T @ self._level.residual[:, None])[0]) > t.threshold for t in tests)
-            and not planned
-        ):
+        data = np.zeros_like(self._level.residual) if planned else self._level.residual
+        tests = () if planned else self._tests.get(effect.name, ())
+        if any(float(t.best(t.basis.T @ data[:, None])[0]) > t.threshold for t in tests):
             return float("nan")
-        p = seen[group * common.width : (group + 1) * common.width]
+        p = (common.basis.T @ data)[group * common.width : (group + 1) * common.width]
         limit = upper_limit(p, one_sided=common.one_sided)
         if common.width > 1:
             return limit
         response = self._whitened(self._stacked(effect)[group : group + 1])[:, 0] / common.root[group]
-        data = np.zeros_like(self._level.residual) if planned else self._level.residual
         return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
         """Return how many runs find an effect of this noncentrality in all present runs."""
-        if delta <= 0:
+        if delta <= 0 or not math.isfinite(needed):
             return np.inf
         cases = len(self.cases)
         parameters = len(effect.free)
-        for n in _candidate_numbers(cases * (needed / delta) ** 2):
+        first = max(1, math.ceil(cases * (needed / delta) ** 2 - 1e-9))
+        for n in range(first, min(first + 100, _MOST_RUNS + 1)):
             # the penalty of BIC increases with the number of rows
             more = parameters * math.log(max(n / cases, 1e-9))
             if n / cases * delta**2 >= needed**2 + max(more, 0.0):
@@ -603,15 +558,10 @@ class Search:
             if e.name == effect.name:
                 continue
             other = self._common[e.name]
-            cosine2 = float(other.scores(other.basis.T @ u[:, None]).max(initial=0.0))
-            if other.one_sided:
-                # an effect of either sign is compared with both
-                reversed_ = (
-                    0.0
-                    if self._common[effect.name].one_sided
-                    else float(other.scores(other.basis.T @ -u[:, None]).max(initial=0.0))
-                )
-                cosine2 = max(cosine2, reversed_)
+            # an effect of either sign is compared with both
+            signs = (1, -1) if other.one_sided and not self._common[effect.name].one_sided else (1,)
+            each = [other.scores(other.basis.T @ (sign * u)[:, None]) for sign in signs]
+            cosine2 = max(float(x.max(initial=0.0)) for x in each)
             penalty = (len(e.free) - len(effect.free)) * math.log(self.fit.problem.rows)
             if delta**2 * (1 - min(cosine2, 1.0)) + penalty < self.criteria.equivalence_width:
                 names.append(e.name)
@@ -701,8 +651,3 @@ def upper_limit(projections: Array, *, one_sided: bool) -> float:
     # a score below the median of the null distribution would give a limit smaller than the sensitivity of the data
     score = max(float(projections @ projections), 1.3862944)
     return float(np.sqrt(chndtrinc(score, len(projections), 1 - CONFIDENCE)))
-
-
-def _candidate_numbers(first: float) -> Sequence[int]:
-    start = max(1, math.ceil(first - 1e-9))
-    return range(start, min(start + 100, _MOST_RUNS + 1)) if start <= _MOST_RUNS else ()

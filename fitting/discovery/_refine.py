@@ -279,15 +279,9 @@ def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
     values: dict[str, float] = {}
     for i, label in enumerate(labels if own else [""]):
         tail = f"@{label}" if own else ""
-        found: Mapping[str, float] = score.shape[i]
+        found = score.shape[i] | {amplitude: gamma[i][0]}
         if phase is not None:
-            found = {
-                **found,
-                amplitude: float(np.hypot(*gamma[i])),
-                phase: float(np.arctan2(gamma[i][1], gamma[i][0])),
-            }
-        else:
-            found = {**found, amplitude: float(gamma[i][0])}
+            found |= {amplitude: np.hypot(*gamma[i]), phase: np.arctan2(gamma[i][1], gamma[i][0])}
         common = score.shape[i] if score.own_phase else {}
         values |= {f"{effect.name}.{k}{'' if k in common else tail}": float(v) for k, v in found.items()}
     return values

@@ -55,25 +55,12 @@ _POINTS = 2000
 
 @dataclass(frozen=True)
 class Remainder:
-    """The unmodelled torque that is still significant with the named effect.
+    """The unmodelled torque that is still significant with the named effect."""
 
-    Attributes
-    ----------
-    torque_rms_Nm : float
-        Rms of the remaining torque on the body that has more of it [N m].
-    share : float
-        Share of the mean square unmodelled torque (0-1).
-    p_value : float
-        Of the freed shape constant or second effect that describes it (likelihood ratio), or of the most significant
-        lack-of-fit test.
-    sentence : str
-        Its size and what it depends on.
-    """
-
-    torque_rms_Nm: float  # noqa: N815 - the unit's own capitals
-    share: float
-    p_value: float
-    sentence: str
+    torque_rms_Nm: float  # noqa: N815 - on the body that has more of it [N m]
+    share: float  # of the mean square unmodelled torque (0-1)
+    p_value: float  # of what describes it (likelihood ratio), or of the most significant lack-of-fit test
+    sentence: str  # its size and what it depends on
 
 
 @dataclass(frozen=True)
@@ -126,13 +113,11 @@ class Torques:
         for (smooth, harmonics), (fitted, fitted_harmonics) in zip(self.unmodelled, explained, strict=True):
             for body in (0, 1):
                 names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body}
-                mean = float(np.mean(smooth[body] ** 2)) + 0.5 * sum(
-                    abs(harmonics.get(k, 0)) ** 2 for k in names
-                )
+                own = {k: harmonics.get(k, 0) for k in names}
+                mean = float(np.mean(smooth[body] ** 2)) + 0.5 * sum(abs(x) ** 2 for x in own.values())
                 whole[body] += mean / len(self.unmodelled)
-                rest = float(np.mean((smooth[body] - fitted[body]) ** 2)) + 0.5 * sum(
-                    abs(harmonics.get(k, 0) - fitted_harmonics.get(k, 0)) ** 2 for k in names
-                )
+                rests = sum(abs(x - fitted_harmonics.get(k, 0)) ** 2 for k, x in own.items())
+                rest = float(np.mean((smooth[body] - fitted[body]) ** 2)) + 0.5 * rests
                 bodies[body] += rest / len(self.unmodelled)
         if bodies.sum() >= whole.sum():  # it explains nothing: all of the torque remains
             return float(whole.sum() > 0), float(np.sqrt(whole.max()))
@@ -151,13 +136,10 @@ class Torques:
                 "delta": y[:, 0] - y[:, 1],
             }
             known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
-            torque, unit = (
-                np.asarray(Tape([e.expression])(known)[0]) * np.ones(len(t)) for e in (freed, law)
-            )
+            both = Tape([freed.expression, law.expression])(known)
+            torque, unit = (np.asarray(x) * np.ones(len(t)) for x in both)
             rest = float(np.mean((torque - unit * (torque @ unit) / max(float(unit @ unit), 1e-300)) ** 2))
-            acts = np.array(
-                [law.joint in {"rotor", "bearing"}, law.joint in {"casing", "bearing"}], dtype=float
-            )
+            acts = np.array([law.joint in {body, "bearing"} for body in ("rotor", "casing")], dtype=float)
             unexplained += rest * float(acts.sum())
             bodies += rest * acts / len(self._time)
             total += sum(float(np.mean(u**2)) for u in self.unmodelled[case][0])
@@ -218,9 +200,8 @@ def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     inphase = 2 * rate * motion.amplitude * np.gradient(phase, motion.time)
     t = data.oscillation.time
     at = data.oscillation.phase(t)
-    torque = np.interp(t, motion.time, inphase) * np.cos(at) - np.interp(t, motion.time, quadrature) * np.sin(
-        at
-    )
+    torque = np.interp(t, motion.time, inphase) * np.cos(at)
+    torque = torque - np.interp(t, motion.time, quadrature) * np.sin(at)
     return t, data.record.I_casing * torque
 
 
@@ -231,8 +212,8 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
     for e in fit.model.angle_dependent:
         values = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
         k = values.get("amplitude", 1.0) * np.exp(1j * values.get("phase", 0.0))
-        for body, acts in ((0, e.joint in {"rotor", "bearing"}), (1, e.joint in {"casing", "bearing"})):
-            if acts:
+        for body, name in enumerate(("rotor", "casing")):
+            if e.joint in {name, "bearing"}:
                 found[body, e.name] = complex(k)
     return found
 

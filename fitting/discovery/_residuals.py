@@ -60,11 +60,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
         lags = min(_LAGS, blocks // 4)
         rows = rows - rows.mean(axis=0)
         power = float((rows**2).sum())
-        rho = (
-            np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
-            if lags
-            else np.zeros(0)
-        )
+        rho = np.array([float((rows[m:] * rows[:-m]).sum()) / power for m in range(1, lags + 1)])
         weights = _POWERS / (blocks - np.arange(1, lags + 1))
         statistic = float(blocks * (blocks + 2) * (rho**2 * weights).sum())
         results.append(Whiteness(data.record.label, float(chdtrc(max(lags, 1), statistic))))
@@ -104,11 +100,9 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
     # covariance of the rows with the torque of each body, for a torque of rms 1 N m
-    cross = {
-        "casing": _times_covariance(response.casing, response, time),
-        "rotor": _times_covariance(response.rotor, response, time),
-    }
-    for name, w in (("casing", response.casing), ("rotor", response.rotor)):
+    responses = {"casing": response.casing, "rotor": response.rotor}
+    cross = {name: _times_covariance(w, response, time) for name, w in responses.items()}
+    for name, w in responses.items():
         covariance = covariance + level**2 * cross[name] @ w.T
     inverse = _inverse_without_nuisance(covariance, data.nuisance[smooth])
     weighted = inverse @ residual[smooth]
@@ -120,13 +114,8 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         # where the data determine the torque almost completely, the difference of variances is rounding
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
         filmed = _is_filmed(response.centres, data, body)
-        curves.append(
-            ResidualTorque(
-                data.record.label,
-                body,
-                *(v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1])),
-            )
-        )
+        values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1]))
+        curves.append(ResidualTorque(data.record.label, body, *values))
     return curves
 
 
@@ -228,48 +217,21 @@ _SHORTEST, _MOST = 1 / 100, 6
 
 @dataclass(frozen=True)
 class Failure:
-    """An interval with a significant unmodelled torque.
-
-    Attributes
-    ----------
-    label, body : str
-        Case and body.
-    t_start, t_stop : float
-        When [s].
-    kind : str
-        "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle.
-    where : str
-        In words: in the rise, near the peak, in the tail; at the start, in the middle of a spin-down; once or twice a
-        turn.
-    size_sigma : float
-        Largest distance from zero in standard deviations.
-    residual_rad_s : float
-        Largest speed residual in the interval, with its sign; of a harmonic, where the casing is slowest.
-    residual_torque_Nm : float
-        Mean unmodelled torque, weighted by the inverse variances; amplitude of a harmonic.
-    omega_c : tuple of float
-        The casing's lowest and highest speed in the interval [rad/s].
-    called : str
-        "body" for the casing where only one body was recorded.
-    torque_sigma_Nm : float
-        Standard uncertainty of the torque; of the mean over an interval an upper bound (full correlation).
-    unit : str
-        Unit of the torque: "N m", or "rad/s2" per unit of inertia.
-    """
+    """An interval with a significant unmodelled torque."""
 
     label: str
     body: str
-    t_start: float
-    t_stop: float
-    kind: str
-    where: str
-    size_sigma: float
-    residual_rad_s: float
-    residual_torque_Nm: float  # noqa: N815 - the unit's own capitals
-    omega_c: tuple[float, float]
-    called: str
-    torque_sigma_Nm: float = float("nan")  # noqa: N815
-    unit: str = TORQUE
+    t_start: float  # [s]
+    t_stop: float  # [s]
+    kind: str  # "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle
+    where: str  # in words: in the rise, near the peak, in the tail; once or twice a turn
+    size_sigma: float  # largest distance from zero in standard deviations
+    residual_rad_s: float  # largest speed residual, with its sign; of a harmonic where the casing is slowest
+    residual_torque_Nm: float  # noqa: N815 - mean, weighted by inverse variances; amplitude of a harmonic
+    omega_c: tuple[float, float]  # the casing's lowest and highest speed in the interval [rad/s]
+    called: str  # "body" for the casing where only one body was recorded
+    torque_sigma_Nm: float = float("nan")  # noqa: N815 - of the mean over an interval an upper bound
+    unit: str = TORQUE  # "N m", or "rad/s2" per unit of inertia
 
     def __str__(self) -> str:
         torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm, self.unit)

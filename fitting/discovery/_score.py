@@ -243,6 +243,14 @@ class CaseColumns:
         width = unit.shape[1] // len(choices)
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
+    def fitted(self, effect: Effect) -> tuple[dict[str, float], Array]:
+        """Return the shape of an effect of the fit, and its strengths at phase 0 and at a quarter period."""
+        values = [(p, self.numbers[f"{effect.name}.{p.symbol}"]) for p in effect.parameters]
+        role = {p.role: x for p, x in values}
+        phase = role.get("phase", 0.0)
+        strengths = role.get("amplitude", 1.0) * np.array([np.cos(phase), np.sin(phase)])
+        return {p.symbol: x for p, x in values if p.role in {"shape", "fixed"}}, strengths
+
     def padded(self, smooth: Array) -> Array:
         """Return smooth rows with zeros for the rows that respond to no slow torque."""
         return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
@@ -419,12 +427,7 @@ def rows_of_case(context: ScoreContext, trials: list[Trial], case: int) -> list[
 
 
 def best_group(
-    context: ScoreContext,
-    effect: Effect,
-    groups: list[Group],
-    levels: list[Level],
-    *,
-    null: bool = True,
+    context: ScoreContext, effect: Effect, groups: list[Group], levels: list[Level], *, null: bool = True
 ) -> Score:
     """Return the best group of columns over all levels of process noise; `null` also scores the null data."""
     bounds = _bounds(effect)
@@ -505,9 +508,7 @@ class NullDistribution:
 
     An error of the noise level scales the scores of all trials, and of all candidates, by the same factor. So the
     correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
-    levels.
-
-    `weights` (levels,) are the probabilities of the levels.
+    levels, with their probabilities `weights` (levels,).
     """
 
     def __init__(self, score: Score) -> None:
@@ -639,10 +640,8 @@ def _shape_refined(
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
     """Return the points of a grid next to a value."""
     ordered = np.sort(np.array(grid))
-    below, above = (
-        ordered[ordered < value - 1e-12 * abs(value)],
-        ordered[ordered > value + 1e-12 * abs(value)],
-    )
+    near = 1e-12 * abs(value)
+    below, above = ordered[ordered < value - near], ordered[ordered > value + near]
     step = (ordered[-1] - ordered[0]) / max(len(ordered) - 1, 1)
     low = below[-1] if len(below) else max(value - step, 0.3 * value)
     return float(low), float(above[0] if len(above) else value + step)
@@ -674,18 +673,17 @@ def _score(
     levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
         gains = [
-            best_group(context, effect, _stack(trials, per_case=each), levels, null=False).score
+            best_group(context, effect, stacked(trials, per_case=each), levels, null=False).score
             for each in (False, True)
         ]
         own_phase = gains[1] > gains[0] + criteria.own_phase * (len(trials) - 1)
     if own_phase:
-        return replace(
-            best_group(context, effect, _stack(trials, per_case=True), levels, null=null), own_phase=True
-        )
+        found = best_group(context, effect, stacked(trials, per_case=True), levels, null=null)
+        return replace(found, own_phase=True)
     if not per_case or len(trials[0]) == 1:
-        return best_group(context, effect, _stack(trials, per_case=per_case), levels, null=null)
+        return best_group(context, effect, stacked(trials, per_case=per_case), levels, null=null)
     chosen, null_scores = _choose_shapes(context, effect, trials, levels, null=null)
-    joint = best_group(context, effect, _stack([[t] for t in chosen], per_case=True), levels, null=False)
+    joint = best_group(context, effect, stacked([[t] for t in chosen], per_case=True), levels, null=False)
     return replace(joint, null=null_scores, trials=sum(len(t) for t in trials))
 
 
@@ -715,15 +713,11 @@ def _trial_index(trials: list[Trial], score: Score) -> int:
     return next(k for k, t in enumerate(trials) if t.shape == score.shape[0])
 
 
-def _stack(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
+def stacked(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
     """Return for each choice of shapes the columns over the rows of all cases."""
     result = []
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]
-        columns = (
-            block_diagonal([t.columns for t in chosen])
-            if per_case
-            else np.concatenate([t.columns for t in chosen])
-        )
+        columns = (block_diagonal if per_case else np.concatenate)([t.columns for t in chosen])
         result.append((tuple(t.shape for t in chosen), columns))
     return result

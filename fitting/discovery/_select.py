@@ -508,16 +508,7 @@ def separate_values(
 ) -> SeparateValues | None:
     """Return the shared parameter that differs between the recordings, if no effect describes the data as well.
 
-    Parameters
-    ----------
-    base : Fit
-        The fit with one value for all recordings.
-    candidates : sequence of Candidate
-        Its ranking.
-    extra : sequence of Effect
-        Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds.
+    `candidates` is the ranking of `base`; `extra` are effects of the user.
     """
     if not base.fails(criteria):
         return None

@@ -59,20 +59,11 @@ _FEW = 24
 
 
 class Propagator:
-    """The linearised equations d(dy)/dt = A dy + b on a mesh.
+    """The linearised equations d(dy)/dt = A dy + b on a mesh, with A of shape (intervals, nodes, n, n) at its nodes.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The intervals.
-    a : ndarray, shape (intervals, nodes, n, n)
-        A at the nodes.
-    jumps : mapping of int to ndarray, optional
-        Saltation matrices at edges where the torque jumps.
-    defect : ndarray, shape (intervals, nodes, n), optional
-        A right-hand side: `response` is then the same as its `nodes`, at less cost.
-    constraint : ndarray, shape (2, 2), optional
-        Matrix from accelerations of free bodies to those of bodies in contact.
+    `jumps` are saltation matrices at edges where the torque jumps. With a right-hand side `defect` (intervals, nodes,
+    n) `response` is the same as its `nodes`, at less cost. `constraint` (2, 2) turns accelerations of free bodies
+    into those of bodies in contact.
     """
 
     def __init__(
@@ -203,21 +194,9 @@ def collocate(
 ) -> Path:
     """Solve the equations of motion for one sense of the casing's motion, from a sufficiently close initial solution.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The equations.
-    numbers : mapping of str to float
-        Parameters by key, and both inertias [kg m2].
-    first : Path
-        The initial solution; the search begins on its mesh, its first edge is the start.
-    pivot : float, optional
-        An edge of the mesh: later edges are stretched so that the mesh ends when the casing comes to rest.
-
-    Raises
-    ------
-    SimulationError
-        If Newton's method does not converge or the states leave the finite numbers.
+    The first edge of `first` is the start, its mesh the initial mesh. Edges after the edge `pivot` are stretched so
+    that the mesh ends when the casing comes to rest. SimulationError: Newton's method does not converge, or no finite
+    states.
     """
     return refine(dynamics, numbers, newton(dynamics, numbers, first, pivot=pivot), pivot=pivot)
 

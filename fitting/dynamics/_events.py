@@ -60,11 +60,8 @@ class Segments:
     def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
         """Return the acceleration of the casing with friction of this sense of motion."""
         with np.errstate(all="ignore"):
-            return np.asarray(
-                self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))[
-                    ..., _CASING
-                ]
-            )
+            rates = self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))
+            return np.asarray(rates[..., _CASING])
 
     def sense_after(self, time: float, y: Array, sense: float) -> float:
         """Return the sense of motion after a time; 0 if the casing is at rest and friction holds it."""
@@ -117,16 +114,8 @@ class Segments:
     ) -> Path | None:
         """Return the path between two events from that of a known solution; None if it has another sequence of events.
 
-        Parameters
-        ----------
-        start, time, sense
-            State, time, and sense of motion at the event.
-        end : float
-            Where the record ends.
-        known : Path
-            This stretch of the known solution.
-        stops : bool
-            Whether it ended with the casing at rest, and not with the record.
+        `known` is this stretch of the known solution; with `stops` it ended with the casing at rest, not with the
+        record.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -160,15 +149,8 @@ class Segments:
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
         """Return the stretches of a motion through many reversals, as far as its events are those of a known solution.
 
-        Parameters
-        ----------
-        start : ndarray, shape (states,)
-            State at the first edge.
-        sense : float
-            Sense of motion there.
-        known : Path
-            A solution for similar numbers, or the measured motion: its jumps are at the edges where the casing
-            reverses.
+        `known` is a solution for similar numbers, or the measured motion: its jumps are at edges where the casing
+        reverses.
         """
         adapted = self._with_beginning(start, sense, known)
         if adapted is None or len(adapted.breaks) != len(self.breaks):
@@ -383,29 +365,24 @@ class Segments:
     def _release(self, path: Path) -> float | None:
         """Return the time at which the other torques first exceed friction; None if they do not."""
         edges = path.mesh.edges
-        times = np.sort(
-            np.concatenate([path.mesh.times.ravel(), edges[1:], np.nextafter(edges[1:], -np.inf)])
-        )
-        y = Sampler(path.mesh, times).value(path.y)
-        excess = np.maximum(self.acceleration(times, y, 1.0), -self.acceleration(times, y, -1.0))
-        exceeded = np.flatnonzero(excess > 0)
+        ends = [edges[1:], np.nextafter(edges[1:], -np.inf)]
+        times = np.sort(np.concatenate([path.mesh.times.ravel(), *ends]))
+
+        def excess(*at: float) -> Array:
+            t = np.array(at)
+            y = Sampler(path.mesh, t).value(path.y)
+            return np.maximum(self.acceleration(t, y, 1.0), -self.acceleration(t, y, -1.0))
+
+        exceeded = np.flatnonzero(excess(*times) > 0)
         if not len(exceeded):
             return None
         from scipy.optimize import brentq
 
         i = int(exceeded[0])
-
-        def excess_at(t: float) -> float:
-            state = Sampler(path.mesh, np.array([t])).value(path.y)
-            return float(
-                np.maximum(
-                    self.acceleration(np.array([t]), state, 1.0),
-                    -self.acceleration(np.array([t]), state, -1.0),
-                )[0]
-            )
-
         begin = times[i - 1] if i else edges[0]
-        time = float(brentq(excess_at, begin, times[i], xtol=1e-12)) if excess_at(begin) < 0 else begin
+        time = begin
+        if excess(begin)[0] < 0:
+            time = float(brentq(lambda t: float(excess(t)[0]), begin, times[i], xtol=1e-12))
         near = [b for b in self.breaks if abs(b - time) < 1e-9 * edges[-1]]
         return near[0] if near else time
 
@@ -450,9 +427,8 @@ def _at_rest(path: Path) -> Path:
 def _first_crossing(path: Path) -> float | None:
     """Return the approximate time at which the casing first reverses; None if it does not."""
     times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
-    speed = (
-        np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel() * path.sense[0]
-    )
+    speed = np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel()
+    speed = speed * path.sense[0]
     reversed_ = np.flatnonzero(speed < -ROUNDING * max(float(np.abs(speed).max()), path.least_scale))
     if not len(reversed_):
         return None
@@ -491,33 +467,12 @@ def solve(
     *,
     most: int = _MAX_EVENTS,
 ) -> Path:
-    """Integrate the equations of motion.
+    """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
-    Parameters
-    ----------
-    dynamics : Dynamics
-        The equations.
-    numbers : mapping of str to float
-        Parameters by key, and both inertias [kg m2].
-    start : ndarray, shape (states,)
-        State at the first edge.
-    mesh : Mesh
-        Initial intervals; they are halved where necessary, and divided at the model's changepoints and where the casing
-        stops, reverses or starts.
-    guess : Path, optional
-        A solution for similar numbers, or the measured motion.
-    most : int
-        Largest number of stretches that are integrated one by one because the sequence of events has changed.
-
-    Returns
-    -------
-    Path
-        Exact to about 1e-9 of the largest value of each state.
-
-    Raises
-    ------
-    SimulationError
-        If Newton's method does not converge, the states leave the finite numbers, or `most` stretches are not enough.
+    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints and where the casing
+    stops, reverses or starts. `guess` is a solution for similar numbers, or the measured motion; where the sequence
+    of events has changed, at most `most` stretches are integrated one by one. SimulationError: these are not enough,
+    Newton's method does not converge, or the states leave the finite numbers.
     """
     breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
     mesh = mesh.with_breakpoints(breaks)
@@ -541,11 +496,8 @@ def solve(
         jumps = run.reversals([p for p in ready if p.mesh.edges[-1] < end])
         pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
         if pieces:
-            y, time, sense = (
-                pieces[-1].edges[-1].copy(),
-                float(pieces[-1].mesh.edges[-1]),
-                -float(pieces[-1].sense[0]),
-            )
+            last = pieces[-1]
+            y, time, sense = last.edges[-1].copy(), float(last.mesh.edges[-1]), -float(last.sense[0])
             y[_CASING] = 0.0
     while most >= 0 and len(pieces) < _MAX_EVENTS:
         known_piece = known[len(pieces)] if len(pieces) < len(known) else None

@@ -68,10 +68,9 @@ class Mesh:
         return np.asarray(middle[:, None] + self.half * rule().x)
 
     @classmethod
-    def uniform(cls, start: float, stop: float, intervals: int, breakpoints: Sequence[float] = ()) -> Mesh:
-        """Return equal intervals with further edges at the breakpoints inside."""
-        edges = np.linspace(start, stop, intervals + 1)
-        return cls(edges).with_breakpoints(breakpoints)
+    def uniform(cls, start: float, stop: float, intervals: int) -> Mesh:
+        """Return equal intervals."""
+        return cls(np.linspace(start, stop, intervals + 1))
 
     def between(self, start: float, stop: float) -> Mesh:
         """Return the mesh cut to start and end at these times."""
@@ -152,15 +151,7 @@ class Path:
 
 
 class Sampler:
-    """Values and integrals of node data at any times, as sparse rows.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh of the node data.
-    times : ndarray
-        Times inside the mesh [s].
-    """
+    """Values and integrals of node data of a mesh at any times inside it [s], as sparse rows."""
 
     def __init__(self, mesh: Mesh, times: Array) -> None:
         edges = mesh.edges

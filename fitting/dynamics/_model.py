@@ -252,13 +252,7 @@ def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
 
 
 def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
-    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
-
-    Raises
-    ------
-    EffectError
-        If the file cannot be read, has no list of effects, or names one that is unknown.
-    """
+    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables."""
     document = read_toml(path)
     names = document.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
@@ -284,27 +278,11 @@ _CASING = 1
 class Dynamics:
     """The equations of motion of a model with their derivatives, ready to evaluate.
 
-    Parameters
-    ----------
-    model : Model
-        Measurement effects are left out: they do not change the motion.
-    angles : bool
-        Whether both angles are states, as for laws of an angle.
-
-    Attributes
-    ----------
-    states : tuple of str
-        ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of effects, then the angles if
-        requested.
-    free_starts : int
-        Number of states, from the first one on, whose initial values belong to the recording: the speeds and the
-        deflection.
-    parameters : tuple of str
-        Keys of the parameters whose derivatives are given.
-    ratio : str or None
-        Key of the ratio of a contact without slip: the initial omega_r is then ratio times that of the casing.
-    dry : bool
-        Whether a torque jumps where the casing stops: then rates are given for one sense of its motion.
+    `angles`: both angles are states, as for laws of an angle. Measurement effects are left out: they do not change
+    the motion. `states` are ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of
+    effects, then the angles; the initial values of the first `free_starts` belong to the recording. `ratio` is the
+    key of the ratio of a contact without slip: the initial omega_r is then ratio times that of the casing. If `dry`,
+    a torque jumps where the casing stops, and rates are given for one sense of its motion.
     """
 
     def __init__(self, model: Model, *, angles: bool = False) -> None:
@@ -390,10 +368,8 @@ class Dynamics:
         return [rotor, casing, *([sym("omega_c")] if self.free_starts > 2 else []), *own]
 
     def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
-        values: dict[str, object] = {"t": t, **self.constants, **numbers}
-        for i, name in enumerate(self.states):
-            values[name] = y[..., i]
-        return values
+        states = {name: y[..., i] for i, name in enumerate(self.states)}
+        return {"t": t, **self.constants, **numbers, **states}
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
         """Return the matrix that turns the accelerations of free bodies into those of bodies that roll on each other.
@@ -412,18 +388,9 @@ class Dynamics:
     def rates(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
     ) -> Array:
-        """Return dy/dt, shaped like y.
+        """Return dy/dt, shaped like y (..., states).
 
-        Parameters
-        ----------
-        t : ndarray
-            Times [s].
-        y : ndarray, shape (..., states)
-            States at these times.
-        numbers : mapping of str to float
-            Parameters by key, and both inertias.
-        sense : array_like, optional
-            +1 or -1 where the casing turns that way, 0 where friction holds it; from y, if not given.
+        `sense` is +1 or -1 where the casing turns that way, 0 where friction holds it; from y, if not given.
         """
         sense = self._sense(y, sense)
         outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})

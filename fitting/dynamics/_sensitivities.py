@@ -43,13 +43,6 @@ class LinearMotion:
 
     States of effects (a temperature, a phase) are coupled with the speeds. Where one of them decays so fast that Phi
     has no inverse, all of these states are held.
-
-    Parameters
-    ----------
-    path : Path
-        The solution.
-    propagator : Propagator
-        Its linearised equations.
     """
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
@@ -101,22 +94,10 @@ class LinearMotion:
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
     def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
-        """Return the response of both bodies at sample times to a torque between them.
+        """Return the response of both bodies at n sample times to a torque between them.
 
-        Parameters
-        ----------
-        times : ndarray, shape (n,)
-            Sample times [s].
-        nodes : int
-            Number q of Gauss nodes of each interval between samples.
-        direction : ndarray, shape (2,)
-            Rates of both speeds that a unit torque gives.
-
-        Returns
-        -------
-        callable
-            From torques [N m] at the nodes, (n - 1, q, columns), to d omega and d psi, each of shape (2, n, columns),
-            the rotor first, the casing second.
+        It maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega and d psi, each
+        (2, n, columns), rotor first. `direction` (2,) are the rates of both speeds that a unit torque gives.
         """
         gauss = rule(nodes)
         half = 0.5 * np.diff(times)

@@ -48,9 +48,8 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
         value = (exponents or {}).get(exponent.removeprefix("-"))
         sign = -1.0 if exponent.startswith("-") else 1.0
         try:
-            result = _times(
-                result, _to_power(_BASE[match[1]], float(exponent) if value is None else sign * value)
-            )
+            n = float(exponent) if value is None else sign * value
+            result = _times(result, _to_power(_BASE[match[1]], n))
         except ValueError:
             raise ExpressionError(f"the exponent of {token!r} in {unit!r} is not a number") from None
     return result
@@ -148,17 +147,8 @@ VARIABLES: dict[str, str] = {
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
 # trial changepoints, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
-# the unit of the law of each joint
-_RESULT: dict[Joint, str] = {
-    "rotor": "N m",
-    "casing": "N m",
-    "bearing": "N m",
-    "contact": "N m",
-    "factor": "1",
-    "inertia": "1",
-    "camera.casing": "1",
-    "camera.rotor": "1",
-}
+# joints whose law is a torque; that of the others is a number
+_TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip
 RATIO = "n"
 _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", "camera.rotor": "rotor"}
@@ -364,8 +354,6 @@ class Effect:
         units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in variables.items()}
         units |= {p.symbol: parse_unit(p.unit, exponents) for p in self.parameters}
         result = dimension(self.expression, units, exponents)
-        expected = parse_unit(_RESULT[self.joint])
-        if any(abs(a - b) > 1e-9 for a, b in zip(result, expected, strict=True)):
-            raise EffectError(
-                f"the law of {self.name!r} has the unit {format_unit(result)}, not {_RESULT[self.joint]}"
-            )
+        unit = "N m" if self.joint in _TORQUES else "1"
+        if not _same(result, parse_unit(unit)):
+            raise EffectError(f"the law of {self.name!r} has the unit {format_unit(result)}, not {unit}")

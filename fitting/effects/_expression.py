@@ -11,6 +11,7 @@ import ast
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -112,10 +113,7 @@ def call(function: str, a: Expr) -> Expr:
 
 def total(terms: list[Expr]) -> Expr:
     """Return the sum of some expressions (zero when there are none)."""
-    result = ZERO
-    for term in terms:
-        result = add(result, term)
-    return result
+    return reduce(add, terms, ZERO)
 
 
 def nodes(e: Expr) -> list[Expr]:
@@ -327,20 +325,8 @@ def _heaviside(x: Any) -> Any:
 
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "mul": np.multiply,
-    "pow": _power,
-    "abs": np.abs,
-    "sign": np.sign,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": _log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tanh": np.tanh,
-    "atan": np.arctan,
-    "heaviside": _heaviside,
-}
+    name: getattr(np, name) for name in ("add", "abs", "sign", "sqrt", "exp", "sin", "cos", "tanh")
+} | {"mul": np.multiply, "pow": _power, "log": _log, "atan": np.arctan, "heaviside": _heaviside}
 
 
 class Tape:
@@ -453,15 +439,13 @@ def _product(e: Expr, level: int) -> str:
     return text if level != _ATOM else rf"\left({text}\right)"
 
 
+_FUNCTION_NAMES = {"sign": r"\operatorname{sgn}", "heaviside": "H", "atan": r"\arctan"}
+
+
 def _function(e: Expr) -> str:
     inner = _typeset(e.args[0], _SUM)
     if e.op == "abs":
         return rf"\left|{inner}\right|"
     if e.op == "sqrt":
         return rf"\sqrt{{{inner}}}"
-    if e.op == "sign":
-        return rf"\operatorname{{sgn}}\left({inner}\right)"
-    if e.op == "heaviside":
-        return rf"H\left({inner}\right)"
-    name = {"atan": "arctan"}.get(e.op, e.op)
-    return rf"\{name}\left({inner}\right)"
+    return _FUNCTION_NAMES.get(e.op, rf"\{e.op}") + rf"\left({inner}\right)"

@@ -68,10 +68,8 @@ def formula(
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
 
-    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate.
-
-    An EffectError or ExpressionError says that the law is not understood, has no strength to fit, or does not come out
-    in its unit.
+    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate. An EffectError
+    or ExpressionError says that the law is not understood, has no strength to fit, or does not come out in its unit.
     """
     if body not in _BODIES:
         raise EffectError(
@@ -199,14 +197,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
     grid = given or (tuple(start * factor for factor in _GRID_FACTORS) if role == "shape" else ())
     grid = tuple(v for v in grid if lower <= v <= upper)
     return Parameter(
-        symbol,
-        keys.get("unit", "1"),
-        role,
-        lower,
-        upper,
-        start,
-        grid,
-        meaning=keys.get("meaning", ""),
+        symbol, keys.get("unit", "1"), role, lower, upper, start, grid, meaning=keys.get("meaning", "")
     )
 
 

@@ -136,19 +136,10 @@ def _roots(covariance: Array) -> tuple[Array, Array]:
 
 
 def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
-    """Estimate the correlated angle noise of a run.
+    """Estimate the correlated angle noise of a run; white (`sigma` = 0) if none is significant.
 
-    Parameters
-    ----------
-    run : Compressed
-        Projected angles.
-    nuisance : ndarray, shape (rows, columns)
-        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
-
-    Returns
-    -------
-    AngleNoise
-        White (`sigma` = 0) if no correlated noise is significant.
+    `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
+    prior.
     """
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
@@ -371,32 +362,17 @@ _MEDIAN_CHI2, _THIRD_DIFFERENCE, _TINY = 0.4549, 20.0, 1e-300
 def estimate_window_noise(
     windows: Sequence[Compressed], nuisance: Sequence[Array], level: float, time: float
 ) -> AngleNoise:
-    """Estimate the correlated angle noise that all windows of the rotor have in common.
+    """Estimate the correlated angle noise that all windows of the rotor have in common; white if it is not significant.
 
     The few rows of a window hardly determine a correlation time. So the means of groups of samples are compared,
-    many in each window, orthogonal to a polynomial and the nuisance functions: white noise of variance s^2 sigma^2 and
-    angle noise of variance rho s^2 and time T. s is integrated out with the prior 1 / s,
+    many in each window, orthogonal to a polynomial and the nuisance functions (samples, columns): white noise of
+    variance s^2 sigma^2 and angle noise of variance rho s^2 and time T. s is integrated out with the prior 1 / s,
 
         log L = -1/2 [log det V + n log(r'V^-1 r)],   V = 1 + rho R_T + process noise,
 
     and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and
-    ln T. A window is too short to separate angle noise from process noise, whose level is that of the casing.
-
-    Parameters
-    ----------
-    windows : sequence of Compressed
-        Projected angles of each window.
-    nuisance : sequence of ndarray, shape (samples, columns)
-        Functions that the camera adds, at the samples of each window.
-    level : float
-        Rms of the random acceleration of the rotor [rad/s2].
-    time : float
-        Its correlation time [s].
-
-    Returns
-    -------
-    AngleNoise
-        Of the rows of all windows; white (`sigma` = 0) if no correlated noise is significant.
+    ln T. A window is too short to separate angle noise from process noise, whose rms `level` [rad/s2] and correlation
+    `time` [s] are those of the casing.
     """
     groups = [_WindowGroups(w, n, level, time) for w, n in zip(windows, nuisance, strict=True)]
     count = sum(len(g.projected) for g in groups)
@@ -437,16 +413,10 @@ def estimate_window_noise(
 
 
 class _WindowGroups:
-    """Means of groups of samples of one window, orthogonal to what is free, in units of the stated uncertainty.
+    """Means of groups of samples of one window, `width` [s] apart, in units of the stated uncertainty.
 
-    Attributes
-    ----------
-    width : float
-        Time between two groups [s].
-    white : ndarray
-        Variance of the mean of each group by the stated uncertainties [rad2].
-    projected : ndarray
-        The part of the means that is orthogonal to what is free, whitened by the process noise.
+    `white` is the variance of each mean by the stated uncertainties [rad2], `projected` the part of the means that is
+    orthogonal to what is free, whitened by the process noise.
     """
 
     def __init__(self, window: Compressed, nuisance: Array, level: float, time: float) -> None:

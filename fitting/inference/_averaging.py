@@ -55,28 +55,12 @@ def averaged(
     regress: Callable[[ParameterLayout, Parts], tuple[NDArray[np.intp], Array]],
     errors: Sequence[Array] | None = None,
 ) -> Averaged | None:
-    """Fit the averaged equations of motion to the measured amplitudes and phases.
+    """Fit the averaged equations of motion to the amplitudes and phases; None if a case has too few periods.
 
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The variables of a model with a restoring torque.
-    data : sequence of CaseData
-        The cases.
-    theta : ndarray, shape (variables,)
-        Values of the variables that are not strengths.
-    linear : callable
-        Selects the parameters in which the equations are linear.
-    regress : callable
-        Linear least squares for the strengths of all cases, within their bounds.
-    errors : sequence of ndarray, optional
-        `Averaged.scales` of another model, so that both are comparable; estimated from the residuals if not given.
-
-    Returns
-    -------
-    Averaged or None
-        None if a case has too few periods. A phase error of more than `LARGEST_PHASE_ERROR` shows that a law does not
-        describe the frequency, or that the amplitude is so large that higher harmonics change it.
+    `linear` selects the parameters in which the equations are linear, `regress` fits the strengths of all cases
+    within their bounds; `errors` are `Averaged.scales` of another model, so that both are comparable (from the
+    residuals if not given). A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the
+    frequency, or that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
     found = [None if d.oscillation is None else d.oscillation.slow_motion for d in data]

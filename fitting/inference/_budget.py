@@ -49,26 +49,15 @@ _RANK, _ROUNDING = 1e-7, 1e-12
 class Contribution:
     """One source of uncertainty of one parameter.
 
-    Attributes
-    ----------
-    source : str
-        "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
-        "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
-    type : {"A", "B"}
-        Evaluated from the data, or from other knowledge.
-    u : float
-        Contribution to the standard uncertainty, in the unit of the parameter.
-    sensitivity : float or None
-        Change of the parameter per unit of the input, for inputs of type B; of an inertia the mean slope.
-    share : float
-        Share of the combined variance.
+    `source` is "angle noise", "process noise", "start times", "lack of fit", a camera effect, "inertia.rotor",
+    "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
     """
 
     source: str
-    type: Literal["A", "B"]
-    u: float
-    sensitivity: float | None
-    share: float
+    type: Literal["A", "B"]  # evaluated from the data (A), or from other knowledge (B)
+    u: float  # contribution to the standard uncertainty, in the unit of the parameter
+    sensitivity: float | None  # change per unit of an input of type B; of an inertia the mean slope
+    share: float  # of the combined variance
 
 
 @dataclass(frozen=True)
@@ -136,10 +125,8 @@ def budget(
         parts: list[tuple[str, Literal["A", "B"], float, float | None]] = [
             (source, "A", math.sqrt(max(float(v[i]), 0.0)), None) for source, v in variances.items()
         ]
-        parts += [
-            (source, "B", float(u[i]), None if s is None else float(s[i]))
-            for source, (u, s) in inputs.items()
-        ]
+        for source, (u, s) in inputs.items():
+            parts.append((source, "B", float(u[i]), None if s is None else float(s[i])))
         total = math.sqrt(sum(u**2 for _, _, u, _ in parts))
         contributions = [
             Contribution(source, kind, u, s, (u / total) ** 2 if total > 0 else 0.0)
@@ -155,11 +142,6 @@ def combined_uncertainties(fit: Fit) -> dict[str, float]:
     """Return the combined standard uncertainty of every parameter, with the moments of inertia to first order.
 
     That of `budget` without its refits, for the numbers of a sentence.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
     """
     linear = _Linearised(fit)
     cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
@@ -209,9 +191,8 @@ class _Linearised:
     def _projected(self, nuisances: int) -> tuple[Array, list[Array]]:
         """Return the covariance with the first camera effects free, and P W J of each case."""
         blocks = []
-        for data, noise, prediction in zip(
-            self.fit.problem.data, self.noise, self.fit.predictions, strict=True
-        ):
+        cases = zip(self.fit.problem.data, self.noise, self.fit.predictions, strict=True)
+        for data, noise, prediction in cases:
             columns = data.nuisance
             has_camera = data.has_camera_prior or data.record.gradients
             first = columns.shape[1] - (2 * len(CAMERA_COLUMNS) if has_camera else 0)
@@ -251,9 +232,8 @@ class _Linearised:
     def sensitivity(self, columns: Sequence[Array]) -> Array:
         """Return the change of all variables per unit of an input that changes the rows of each case by columns."""
         gradient = np.zeros(len(self.fit.theta))
-        for project, prediction, column in zip(
-            self.problem.projections, self.fit.predictions, columns, strict=True
-        ):
+        cases = zip(self.problem.projections, self.fit.predictions, columns, strict=True)
+        for project, prediction, column in cases:
             gradient += project(prediction.jacobian).T @ project(column)
         return np.asarray(-(self.covariance @ gradient))
 
@@ -265,10 +245,8 @@ def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     then one of both.
     """
     records = fit.problem.layout.records
-    bodies = (
-        ("casing",) if records[0].single else ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
-    )
-    for body in bodies:
+    both = ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
+    for body in ("casing",) if records[0].single else both:
         known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
         several = len(set(known)) > 1
         for value, u in dict.fromkeys(known):
@@ -292,10 +270,8 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
             continue
         theta = np.empty((3,) * len(group) + fit.theta.shape)
         for place in np.ndindex(theta.shape[:-1]):
-            moved = {
-                (body, value): value + _NODES[k] * u
-                for (_, body, value, u), k in zip(group, place, strict=True)
-            }
+            nodes = zip(group, place, strict=True)
+            moved = {(body, value): value + _NODES[k] * u for (_, body, value, u), k in nodes}
             theta[place] = _refitted(fit, moved)
         found |= propagated(theta, [(source, u) for source, _, _, u in group])
     return found
@@ -304,12 +280,8 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
 def propagated(values: Array, inputs: Sequence[tuple[str, float]]) -> dict[str, tuple[Array, Array | None]]:
     """Return the standard uncertainty by each input, its mean slope, and the uncertainty by their interaction.
 
-    Parameters
-    ----------
-    values : ndarray, shape (3, ..., results)
-        Results at the nodes of the Gauss-Hermite rule; one axis per input.
-    inputs : sequence of (str, float)
-        Name and standard uncertainty of each.
+    `values` (3, ..., results) are results at the nodes of the Gauss-Hermite rule, one axis for each (name, u) of
+    `inputs`.
     """
     weights, found = np.array(_WEIGHTS), {}
     mean, square = values, values**2
@@ -337,7 +309,8 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
     for d in fit.problem.data:
         r = d.record
         rotor, casing = (
-            moved.get((body, x), x) for body, x in (("rotor", r.I_rotor), ("casing", r.I_casing))
+            moved.get(("rotor", r.I_rotor), r.I_rotor),
+            moved.get(("casing", r.I_casing), r.I_casing),
         )
         if _ratio_has_prior(fit):
             casing = r.I_casing * rotor / r.I_rotor

@@ -54,13 +54,7 @@ from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_
 
 @dataclass(frozen=True)
 class StartTimeNoise:
-    """Whitens the rows of rotor windows whose starts are uncertain.
-
-    Attributes
-    ----------
-    parts : tuple of (slice, ndarray, float)
-        For each such window its rows, the unit vector u, and |s c|.
-    """
+    """Whitens the rows of rotor windows whose starts are uncertain: of each its rows, the unit vector u, and |s c|."""
 
     parts: tuple[tuple[slice, Array, float], ...]
 
@@ -570,15 +564,7 @@ class CaseData:
         return self.whitened(np.concatenate([polynomial, middle, self._tail(harmonic)]))
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
-        """Return the rows of a solution, or of columns of a sensitivity of its states.
-
-        Parameters
-        ----------
-        path : Path
-            The solution.
-        nodes : ndarray, shape (intervals, nodes, states, columns), optional
-            A sensitivity; without it the solution itself is observed.
-        """
+        """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
         a = len(self.casing.node_times)
         values = []
         for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[

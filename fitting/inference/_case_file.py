@@ -21,12 +21,8 @@ _INFLATION, _SLACK = 1100, 2**22
 
 def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
     """Return time, value and sigma of a group; `key` names the last two."""
-    value, sigma = key
-    return (
-        column(path, file, group, "time"),
-        column(path, file, group, value),
-        column(path, file, group, sigma),
-    )
+    time, value, sigma = (column(path, file, group, name) for name in ("time", *key))
+    return time, value, sigma
 
 
 def column(path: Path, file: Any, group: str, name: str) -> Array:
@@ -81,13 +77,7 @@ _HEADER = 16
 
 
 def check_intact(path: Path) -> None:
-    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end.
-
-    Raises
-    ------
-    RecordError
-        It is damaged.
-    """
+    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end."""
     content = path.read_bytes()
     line = content[-_CHECKSUM_LENGTH:]
     stated = line[len(_CHECKSUM_PREFIX) : -1] if line.startswith(_CHECKSUM_PREFIX) else None
@@ -120,18 +110,7 @@ MAJOR = 1
 
 
 def read_record(path: str | Path) -> Record:
-    """Read a case file.
-
-    Parameters
-    ----------
-    path : str or Path
-        An HDF5 file of kind "case", layout version 1.
-
-    Raises
-    ------
-    RecordError
-        If the file is missing, not of this format, newer, damaged, or has too few samples.
-    """
+    """Read an HDF5 file of kind "case", layout version 1, or say why it cannot be read."""
     import h5py
 
     path = Path(path)
@@ -174,9 +153,8 @@ def _read(path: Path, file: Any) -> Record:
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
     casing = series(path, file, "casing", key)
     single = text(attributes.get("bodies")) == "one"
-    rotor = (
-        [] if single else _windows(series(path, file, "rotor", key), column(path, file, "rotor", "window"))
-    )
+    window = np.zeros(0) if single else column(path, file, "rotor", "window")
+    rotor = [] if single else _windows(series(path, file, "rotor", key), window)
     inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
     if not all(np.isfinite(i) and i > 0 for i in inertias):
         raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
@@ -191,7 +169,7 @@ def _read(path: Path, file: Any) -> Record:
         casing=casing,
         rotor=rotor,
         single=single,
-        start_sigma=[] if single else _start_sigma(file, column(path, file, "rotor", "window")),
+        start_sigma=_start_sigma(file, window),
         quantity=quantity,
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",

@@ -59,24 +59,11 @@ def angle_dependent_rows(
     numbers: Mapping[str, float],
     error: Callable[[Array], Array] | None = None,
 ) -> AngleRows:
-    """Return the response of the rows to a law of an angle.
+    """Return the response of the rows to a law of an angle about the solution without it.
 
-    Parameters
-    ----------
-    data : CaseData
-        The case.
-    effect : Effect
-        A law of an angle.
-    path : Path
-        The solution without it.
-    motion : LinearMotion
-        Small motions about the solution.
-    numbers : mapping of str to float
-        Parameters by key. The law changes the angle that is its argument, which gives a mean torque of second order in
-        its strength. At a constant argument a change of the phase would give a mean torque of first order, which it
-        does not.
-    error : callable, optional
-        An error of the measured angle of the casing [rad] as a function of time, to compute its effect.
+    The law changes the angle that is its argument, which gives a mean torque of second order in its strength. At a
+    constant argument a change of the phase would give a mean torque of first order, which it does not. `error` is an
+    error of the measured angle of the casing [rad] as a function of time, to compute its effect.
     """
     record = data.record
     t = record.casing.time
@@ -227,26 +214,12 @@ _HALVINGS = 2
 
 @dataclass(frozen=True)
 class Prediction:
-    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution.
-
-    Attributes
-    ----------
-    rows : ndarray, shape (rows,)
-        Predicted rows.
-    columns : ndarray, shape (rows, own)
-        Derivatives by the variables on which this case depends.
-    places : ndarray, shape (own,)
-        Indices of these variables.
-    count : int
-        Number of all variables of the fit.
-    path, sensitivity
-        The solution and its derivatives.
-    """
+    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution."""
 
     rows: Array
-    columns: Array
-    places: NDArray[np.intp]
-    count: int
+    columns: Array  # (rows, own): derivatives by the variables on which this case depends
+    places: NDArray[np.intp]  # (own,): indices of these variables
+    count: int  # number of all variables of the fit
     path: Path
     sensitivity: Sensitivity
 
@@ -264,17 +237,7 @@ class Prediction:
 
 
 class CaseModel:
-    """Predicts the rows of one case; its last solution is the initial solution of the next.
-
-    Parameters
-    ----------
-    data : CaseData
-        The case.
-    layout : ParameterLayout
-        The variables.
-    case : int
-        Which of the layout's cases it is.
-    """
+    """Predicts the rows of one case of a layout; its last solution is the initial solution of the next."""
 
     def __init__(self, data: CaseData, layout: ParameterLayout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case

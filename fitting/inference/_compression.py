@@ -100,37 +100,17 @@ _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 
 @dataclass(frozen=True)
 class Compressed:
-    """The samples of one series, projected.
+    """The samples of one series, projected."""
 
-    Attributes
-    ----------
-    node_times : ndarray, shape (blocks * (degree + 1),)
-        Where a smooth model is evaluated [s].
-    lift : ndarray, shape (blocks, degree + 1, degree + 1)
-        From values at the nodes to projected values.
-    z : ndarray
-        Projected samples, in units of the noise: polynomial rows of all blocks.
-    harmonic : ndarray
-        Projections on the harmonics, in units of the noise.
-    operators : tuple of (slice, ndarray)
-        For each block its samples and the rows that project them, polynomial rows first.
-    scale : float
-        Noise over the sigma that came with the data.
-    rest, rest_dof : float, int
-        Chi-square of the samples orthogonal to all rows, in units of the calibrated noise, and its degrees of freedom.
-    n_effective : float
-        Number of samples, reduced by their correlation.
-    """
-
-    node_times: Array
-    lift: Array
-    z: Array
-    harmonic: Array
-    operators: tuple[tuple[slice, Array], ...]
-    scale: float
-    rest: float
+    node_times: Array  # (blocks * (degree + 1),): where a smooth model is evaluated [s]
+    lift: Array  # (blocks, degree + 1, degree + 1): from values at the nodes to projected values
+    z: Array  # polynomial rows of all blocks, in units of the noise
+    harmonic: Array  # projections on the harmonics, in units of the noise
+    operators: tuple[tuple[slice, Array], ...]  # samples of each block and the rows that project them
+    scale: float  # noise over the sigma that came with the data
+    rest: float  # chi-square of the samples orthogonal to all rows, in units of the calibrated noise
     rest_dof: int
-    n_effective: float
+    n_effective: float  # number of samples, reduced by their correlation
     samples: Samples
 
     def at_nodes(self, values: Array) -> Array:
@@ -174,33 +154,13 @@ def compress(
     samples_per_block: int = _MIN_SAMPLES,
     first_noise_row: int | None = None,
 ) -> Compressed:
-    """Project the samples of a series block by block.
+    """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
-    Parameters
-    ----------
-    samples : Samples
-        One run.
-    degree : int
-        Highest power of the polynomials.
-    angle : ndarray, optional
-        The angle at the samples [rad], whose first two harmonics are kept as rows of their own: the values themselves,
-        or the integral of measured speeds.
-    blocks : int
-        Largest number of blocks.
-    noisy : bool
-        Whether the noise is estimated from the samples; otherwise their sigma is used.
-    noise_rows : int
-        Polynomials of each block, beyond those of a model, that measure the noise: more of them where there are few
-        blocks and neighbouring samples share their noise.
-    samples_per_block : int
-        Smallest number of samples in a block.
-    first_noise_row : int, optional
-        Lowest power of the polynomials that measure the noise; the next after `degree` if not given.
-
-    Returns
-    -------
-    Compressed
-        With the noise calibrated on the rows that contain no model.
+    `degree` is the highest power of the polynomials; the first two harmonics of `angle` [rad] (the values themselves,
+    or the integral of measured speeds) are rows of their own. `noise_rows` polynomials of each block, from the power
+    `first_noise_row` on (the next after `degree`), measure the noise: more of them where there are few blocks and
+    neighbouring samples share their noise. Without `noisy` the sigma of the samples is used. `blocks` is the largest
+    number of blocks, `samples_per_block` the smallest number of samples in one.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)

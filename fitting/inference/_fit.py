@@ -51,18 +51,9 @@ _MOST_STEPS = 60
 def search_with_noise(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return the minimum of a fit and the noise measured there.
+    """Return the minimum of a fit and the noise measured there; `given` are the values given by the user.
 
-    Parameters
-    ----------
-    problem : Problem
-        The fit.
-    theta : ndarray, shape (variables,)
-        Initial values.
-    given : mapping, optional
-        The values given by the user.
-    quick : bool
-        Stop where chi-square is within about 0.01 of its minimum.
+    With `quick` the search stops where chi-square is within about 0.01 of its minimum.
     """
     problem = problem.with_noise(first_noise(problem, theta))
     problem, theta, held = with_initial_shapes(problem, theta, given)
@@ -279,19 +270,7 @@ def fit_like(
     steady: Iterable[str] = (),
     quick: bool = False,
 ) -> Fit:
-    """Fit a model to the data of another fit, with the same parameters shared by all cases.
-
-    Parameters
-    ----------
-    other : Fit
-        The other fit.
-    model : Model
-        Its model with effects added, removed or changed.
-    start, noise, steady, quick
-        As for `fit`.
-    share, per_case : iterable of str
-        Parameters that are shared, or each case's own, in addition to those of the other fit.
-    """
+    """Fit a model to the data of another fit, with its shared and per-case parameters and those named here."""
     shared, own = ([k for k in keys if k in model.free] for keys in other.problem.layout.choices)
     return fit(
         model,
@@ -378,29 +357,11 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 
 
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
-    """Fit a model with a loss that limits the influence of outliers.
+    """Fit a model with a loss that limits the influence of outliers; the `options` are those of `fit`.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    cases : sequence of Record or CaseData
-        As for `fit`.
-    loss : {"linear", "huber", "cauchy"}
-        "linear" is least squares; "huber" limits the influence of a sample; with "cauchy", which starts at the
-        result of "huber", the influence of an outlier tends to zero.
-    **options
-        Arguments of `fit`.
-
-    Returns
-    -------
-    Fit
-        R2, rmse and energy refer to the measured data; chi-square and cross-validation error to the pseudo-values.
-
-    Raises
-    ------
-    EstimationError
-        If the loss is not known.
+    "linear" is least squares; "huber" limits the influence of a sample; with "cauchy", which starts at the result of
+    "huber", the influence of an outlier tends to zero. R2, rmse and energy refer to the measured data, chi-square and
+    cross-validation error to the pseudo-values.
     """
     if loss not in _LOSSES:
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
@@ -427,18 +388,14 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
 
 def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
     """Return the case with pseudo-values about a fit; its record contains the measured data."""
-    values = []
-    for samples, model in zip(
-        (data.record.casing, *data.record.rotor), _predicted(data, case, found), strict=True
-    ):
+    runs = []
+    measured = (data.record.casing, *data.record.rotor)
+    for samples, model in zip(measured, _predicted(data, case, found), strict=True):
         x = (samples.value - model) / samples.sigma
         scale = 1.4826 * float(np.median(np.abs(x)))
         influence, slope = psi(x / scale)
-        values.append(model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1))
-    runs = [
-        Samples(s.time, v, s.sigma)
-        for s, v in zip((data.record.casing, *data.record.rotor), values, strict=True)
-    ]
+        value = model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1)
+        runs.append(Samples(samples.time, value, samples.sigma))
     made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])))
     return CaseData(data.record, made.casing, made.rotor, free_inertia=data.free_inertia)
 

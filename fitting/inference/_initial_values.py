@@ -93,17 +93,7 @@ def _is(start: str, name: str) -> bool:
 def averaged_fit(
     model: Model, data: Sequence[CaseData], errors: Sequence[Array] | None = None
 ) -> Averaged | None:
-    """Return the fit of the averaged equations of motion of an oscillation; None if it has too few periods.
-
-    Parameters
-    ----------
-    model : Model
-        One with a restoring torque.
-    data : sequence of CaseData
-        The cases.
-    errors : sequence of ndarray, optional
-        `Averaged.scales` of another model.
-    """
+    """Return the fit of the averaged equations of motion of an oscillation; None if it has too few periods."""
     if any(d.oscillation is None or d.oscillation.slow_motion is None for d in data):
         return None
     layout = ParameterLayout.of(model, [d.record for d in data])
@@ -116,18 +106,9 @@ def averaged_fit(
 def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     """Return the error of the equations of motion under a model, without a fit.
 
-    Parameters
-    ----------
-    model : Model
-        Its strengths come from the linear regression, its shape constants have their declared initial values.
-    data : sequence of CaseData
-        The cases.
-
-    Returns
-    -------
-    float
-        Over many periods of an oscillation the rms error of the phase [rad]; otherwise the norm of the residuals of the
-        integrated equations of motion over that of the change of the speeds [1].
+    Over many periods of an oscillation it is the rms error of the phase [rad]; otherwise the norm of the residuals of
+    the integrated equations of motion over that of the change of the speeds [1]. The strengths come from the linear
+    regression, the shape constants have their declared initial values.
     """
     layout = ParameterLayout.of(model, [d.record for d in data])
     slow = averaged_fit(model, data) if model.restoring else None
@@ -146,12 +127,9 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
 
 def _deflection(data: CaseData, times: Array) -> Array:
     """Return the measured angle from the equilibrium at some times [rad]; zero for a body that turns in one sense."""
-    oscillation = data.oscillation
-    return (
-        np.zeros(len(times))
-        if oscillation is None
-        else np.interp(times, oscillation.time, oscillation.deflection)
-    )
+    if data.oscillation is None:
+        return np.zeros(len(times))
+    return np.interp(times, data.oscillation.time, data.oscillation.deflection)
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
@@ -189,20 +167,11 @@ def start_values(
     deflections: Sequence[Array],
     prior: Mapping[str, float] | None = None,
 ) -> Array:
-    """Return initial values of all variables from the data.
+    """Return initial values of all variables from the rough (times, speeds) of each case.
 
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The variables.
-    rough : sequence of (times, speeds)
-        Rough speeds of each case (`fitting.inference._record.initial_speeds`).
-    reference : float
-        Speed difference [rad/s] at which a power law starts with a tenth of the linear law's torque.
-    deflections : sequence of ndarray
-        Angle of each case from its equilibrium at the same times [rad].
-    prior : mapping, optional
-        Known values of parameters by key; the others are estimated given these.
+    A power law starts with a tenth of the linear law's torque at the speed difference `reference` [rad/s].
+    `deflections` are the angles from the equilibrium at the same times [rad]; parameters in `prior` are known, the
+    others estimated.
     """
     prior = prior or {}
     theta = np.array([prior.get(name.partition("@")[0], _declared(layout, name)) for name in layout.names])
@@ -220,11 +189,8 @@ def start_values(
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
-        first = {
-            START_ROTOR: speeds[0, 0],
-            START_CASING: speeds[0, 1],
-            START_DEFLECTION: deflections[case][0],
-        }
+        starts = (*speeds[0], deflections[case][0])
+        first = dict(zip((START_ROTOR, START_CASING, START_DEFLECTION), starts, strict=True))
         theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):
@@ -402,18 +368,8 @@ def initial_shapes(
 ) -> tuple[Problem, Array]:
     """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
-    Parameters
-    ----------
-    problem : Problem
-        The fit, at the noise of a first search.
-    theta : ndarray
-        Variables with the declared shapes.
-    effects : list of Effect
-        The effects.
-    fitted : bool
-        Whether the other variables are at the optimum without these effects.
-    noise : sequence of Noise, optional
-        The noise without these effects, if it is known.
+    `fitted` tells that the other variables are at the optimum without these effects, `noise` is the noise without
+    them.
     """
     layout = problem.layout
     theta = theta.copy()

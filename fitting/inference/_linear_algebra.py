@@ -41,15 +41,7 @@ def piecewise_linear(values: Array, knots: Array) -> Array:
 
 
 def cubic_spline(x: Array, y: Array, at: Array) -> Array:
-    """Return the interpolating cubic spline with not-a-knot ends at other places (that of scipy is slow to import).
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (points,)
-        At least four points, in ascending order.
-    at : ndarray
-        Where it is evaluated.
-    """
+    """Return the cubic spline through four or more points with not-a-knot ends (that of scipy is slow to import)."""
     h, n = np.diff(x), len(x)
     slope = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)

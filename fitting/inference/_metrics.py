@@ -87,19 +87,15 @@ def median_noise(cutoff: Array) -> Array:
     """Return the noise of a running median of gradients at low frequencies, as a variance over that of one gradient.
 
     Where the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise: in sums
-    over many medians every gradient v contributes psi(v), limited to c = slope x half the width. So the spectral
-    density at frequency zero is that of Huber's estimate,
+    over many medians every gradient v contributes psi(v), limited to c = slope x half the width (`cutoff`, in
+    standard deviations of the noise of one gradient). So the spectral density at frequency zero is that of Huber's
+    estimate,
 
         S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
 
     and gradients (e_(i+1) - e_(i-1)) / 2h of independent e correlate by -1/2 at lag 2 and at no other. By Hermite
     polynomials (Mehler's formula) cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k, the first term being
     P^2 / 2.
-
-    Parameters
-    ----------
-    cutoff : ndarray
-        c, in standard deviations of the noise of one gradient.
     """
     c = np.clip(cutoff, 0.02, 5.0)
     density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
@@ -134,21 +130,7 @@ class EnergyBalance:
 
 
 def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
-    """Return the energy balance of a fitted case.
-
-    Parameters
-    ----------
-    case : CaseModel
-        The case.
-    theta : ndarray
-        Variables of the fit.
-    path : Path
-        Its solution.
-
-    Returns
-    -------
-    EnergyBalance
-    """
+    """Return the energy balance of a fitted case along its solution."""
     time, omega = case.data.speeds["casing"]
     t = np.linspace(time[0], time[-1], min(_POINTS, len(time)))
     state = Sampler(path.mesh, t).value(path.y)
@@ -170,22 +152,9 @@ FOLDS = 6
 
 
 def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dict[str, float]:
-    """Return the cross-validation error: the rms error of rows left out of the fit over their noise, for each body.
+    """Return the cross-validation error of each body: rms error of rows left out of the fit over their noise, limit 1.
 
-    Parameters
-    ----------
-    data : CaseData
-        The case.
-    project : Projection
-        Its noise and nuisance parameters.
-    prediction : Prediction
-        The fitted model.
-
-    Returns
-    -------
-    dict
-        ``casing``: each of six intervals of time predicted from all other rows; ``rotor``: each window predicted from
-        all other rows. 1 = noise limit.
+    For ``casing`` each of six intervals of time, for ``rotor`` each window is predicted from all other rows.
     """
     jacobian = project(prediction.columns)
     size = np.linalg.norm(jacobian, axis=0)
@@ -194,17 +163,10 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
     residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
-    for body, folds, rest, count in (
-        ("casing", _casing_folds(data), data.casing.rest, data.casing.n_effective),
-        (
-            "rotor",
-            _rotor_folds(data),
-            sum(w.rest for w in data.rotor),
-            sum(w.n_effective for w in data.rotor),
-        ),
-    ):
-        total = rest + sum(_error(project, used, weighted, fold) for fold in folds)
-        result[body] = float(np.sqrt(total / max(count, 1.0)))
+    bodies = (("casing", (data.casing,), _casing_folds(data)), ("rotor", data.rotor, _rotor_folds(data)))
+    for body, runs, folds in bodies:
+        total = sum(r.rest for r in runs) + sum(_error(project, used, weighted, fold) for fold in folds)
+        result[body] = float(np.sqrt(total / max(sum(r.n_effective for r in runs), 1.0)))
     return result
 
 
@@ -308,16 +270,9 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     """Return the rms error of the casing's smoothed speed by noise and smoothing alone [rad/s].
 
     The smoothing of the paper has an error that does not depend on the model: that of the modelled angle with added
-    noise after the same smoothing. The noise is white, the samples' sigma times a factor from the third differences of
-    the residuals, whose rms is sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do
+    noise after the same smoothing. The noise is white, the samples' sigma times a factor from the third differences
+    of the residuals, whose rms is sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do
     irregular times (pulses, of which the time is what is measured).
-
-    Parameters
-    ----------
-    data : CaseData
-        The case.
-    path : Path
-        Its modelled motion.
     """
     record = data.record
     measured = record.casing
@@ -352,17 +307,7 @@ class LackOfFit:
 
 
 def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise]) -> LackOfFit:
-    """Return the lack of fit of a fitted model, at the pure noise of its cases.
-
-    Parameters
-    ----------
-    problem : Problem
-        The cases.
-    predictions : sequence of Prediction
-        Prediction of the fitted model for each.
-    noise : sequence of Noise
-        Their noise.
-    """
+    """Return the lack of fit of a fitted model, at the pure noise of its cases."""
     slow, free, residual, shares = [], [], [], []
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
         rows = slow_responses(data, p)
@@ -381,13 +326,9 @@ def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
 
 
 def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]) -> tuple[float, int]:
-    basis, r, s = (
-        orthonormal(np.concatenate(free), _RANK_FREE),
-        np.concatenate(residual),
-        block_diagonal(slow),
-    )
-    r = orthogonal_to(basis, r)
-    span = orthonormal(orthogonal_to(basis, s), _RANK)
+    basis = orthonormal(np.concatenate(free), _RANK_FREE)
+    r = orthogonal_to(basis, np.concatenate(residual))
+    span = orthonormal(orthogonal_to(basis, block_diagonal(slow)), _RANK)
     return float(np.sum((span.T @ r) ** 2)), span.shape[1]
 
 

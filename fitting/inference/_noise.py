@@ -32,21 +32,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns rows with covariance C = 1 + s^2 K into rows with covariance 1 by the symmetric root of C^-1.
+    """Turns rows with covariance C = 1 + s^2 K into rows with covariance 1 by the symmetric root of C^-1."""
 
-    Attributes
-    ----------
-    vectors : ndarray, shape (m, m)
-        Eigenvectors of K for the first m rows.
-    values : ndarray, shape (n,), n >= m
-        Eigenvalues of K for these rows, then variances of independent rows that follow them; the others are white.
-    level : float
-        s [N m].
-    """
-
-    vectors: Array
-    values: Array
-    level: float = 0.0
+    vectors: Array  # (m, m): eigenvectors of K for the first m rows
+    values: Array  # (n >= m,): eigenvalues, then variances of independent rows; further rows are white
+    level: float = 0.0  # s [N m]
 
     def __call__(self, rows: Array) -> Array:
         """Return C^(-1/2) rows."""
@@ -135,16 +125,8 @@ class TorqueNoise:
 def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
     """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
 
-    Parameters
-    ----------
-    chi2 : float or ndarray
-        Sum of squares of whitened residuals.
-    dof : int
-        Its degrees of freedom.
-    noise : sequence of Noise
-        Of each case; empty for white noise alone.
-    shares : sequence of float
-        Share of the process noise of each case in the variance of what was summed.
+    `noise` is empty for white noise alone; `shares` are those of the process noise of each case in the summed
+    variance.
     """
     from scipy.special import chdtrc
 
@@ -156,19 +138,7 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
 def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Array, Array]:
     """Return factors by which the variance of a sum of squares may be wrong, and their probabilities.
 
-    The process noise of each case is known with an uncertainty; several cases are mixed with equal weights.
-
-    Parameters
-    ----------
-    noise : sequence of Noise
-        Of each case; empty for white noise alone.
-    shares : sequence of float
-        Share of the process noise of each case in the variance of what was summed.
-
-    Returns
-    -------
-    scales, weights : ndarray, shape (factors,)
-        The weights add up to 1.
+    The process noise of each case is known with an uncertainty (see `tail_probability`); cases have equal weights.
     """
     if not noise:
         return np.ones(1), np.ones(1)
@@ -183,13 +153,6 @@ def variance_factor(chi2: float, dof: int) -> float:
     The noise alone (factor 1) and a lack of fit, with an inverse factor that is uniform between 0 and 1, have equal
     prior probabilities. A chi-square that is consistent with the noise hardly changes the standard errors; the factor
     of a significant one approaches chi2/dof, that of R. T. Birge, Phys. Rev. 40, 207 (1932).
-
-    Parameters
-    ----------
-    chi2 : float
-        Sum of squares of whitened residuals.
-    dof : int
-        Its degrees of freedom.
     """
     from scipy.special import gammainc, gammaln
 
@@ -214,16 +177,8 @@ _LEAST_RESPONSE, _MOST_EXPECTED, _UNRESOLVED_LEVELS = 0.1, 4.0, 16
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
-    The likelihood is restricted: free parameters are integrated out.
-
-    Parameters
-    ----------
-    whitener : Whitener
-        Eigenvectors and eigenvalues of K.
-    residual : ndarray, shape (rows,)
-        Measured minus predicted.
-    free : ndarray, shape (rows, columns)
-        Derivatives by the free parameters, and nuisance columns.
+    The likelihood is restricted: `free` (rows, columns), derivatives by the parameters and nuisance, is integrated
+    out.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -239,17 +194,10 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
     """Return the rms random torque that residuals do not exclude [N m]: the root of the posterior mean of s^2.
 
     In a short record, or for slow torques, the most likely level is often zero although larger levels are as likely;
-    the standard errors of parameters would not include them. With equal prior probabilities there is no random torque,
-    or one whose rms has the positive half of a Student distribution with three degrees of freedom, of scale
-    `expected`: that of the recording. Where the residuals exclude most of these levels, no random torque is far more
-    probable.
-
-    Parameters
-    ----------
-    whitener, residual, free
-        As for `remaining_level`.
-    expected : float
-        Rms of the process noise of the recording [N m].
+    the standard errors of parameters would not include them. With equal prior probabilities there is no random
+    torque, or one whose rms has the positive half of a Student distribution with three degrees of freedom, of scale
+    `expected` [N m]: that of the recording. Where the residuals exclude most of these levels, no random torque is far
+    more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
@@ -301,17 +249,7 @@ _GROUPS = 8
 class TorqueResponse:
     """Response of the smooth rows of a case to a random torque on the casing and in the bearing.
 
-    Parameters
-    ----------
-    data : CaseData
-        The rows.
-    motion : LinearMotion
-        Small motions about the solution.
-
-    Attributes
-    ----------
-    rotor, casing : ndarray, shape (smooth rows, cells)
-        Response to a torque of 1 N m on one body in each cell.
+    `rotor` and `casing` (smooth rows, cells) are the responses to a torque of 1 N m on one body in each cell.
     """
 
     def __init__(self, data: CaseData, motion: LinearMotion) -> None:

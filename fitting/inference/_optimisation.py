@@ -51,30 +51,11 @@ def minimise(
     absolute: float = 1e-7,
     max_iterations: int = 200,
 ) -> Minimum:
-    """Minimise the sum of squares of residuals.
+    """Minimise the sum of squares of residuals within bounds.
 
-    Parameters
-    ----------
-    problem : callable
-        x -> (residuals (m,), Jacobian (m, n)); may raise `SimulationError` where it cannot be computed.
-    start, lower, upper : ndarray, shape (n,)
-        Start and bounds.
-    tolerance : float
-        The search ends when the predicted and the actual fall of the sum of squares are less than this share of it, or
-        less than `absolute`.
-    absolute : float
-        See `tolerance`.
-    max_iterations : int
-        Largest number of steps.
-
-    Returns
-    -------
-    Minimum
-
-    Raises
-    ------
-    EstimationError
-        If the problem cannot be computed at the start.
+    `problem` gives residuals (m,) and Jacobian (m, n), or raises SimulationError where it cannot (EstimationError at
+    the start). The search ends when the predicted and the actual fall of the sum of squares are less than the share
+    `tolerance` of it, or less than `absolute`.
     """
     x = np.clip(start, lower, upper)
     try:
@@ -218,20 +199,9 @@ def search(
     max_iterations: int = 200,
     active: ActiveBounds | None = None,
 ) -> Solution:
-    """Minimise chi-square at the noise of a problem.
+    """Minimise chi-square at the noise of a problem; with `quick`, within about 0.01 of its minimum.
 
-    Parameters
-    ----------
-    problem : Problem
-        The fit.
-    theta : ndarray, shape (variables,)
-        Initial values, physical variables.
-    quick : bool
-        Stop where chi-square is within about 0.01 of its minimum.
-    max_iterations : int
-        Largest number of steps.
-    active : ActiveBounds, optional
-        The active bounds of an earlier solution near this one, which are tried first.
+    `active` bounds of an earlier solution near this one are tried first.
     """
     enough, most = (
         (_CONVERGED_QUICK, min(_QUICK_STEPS, max_iterations)) if quick else (_CONVERGED, max_iterations)

@@ -120,13 +120,7 @@ def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
 
 
 def find_oscillation(record: Record) -> Oscillation | None:
-    """Return the oscillation of a single body; None if it turns in one sense or was recorded with a rotor.
-
-    Parameters
-    ----------
-    record : Record
-        Angles or angular velocities.
-    """
+    """Return the oscillation of a single body; None if it turns in one sense or was recorded with a rotor."""
     if not record.single:
         return None
     t, y = record.casing.time, record.casing.value

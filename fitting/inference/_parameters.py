@@ -62,13 +62,7 @@ class ParameterLayout:
         per_case: Iterable[str] = (),
         ranges: Mapping[str, tuple[float, float]] | None = None,
     ) -> ParameterLayout:
-        """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`.
-
-        Raises
-        ------
-        EffectError
-            If a name of `share` or `per_case` is no parameter of the model.
-        """
+        """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`."""
         for name in (*share, *per_case):
             if not any(covers(name, key) for key in model.free):
                 raise EffectError(
@@ -271,12 +265,8 @@ def _away_from(g: float, order: float) -> float:
 def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]]) -> tuple[PowerLaw, ...]:
     """Return the power laws of a model that need transformed variables, with the laws of fixed power.
 
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The variables. A pair is not transformed if f has a value for each case and g or d is shared, or vice versa.
-    rough : sequence of (times, speeds)
-        Rough speeds of each case, for x_ref, the median of x.
+    x_ref is the median of the rough (times, speeds) of the cases. A pair is not transformed if f has a value for each
+    case and g or d is shared, or vice versa.
     """
     known = [_variables(*r) for r in rough]
     power_laws: list[PowerLaw] = []

@@ -66,11 +66,6 @@ class Prior:
         """Return the prior of a fit: all parameters of its effects that it determines within their bounds.
 
         Initial speeds, and parameters with a value for each case, are those of that study's own runs.
-
-        Raises
-        ------
-        EstimationError
-            If there is none.
         """
         kept = [
             i
@@ -101,13 +96,7 @@ class Prior:
         return replace(self, names=new, mean=tuple(self.mean[i] for i in kept), covariance=covariance)
 
     def joined(self, other: Self) -> Self:
-        """Return both priors, of independent studies, as one.
-
-        Raises
-        ------
-        EstimationError
-            If a parameter is in both.
-        """
+        """Return both priors, of independent studies, as one; no parameter may be in both."""
         twice = sorted({*self.names} & {*other.names})
         if twice:
             raise EstimationError(
@@ -128,20 +117,10 @@ class Prior:
     def whitened(
         self, names: Sequence[str], label: str = "", *, shared: bool = True
     ) -> tuple[tuple[str, ...], Array, Array]:
-        """Return the variables of a fit to which the prior applies, their means, and L^-1 of their covariance.
+        """Return the variables to which the prior applies, their means (k,), and L^-1 (k, k) of their covariance.
 
-        Parameters
-        ----------
-        names : sequence of str
-            The variables of the fit.
-        label : str
-            A case: a prior of a parameter with a value for each case applies to ``name@label``.
-        shared : bool
-            Include the parameters that all cases share; each must be counted once.
-
-        Returns
-        -------
-        tuple of str, ndarray (k,), ndarray (k, k)
+        With a `label` a prior of a parameter with a value for each case applies to ``name@label``. Parameters that
+        all cases share are included if `shared`; each must be counted once.
         """
         found = {}
         for i, name in enumerate(self.names):

@@ -14,14 +14,7 @@ from fitting._criteria import DEFAULT
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
-from fitting.inference._noise import (
-    WHITE,
-    Noise,
-    TorqueNoise,
-    TorqueResponse,
-    Whitener,
-    remaining_level,
-)
+from fitting.inference._noise import WHITE, Noise, TorqueNoise, TorqueResponse, Whitener, remaining_level
 from fitting.inference._parameters import (
     ParameterLayout,
     PowerLaw,
@@ -62,26 +55,13 @@ class Problem:
     """Residuals and Jacobian of all cases at given noise levels.
 
     Immutable: another noise, other ranges or other transformed variables make a new problem.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The variables.
-    data : tuple of CaseData
-        The cases, in the order of the layout.
-    cases : tuple of CaseModel
-        The models of the cases; they cache their last solution.
-    projections : tuple of Projection
-        Noise and nuisance columns of each case.
-    power_laws : tuple of PowerLaw
-        Power laws that are fitted in transformed variables.
     """
 
     layout: ParameterLayout
     data: tuple[CaseData, ...]
-    cases: tuple[CaseModel, ...]
-    projections: tuple[Projection, ...]
-    power_laws: tuple[PowerLaw, ...]
+    cases: tuple[CaseModel, ...]  # they cache their last solution
+    projections: tuple[Projection, ...]  # noise and nuisance columns of each case
+    power_laws: tuple[PowerLaw, ...]  # fitted in transformed variables
 
     @classmethod
     def of(cls, layout: ParameterLayout, data: Sequence[CaseData]) -> Self:
@@ -209,18 +189,8 @@ def surely_at_bound(
 def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
     """Return combinations of parameters that the data do not determine although each alone may seem determined.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The variables in question.
-    theta, covariance : ndarray, shapes (n,) and (n, n)
-        Their values and covariance.
-
-    Returns
-    -------
-    list of dict
-        Relative changes by name, the largest +1, that together are within one standard error; changes below a fifth of
-        the largest, and directions of one parameter, are left out.
+    Each is a dict of relative changes, the largest +1, that together are within one standard error; changes below a
+    fifth of the largest, and directions of one parameter, are left out.
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))

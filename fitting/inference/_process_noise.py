@@ -79,20 +79,11 @@ class ProcessNoise:
 def estimate_process_noise(
     run: Compressed, nuisance: Array, angle_root: Array, *, angle: bool, typical: float = math.inf
 ) -> ProcessNoise:
-    """Estimate the process noise of a run.
+    """Estimate the process noise of a run of angles, or of speeds.
 
-    Parameters
-    ----------
-    run : Compressed
-        Projected angles or speeds.
-    nuisance : ndarray, shape (rows, columns)
-        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
-    angle_root : ndarray, shape (rows, rows)
-        C^(1/2) of correlated angle noise; empty if the angle noise is white.
-    angle : bool
-        Whether angles were measured (and not speeds).
-    typical : float
-        Mean acceleration of the body [rad/s2], which the scale of the prior does not exceed.
+    `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
+    prior; `angle_root` (rows, rows) is C^(1/2) of correlated angle noise, empty if it is white; `typical` the mean
+    acceleration of the body [rad/s2], which the scale of the prior does not exceed.
     """
     blocks, k, _ = run.lift.shape
     times = float(np.ptp(run.samples.time)) / blocks * np.array(_TIMES)
@@ -280,15 +271,7 @@ def _log_likelihood(rows: Array, values: Array, levels: Array) -> Array:
 
 
 class Stretch:
-    """Rows of some neighbouring blocks, orthogonal to a polynomial in time and to the nuisance functions.
-
-    Attributes
-    ----------
-    blocks, rows : ndarray of int
-        The blocks, and their rows among those of the run.
-    projected : ndarray
-        The part of the measured rows that is orthogonal to what is free.
-    """
+    """Rows of some neighbouring blocks, orthogonal to a polynomial in time and to the nuisance functions."""
 
     def __init__(
         self, run: Compressed, blocks: NDArray[np.intp], nuisance: Array, degree: int, *, angle: bool = True

@@ -33,15 +33,7 @@ _WEAK = 0.3
 
 @dataclass(frozen=True)
 class Interval:
-    """A confidence interval; an open end is the bound of the parameter, or the last value that was tried.
-
-    Attributes
-    ----------
-    lower, upper : float
-        Its ends, in the unit of the parameter.
-    lower_open, upper_open : bool
-        The data set no limit on this side.
-    """
+    """A confidence interval; an open end is the bound of the parameter, or the last value that was tried."""
 
     lower: float
     upper: float

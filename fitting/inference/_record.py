@@ -228,23 +228,9 @@ _CHUNK = 1024
 def speeds(
     samples: Samples, quantity: Quantity, width: int = WIDTH, dropped: int = DROPPED
 ) -> tuple[Array, Array]:
-    """Return times and angular velocities: median of the angle, gradient, median, ends dropped.
+    """Return times [s] and angular velocities [rad/s]: median of the angle, gradient, median, ends dropped.
 
-    Parameters
-    ----------
-    samples : Samples
-        Angles [rad] or speeds [rad/s].
-    quantity : {"angle", "omega"}
-        Which of both.
-    width : int
-        Points of the running median; the paper has 51.
-    dropped : int
-        Points left out at each end; the paper has 50, short runs a tenth of their samples at most.
-
-    Returns
-    -------
-    time, omega : ndarray
-        [s], [rad/s].
+    The paper has a `width` of 51 points and drops 50 at each end; short runs drop a tenth of their samples at most.
     """
     width = median_width(len(samples), width)
     value = samples.value

@@ -68,33 +68,19 @@ class Experiment:
 def simulate_path(
     model: Model, numbers: Mapping[str, float], experiment: Experiment
 ) -> tuple[Dynamics, Path]:
-    """Integrate a model over the length of an experiment.
-
-    Raises
-    ------
-    SimulationError
-        If the motion has no bounded solution.
-    """
+    """Integrate a model over the length of an experiment."""
     angles = bool(model.angle_dependent)
     dynamics = Dynamics(model, angles=angles)
     smooth = Dynamics(model.smooth)
     # the initial deflection of a casing with a restoring torque is zero
     deflection = (0.0,) * (dynamics.free_starts - 2)
-    first = np.array(
-        [
-            experiment.omega_rotor,
-            experiment.omega_casing,
-            *deflection,
-            *dynamics.start,
-            *((0.0, 0.0) if angles else ()),
-        ]
-    )
+    states = (experiment.omega_rotor, experiment.omega_casing, *deflection, *dynamics.start)
+    first = np.array([*states, *((0.0, 0.0) if angles else ())])
     path = _smooth_path(smooth, numbers, first[: len(smooth.states)], experiment.duration)
     if angles:
         turns = float(np.ptp(path.angle("omega_c")[0])) / (2 * np.pi)
-        path = solve(
-            dynamics, numbers, first, Mesh.uniform(0.0, experiment.duration, int(20 + turns / _PER_TURN))
-        )
+        mesh = Mesh.uniform(0.0, experiment.duration, int(20 + turns / _PER_TURN))
+        path = solve(dynamics, numbers, first, mesh)
     return dynamics, path
 
 
@@ -171,9 +157,8 @@ def _angle(path: Path, state: str, time: Array) -> Array:
 
 
 def _noisy(time: Array, angle: Array, sigma: float, random: np.random.Generator) -> Samples:
-    return Samples(
-        time, angle + sigma * random.standard_normal(len(time)), np.full(len(time), max(sigma, 1e-9))
-    )
+    value = angle + sigma * random.standard_normal(len(time))
+    return Samples(time, value, np.full(len(time), max(sigma, 1e-9)))
 
 
 class _RandomTorque:

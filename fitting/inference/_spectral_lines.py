@@ -47,16 +47,9 @@ _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:
-    """Return the probability that noise reaches a chi-square of two degrees of freedom anywhere in a band.
+    """Return the probability that noise reaches a `chi2` of two degrees of freedom anywhere in a `band` [Hz].
 
-    Parameters
-    ----------
-    chi2 : float
-        The largest one.
-    band : float
-        Width of the band [Hz].
-    span : float
-        Length of the record [s], evenly covered.
+    The record of length `span` [s] is evenly covered.
     """
     z = 0.5 * chi2
     independent = band * span * math.sqrt(4 * math.pi / 12)
@@ -73,12 +66,8 @@ class SpectralLine(NamedTuple):
 def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]:
     """Return the lines of a run, the strongest first.
 
-    Parameters
-    ----------
-    run : Compressed
-        Projected angles or speeds.
-    nuisance : ndarray, shape (rows, columns)
-        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
+    `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
+    prior.
     """
     found: list[SpectralLine] = []
     while len(found) < _MOST:

@@ -43,24 +43,7 @@ class _Fitted(Protocol):
 
 
 def modelled_speed(fit: _Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
-    """Return the modelled speed of a body and its standard uncertainty, sqrt(s' C s) with the sensitivities s.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    case : int
-        Index of the case.
-    body : int
-        `ROTOR` or `CASING`.
-    time : ndarray, shape (n,)
-        Times within the run [s].
-
-    Returns
-    -------
-    speed, sigma : ndarray, shape (n,)
-        [rad/s].
-    """
+    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) by the sensitivities s [rad/s]."""
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
     places = fit.problem.layout.places(case, (*model.dynamics.parameters, *fit.problem.layout.starts))
@@ -88,17 +71,7 @@ class SpeedResidual:
 
 
 class SpeedMap:
-    """The linear map from the residual rows of a case to its residual speeds, nuisance columns projected out.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem of the fit.
-    noise : Noise
-        Noise of the case.
-    case : int
-        Index of the case.
-    """
+    """The linear map from the residual rows of a case to its residual speeds, nuisance columns projected out."""
 
     def __init__(self, problem: Problem, noise: Noise, case: int) -> None:
         data = problem.data[case]
@@ -114,27 +87,13 @@ class SpeedMap:
             self.parts.append((rows, *_slopes(run, _PARTS[body], is_angle=data.is_angle)))
 
     def __call__(self, rows: Array) -> list[Array]:
-        """Return the mean residual speed in each part of the casing, and of each rotor window [rad/s].
-
-        Parameters
-        ----------
-        rows : ndarray, shape (rows,) or (rows, k)
-            Measured minus modelled rows, or any columns of that space.
-        """
+        """Return the mean residual speed in each part of the casing, and of each rotor window [rad/s]."""
         found = self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
         return [d @ found[where] for where, _, _, d in self.parts]
 
 
 def speed_residuals(fit: _Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
-    """Return the residual speed of the casing, and of the rotor in each of its windows.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    case : int
-        Index of the case.
-    """
+    """Return the residual speed of the casing, and of the rotor in each of its windows."""
     data, noise = fit.problem.data[case], fit.noise[case]
     prediction = fit.predictions[case]
     moving = ~fit.problem.layout.at_bound(fit.theta)

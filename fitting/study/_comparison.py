@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 # probability within one standard deviation of a normal distribution
 _ONE_SIGMA = 0.6827
-_BISECTIONS = 200
 
 
 class Fitted(Protocol):
@@ -61,35 +60,17 @@ class Repeat:
 
 @dataclass(frozen=True)
 class ParameterComparison:
-    """One parameter over several runs.
-
-    Attributes
-    ----------
-    name, unit : str
-        Key of the parameter, and its SI unit.
-    repeats : tuple of Repeat
-        Its value in each run that determines it.
-    difference_sigma : float or None
-        Of two runs: second minus first, over its standard uncertainty.
-    p_value : float
-        Of equal values in all runs.
-    mean, mean_u : float
-        Mean of the random-effects model and its standard uncertainty [unit].
-    spread : float
-        Standard deviation between the runs, beyond the uncertainties [unit].
-    spread_interval : tuple of float
-        Its 68 % interval [unit].
-    """
+    """One parameter over several runs."""
 
     name: str
-    unit: str
-    repeats: tuple[Repeat, ...]
-    difference_sigma: float | None
-    p_value: float
-    mean: float
-    mean_u: float
-    spread: float
-    spread_interval: tuple[float, float]
+    unit: str  # SI
+    repeats: tuple[Repeat, ...]  # its value in each run that determines it
+    difference_sigma: float | None  # of two runs: second minus first, over its standard uncertainty
+    p_value: float  # of equal values in all runs
+    mean: float  # of the random-effects model [unit]
+    mean_u: float  # its standard uncertainty [unit]
+    spread: float  # standard deviation between the runs, beyond the uncertainties [unit]
+    spread_interval: tuple[float, float]  # 68 % [unit]
 
     def total(self, repeat: Repeat) -> float:
         """Return the standard uncertainty of one run's value with the spread between the runs [unit]."""
@@ -98,24 +79,12 @@ class ParameterComparison:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What several runs have in common.
+    """What several runs have in common: the parameters that at least two of them determine."""
 
-    Attributes
-    ----------
-    runs : tuple of str
-        Their names.
-    parameters : tuple of ParameterComparison
-        The parameters that at least two runs determine, the most significant difference first.
-    effects : dict of str to tuple of str
-        The runs that have each effect which not all of them have.
-    bounds : dict of str to tuple of str
-        For each parameter that is at its bound in some runs, these.
-    """
-
-    runs: tuple[str, ...]
-    parameters: tuple[ParameterComparison, ...]
-    effects: dict[str, tuple[str, ...]]
-    bounds: dict[str, tuple[str, ...]]
+    runs: tuple[str, ...]  # their names
+    parameters: tuple[ParameterComparison, ...]  # the most significant difference first
+    effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
+    bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
 
     @property
     def sentences(self) -> list[str]:
@@ -125,11 +94,8 @@ class Comparison:
         differing = [p for p in self.parameters if p.p_value * count < 0.01]
         lines = []
         for p in differing:
-            size = (
-                f" by {abs(p.difference_sigma):.1f} standard uncertainties"
-                if p.difference_sigma is not None
-                else ""
-            )
+            sigma = p.difference_sigma
+            size = f" by {abs(sigma):.1f} standard uncertainties" if sigma is not None else ""
             growth = max(p.total(r) / r.stderr for r in p.repeats)
             lines.append(
                 f"{p.name} differs between the runs{size} (p {probability(p.p_value)}); "
@@ -250,10 +216,9 @@ def _spread(x: Array, u: Array, target: float) -> float:
     """Return the spread at which Q, which falls with it, is `target`; 0 if Q is smaller without any."""
     if _q(x, u, 0.0) <= target:
         return 0.0
-    low, high = 0.0, float(np.ptp(x))
+    from scipy.optimize import brentq
+
+    high = float(np.ptp(x))
     while _q(x, u, high) > target:
         high *= 2
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _q(x, u, middle) > target else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(lambda spread: _q(x, u, spread) - target, 0.0, high, xtol=1e-300))

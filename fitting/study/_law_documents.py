@@ -22,6 +22,7 @@ from fitting._schema import (
     refuse_special,
     write_text,
 )
+from fitting.discovery._dependence import Dependence
 from fitting.discovery._laws import Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
@@ -110,36 +111,24 @@ _UNITS = {"t": "s", "psi_c": "rad"}
 
 def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
     """Return laws under the keys of `laws --json`; `fit_id` is the base in its ledger."""
-    depends_on = [
-        DependenceDocument(
-            variable=d.variable,
-            body=d.body,
-            p_value=d.p_value,
-            explained=d.explained,
-            score=d.score,
-            curve=CurveDocument(
-                unit=_UNITS.get(d.variable, "rad/s"),
-                value=d.value.tolist(),
-                torque_Nm=d.torque.tolist(),
-                sigma_Nm=d.sigma.tolist(),
-            )
-            if len(d.value)
-            else None,
-        )
-        for d in found.depends_on
-    ]
-    document = LawsDocument(
-        fit_id=fit_id,
-        verdict=found.verdict,
-        sentence=found.sentence,
-        laws=[_law(x) for x in found.laws],
-        library=found.library.effect.name if found.library is not None else None,
-        differs=difference_document(found.differs),
-        depends_on=depends_on,
-        next_experiment=found.next_experiment,
-        trials=found.trials,
+    document = LawsDocument.model_validate(
+        vars(found)
+        | {
+            "fit_id": fit_id,
+            "laws": [_law(x) for x in found.laws],
+            "library": found.library.effect.name if found.library is not None else None,
+            "differs": difference_document(found.differs),
+            "depends_on": [vars(d) | {"curve": _curve(d)} for d in found.depends_on],
+        }
     )
     return document.model_dump()
+
+
+def _curve(d: Dependence) -> dict[str, Any] | None:
+    if not len(d.value):
+        return None
+    columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
+    return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
 
 
 def _law(x: Law) -> LawDocument:

@@ -2,6 +2,10 @@
 
 Tables 1 and 2 vary the drags of rotor and casing (the bearing has its linear law): all four, then each left out once.
 Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen choices of c, d, e and f.
+
+Cross-validation over recordings: parameters that the recordings share have the values of a fit of the other recordings.
+Only parameters that these do not determine are free: the friction at the touch point (another surface) and the initial
+speeds.
 """
 
 from __future__ import annotations
@@ -16,8 +20,8 @@ from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
-from fitting.inference._cross_validation import Predicted, predict_recordings
 from fitting.inference._fit import fit
+from fitting.inference._metrics import BodyMetrics
 from fitting.inference._noise import Noise
 from fitting.inference._record import Record
 from fitting.inference._result import Estimate, Fit
@@ -126,32 +130,19 @@ _ROBUST, _UNSTABLE = 0.1, 0.5
 class Robustness:
     """One parameter of one model across cases.
 
-    Attributes
-    ----------
-    symbol, key, unit : str
-        The parameter.
-    mean : float
-        Over the separate fits, in SI units.
-    spread : float
-        Largest minus smallest value of the separate fits, over their mean; nan for a single case.
-    shift : float
-        Relative change from the separate fits to the joint one: of their mean, or the largest one where each case has
-        its own value; nan without a joint fit.
-    sigma : float
-        Largest difference of two separate fits over its standard error; nan where an error is not known.
-    verdict : str
-        By the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable"; for a
-        touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
-        fits agree; "not known" for a single case.
+    `verdict` is by the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable";
+    for a touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
+    fits agree; "not known" for a single case. `shift` is the relative change from the separate fits to the joint one:
+    of their mean, or the largest one where each case has its own value.
     """
 
     symbol: str
     key: str
     unit: str
-    mean: float
-    spread: float
-    shift: float
-    sigma: float
+    mean: float  # over the separate fits, in SI units
+    spread: float  # largest minus smallest value over their mean; nan for a single case
+    shift: float  # nan without a joint fit
+    sigma: float  # largest difference of two fits over its standard error; nan where one is not known
     verdict: str
 
 
@@ -204,6 +195,65 @@ def _verdict(column: Column, own: Sequence[Estimate], spread: float, shift: floa
     return "robust" if worst < _ROBUST else "varies" if worst < _UNSTABLE else "unstable"
 
 
+@dataclass(frozen=True)
+class Predicted:
+    """One recording, predicted from the others."""
+
+    label: str
+    casing: float  # rms error over the noise; 1 = noise limit
+    rotor: float
+    r2: float  # of the casing's smoothed speed
+    rmse: float  # of the casing's smoothed speed [rad/s]
+    others: Fit  # the fit of the others, from which the shared parameters come
+
+
+def predict_recordings(
+    model: Model, data: Sequence[CaseData], noise: Sequence[Noise], *, alone: Sequence[Fit] = ()
+) -> tuple[Predicted, ...]:
+    """Predict each recording from a fit of the others.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    data : sequence of CaseData
+        At least two recordings.
+    noise : sequence of Noise
+        Of each, from an earlier fit.
+    alone : sequence of Fit
+        Fits of the model to each recording alone, if they are known already (saves time for two recordings).
+
+    Raises
+    ------
+    EstimationError
+        If there is only one recording.
+    """
+    if len(data) < 2:
+        raise EstimationError(
+            "one recording cannot be predicted from others", "give several cases, or look at held-out times"
+        )
+    surface = {f"{e.name}.{p.symbol}" for e in model.effects if e.per_surface for p in e.free}
+    shared = [key for key in model.free if key not in surface]
+    found = []
+    for i, held in enumerate(data):
+        rest = [k for k in range(len(data)) if k != i]
+        if len(rest) == 1 and alone:
+            others = alone[rest[0]]
+        else:
+            # a parameter with a value for each case has no value for another recording: all others share it
+            others = fit(model, [data[k] for k in rest], share=shared, noise=[noise[k] for k in rest])
+        held_values = {key: others.estimates[key].value for key in shared}
+        free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
+        (case,) = free.cases
+        errors = _prediction_error(case.casing), _prediction_error(case.rotor)
+        found.append(Predicted(held.record.label, *errors, case.casing.r2, case.casing.rmse, others))
+    return tuple(found)
+
+
+def _prediction_error(body: BodyMetrics) -> float:
+    return math.sqrt(body.reduced_chi2)
+
+
 # difference of deviances with which no parameter changes significantly
 _SAME_MINIMUM = 0.1
 
@@ -231,26 +281,12 @@ class Row:
 
 @dataclass(frozen=True)
 class ModelFits:
-    """One of the paper's models on all cases.
+    """One of the paper's models on all cases."""
 
-    Attributes
-    ----------
-    name : str
-        "reduced" or "general".
-    separate : tuple of Fit
-        On each case.
-    joint : Fit or None
-        On all together; None for a single case.
-    predicted : tuple of Predicted
-        Each case predicted from the others; empty for a single case.
-    robustness : tuple of Robustness
-        Robustness of each parameter.
-    """
-
-    name: str
-    separate: tuple[Fit, ...]
-    joint: Fit | None
-    predicted: tuple[Predicted, ...]
+    name: str  # "reduced" or "general"
+    separate: tuple[Fit, ...]  # on each case
+    joint: Fit | None  # None for a single case
+    predicted: tuple[Predicted, ...]  # each case from the others; empty for a single case
     robustness: tuple[Robustness, ...]
 
 

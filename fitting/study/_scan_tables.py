@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -75,21 +76,13 @@ def scan_lines(scan: Scan) -> list[str]:
     lines = []
     for label, air, bearing in zip(scan.labels, scan.air, scan.bearing, strict=True):
         lines += [f"{label}: which drags are needed (bearing: d alone)", *_runs(air, AIR_COLUMNS), ""]
-        lines += [
-            f"{label}: which laws of the bearing are needed (no a1)",
-            *_runs(bearing, BEARING_COLUMNS),
-            "",
-        ]
-    lines += [*_wrapped(LEGEND), ""]
+        lines += [f"{label}: which laws of the bearing are needed (no a1)"]
+        lines += [*_runs(bearing, BEARING_COLUMNS), ""]
+    lines += [line for s in LEGEND for line in textwrap.wrap(s, 79, subsequent_indent="  ")]
+    lines.append("")
     for model in scan.models:
         lines += _model(model, scan.labels)
     return lines
-
-
-def _wrapped(sentences: Sequence[str]) -> list[str]:
-    import textwrap
-
-    return [line for s in sentences for line in textwrap.wrap(s, 79, subsequent_indent="  ")]
 
 
 def _runs(rows: Sequence[Row], symbols: Sequence[str]) -> list[str]:
@@ -153,9 +146,8 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
     for label, fit, kind in fits:
         if kind == "joint" and label == labels[0]:
             lines.append("-" * (width + len(_metrics_head())))
-        lines.append(
-            named(label, _metrics(fit, label, predicted.get(label, math.nan), joint=kind == "joint"))
-        )
+        ahead = predicted.get(label, math.nan)
+        lines.append(named(label, _metrics(fit, label, ahead, joint=kind == "joint")))
     if model.joint is not None:
         lines += ["", f"robustness of the {model.name} model's parameters across the cases"]
         lines += robustness_lines(model.robustness)
@@ -214,24 +206,16 @@ def scan_latex(scan: Scan) -> str:
     parts = [_PREAMBLE]
     for label, rows in zip(scan.labels, scan.air, strict=True):
         caption = f"Drag of rotor and casing, {_escaped(label)}, with $c=e=f=0$. {_SPEED} {_SHADING}"
-        parts.append(
-            _table(_latex_runs(rows, AIR_COLUMNS), "c" * 5 + "c", caption, f"scan-air-{_key(label)}")
-        )
+        parts.append(_table(_latex_runs(rows, AIR_COLUMNS), "c" * 6, caption, f"scan-air-{_key(label)}"))
     for label, rows in zip(scan.labels, scan.bearing, strict=True):
-        caption = (
-            f"Laws of the bearing, {_escaped(label)}, with $a_1=0$; $R^2$ of the casing's speed. {_SHADING}"
-        )
-        parts.append(
-            _table(_latex_runs(rows, BEARING_COLUMNS), "c" * 9, caption, f"scan-bearing-{_key(label)}")
-        )
+        caption = f"Laws of the bearing, {_escaped(label)}, with $a_1=0$; {_SPEED} {_SHADING}"
+        runs = _latex_runs(rows, BEARING_COLUMNS)
+        parts.append(_table(runs, "c" * 9, caption, f"scan-bearing-{_key(label)}"))
     for model in scan.models:
         symbols = [s for s, c in COLUMNS.items() if c.key in model.separate[0].model.parameters]
         caption = f"Fitted parameters of the {model.name} model" + _and_joint(model) + f" {_ERRORS} {_UNITS}"
-        parts.append(
-            _table(
-                _parameters(model, scan.labels, symbols), "l" + "c" * len(symbols), caption, f"{model.name}"
-            )
-        )
+        lines = _parameters(model, scan.labels, symbols)
+        parts.append(_table(lines, "l" + "c" * len(symbols), caption, model.name))
         caption = f"Fit metrics of the {model.name} model" + _and_joint(model)
         parts.append(_table(_latex_metrics(model, scan.labels), "llccccc", caption, f"{model.name}-metrics"))
         if model.joint is not None:
@@ -294,9 +278,8 @@ def _with_error(estimate: Estimate | None, symbol: str) -> str:
 def _parameters(model: ModelFits, labels: Sequence[str], symbols: Sequence[str]) -> list[str]:
     lines = [_line(["", *map(_heading, symbols)]), r"\midrule"]
     for label, fit in zip(labels, model.separate, strict=True):
-        lines.append(
-            _line([_escaped(label), *(_with_error(fit.estimates[COLUMNS[s].key], s) for s in symbols)])
-        )
+        values = [_with_error(fit.estimates[COLUMNS[s].key], s) for s in symbols]
+        lines.append(_line([_escaped(label), *values]))
     if model.joint is not None:
         lines.append(r"\midrule")
         found = model.joint.estimates
@@ -354,19 +337,10 @@ def _merits(case: CaseMetrics) -> list[str]:
 def _robustness(found: Sequence[Robustness]) -> list[str]:
     lines = [_line(["", "mean", "spread", "shift", r"$\sigma$", ""]), r"\midrule"]
     for r in found:
-        exponent = COLUMNS[r.symbol].exponent
-        lines.append(
-            _line(
-                [
-                    _heading(r.symbol),
-                    f"${three_digits(r.mean / 10.0**exponent)}$".replace("~0", r"\approx 0"),
-                    _latex_percent(r.spread),
-                    _latex_percent(r.shift),
-                    f"${r.sigma:.1f}$" if math.isfinite(r.sigma) else "",
-                    r.verdict,
-                ]
-            )
-        )
+        mean = three_digits(r.mean / 10.0 ** COLUMNS[r.symbol].exponent).replace("~0", r"\approx 0")
+        shares = [_latex_percent(r.spread), _latex_percent(r.shift)]
+        sigma = f"${r.sigma:.1f}$" if math.isfinite(r.sigma) else ""
+        lines.append(_line([_heading(r.symbol), f"${mean}$", *shares, sigma, r.verdict]))
     return lines
 
 
@@ -375,12 +349,10 @@ def _latex_percent(share: float) -> str:
 
 
 def _four(x: float) -> str:
-    return f"{x:.4g}" if abs(x) < 1e5 else "{:.2f}\\times 10^{{{}}}".format(*_scientific(x))
-
-
-def _scientific(x: float) -> tuple[float, int]:
-    mantissa, _, exponent = f"{x:.6e}".partition("e")
-    return float(mantissa), int(exponent)
+    if abs(x) < 1e5:
+        return f"{x:.4g}"
+    mantissa, _, exponent = f"{x:.2e}".partition("e")
+    return rf"{mantissa}\times 10^{{{int(exponent)}}}"
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -473,10 +445,7 @@ def scan_csv(scan: Scan) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([_titled(name) for name in records[0]])
-    for record in records:
-        writer.writerow(
-            ["" if v is None else repr(v) if isinstance(v, float) else v for v in record.values()]
-        )
+    writer.writerows(record.values() for record in records)
     return stream.getvalue()
 
 
@@ -505,12 +474,11 @@ def _row_document(row: Row, best: float) -> dict[str, Any]:
     head = {"terms": list(row.run.terms), "model": list(row.run.effects), "fault": row.fault}
     if row.fit is None:
         return head | {"r2": None, "shade": "", "delta_bic": None, "fit": None}
-    return head | {
-        "r2": row.r2,
-        "shade": row.shade,
-        "delta_bic": row.fit.bic - best,
-        "fit": fit_document(row.fit, ""),
-    }
+    found = {"r2": row.r2, "shade": row.shade, "delta_bic": row.fit.bic - best}
+    return head | found | {"fit": fit_document(row.fit, "")}
+
+
+_PREDICTED = ("label", "casing", "rotor", "r2", "rmse")
 
 
 def _model_document(model: ModelFits) -> dict[str, Any]:
@@ -518,9 +486,6 @@ def _model_document(model: ModelFits) -> dict[str, Any]:
         "name": model.name,
         "separate": [fit_document(f, "") for f in model.separate],
         "joint": fit_document(model.joint, "") if model.joint is not None else None,
-        "predicted": [
-            {"label": p.label, "casing": p.casing, "rotor": p.rotor, "r2": p.r2, "rmse": p.rmse}
-            for p in model.predicted
-        ],
+        "predicted": [{k: getattr(p, k) for k in _PREDICTED} for p in model.predicted],
         "robustness": [asdict(r) for r in model.robustness],
     }

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
@@ -28,6 +29,7 @@ from fitting._schema import (
     DiagnosisDocument,
     EstimateDocument,
     FitDocument,
+    NoiseDocument,
     ParameterBudgetDocument,
     PlanDocument,
     PriorDocument,
@@ -57,7 +59,7 @@ from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._fit import fit
-from fitting.inference._metrics import BodyMetrics, CaseMetrics
+from fitting.inference._metrics import CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem, degenerate_directions
@@ -258,30 +260,9 @@ def history_verdict(steps: Sequence[Step]) -> str:
     return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"
 
 
-@dataclass(frozen=True)
-class SavedNoise:
-    """Process noise of a recording with its standard uncertainty and random torque of the model [N m]; white scale."""
-
-    pure: float
-    pure_u: float
-    level: float
-    scale: float
-    unresolved: float = 0.0
-
-
 @dataclass(frozen=True, repr=False)
 class SavedFit(FitSummary):
-    """A fit read from a file, without the data.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The variables, in the order of `covariance`.
-    covariance : ndarray, shape (n, n)
-        Of the variables, in SI units.
-    sources, digests : tuple of str
-        Files and SHA-256 of the data that were fitted.
-    """
+    """A fit read from a file, without the data."""
 
     model: Model
     labels: tuple[str, ...]
@@ -293,11 +274,11 @@ class SavedFit(FitSummary):
     deviance: float
     bic: float
     verdict: str
-    noise: tuple[SavedNoise, ...]
-    names: tuple[str, ...]
-    covariance: Array
-    sources: tuple[str, ...]
-    digests: tuple[str, ...]
+    noise: tuple[NoiseDocument, ...]
+    names: tuple[str, ...]  # variables, in the order of `covariance`
+    covariance: Array  # (n, n), in SI units
+    sources: tuple[str, ...]  # files of the data that were fitted
+    digests: tuple[str, ...]  # their SHA-256
 
     def _origin(self) -> Origin:
         return self.names, self.covariance, self.sources, self.digests
@@ -329,31 +310,19 @@ def load_fit(path: str | Path) -> SavedFit:
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):
         raise LedgerError(f"{path} is damaged: the size of the covariance differs from the number of names")
+    numbers: dict[str, Any] = {
+        k: getattr(stored, k) for k in ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
+    }
+    lists: dict[str, Any] = {
+        k: tuple(getattr(stored, k)) for k in ("labels", "noise", "names", "sources", "digests")
+    }
     return SavedFit(
         model=model,
         estimates=_estimates(stored.estimates),
-        cases=tuple(
-            CaseMetrics(
-                c.label,
-                BodyMetrics(**c.casing.model_dump()),
-                BodyMetrics(**c.rotor.model_dump()),
-                c.energy_drift,
-                c.misfit,
-            )
-            for c in stored.cases
-        ),
-        noise=tuple(SavedNoise(**n.model_dump()) for n in stored.noise),
+        cases=tuple(TypeAdapter(CaseMetrics).validate_python(c.model_dump()) for c in stored.cases),
         covariance=covariance,
-        labels=tuple(stored.labels),
-        names=tuple(stored.names),
-        sources=tuple(stored.sources),
-        digests=tuple(stored.digests),
-        chi2=stored.chi2,
-        rows=stored.rows,
-        n_eff=stored.n_eff,
-        deviance=stored.deviance,
-        bic=stored.bic,
-        verdict=stored.verdict,
+        **numbers,
+        **lists,
     )
 
 
@@ -413,23 +382,14 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
     # a candidate that was fitted with free moments of inertia has another model
     base = found.fit.model
-    drawn = [
-        c
-        for c in found.candidates
-        if c.fit is not None
-        and c.physical
-        and c.significant
-        and len(c.fit.model.names) == len(base.names) + 1
-    ][:_FITS]
-    candidates = [
-        vars(c)
-        | {
-            "effect": c.effect.name,
-            "own_effects": own_effects([c.effect]),
-            "fit": stored_fit(c.fit) if c.fit is not None and any(c is d for d in drawn) else None,
-        }
-        for c in found.candidates
-    ]
+    candidates, left = [], _FITS
+    for c in found.candidates:
+        drawn = c.fit if left and c.physical and c.significant else None
+        if drawn is not None and len(drawn.model.names) != len(base.names) + 1:
+            drawn = None
+        left -= drawn is not None
+        stored = {"effect": c.effect.name, "own_effects": own_effects([c.effect])}
+        candidates.append(vars(c) | stored | {"fit": stored_fit(drawn) if drawn is not None else None})
     return StoredDiagnosis.model_validate(
         vars(found)
         | {
@@ -481,15 +441,12 @@ def _restored_candidate(stored: StoredCandidate, base: Fit) -> Candidate:
     (effect,) = effects_of([stored.effect], stored.own_effects)
     model = base.model.with_effect(effect)
     none = np.zeros(0)
+    same = ("score", "delta_bic", "p_value", "held_out_gain", "significant")
     return Candidate(
         effect,
-        score=stored.score,
-        delta_bic=stored.delta_bic,
-        p_value=stored.p_value,
-        held_out_gain=stored.held_out_gain,
+        **{k: getattr(stored, k) for k in same},
         indistinguishable_from=tuple(stored.indistinguishable_from),
         estimates=_estimates(stored.estimates),
-        significant=stored.significant,
         screened=Score(effect, stored.score, none, (), 0, 0, absorbed=False, direction=none, null=none),
         fit=restored_fit(stored.fit, model, base.problem.data) if stored.fit is not None else None,
     )

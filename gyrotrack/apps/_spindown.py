@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
+_LEAST_ANGLE = 0.1  # range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -199,7 +200,8 @@ def _film(
             fps, _, warnings = _rate(film, options.capture_fps)
             with suppress(GyrotrackError):
                 found = extract(source, capture_fps=fps, body=options.body, progress=progress)
-                if max(len(body.time) for body in found.bodies.values()) > _MIN_TRACKED * len(film):
+                tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
+                if any(float(np.ptp(b.angle)) >= _LEAST_ANGLE for b in tracks):
                     note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
                     return replace(found, warnings=(*warnings, note, *found.warnings)), None
         with suppress(TrackingError):

@@ -28,10 +28,10 @@ from gyrotrack.apps.cli._settings import option
 if TYPE_CHECKING:
     from fitting.effects._effect import Effect
     from fitting.inference._budget import ParameterBudget
-    from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
+    from fitting.study._scan import Predicted
 
 
 _LOSSES = ("linear", "huber", "cauchy")
@@ -85,8 +85,8 @@ def fit_command(
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
-    from fitting.inference._cross_validation import predict_recordings
     from fitting.study._paper import curve_bias
+    from fitting.study._scan import predict_recordings
 
     if (share or per_case or hold_out) and not joint:
         raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fitting.discovery._verdict import Diagnosis
-    from fitting.inference._cross_validation import Predicted
     from fitting.inference._profile import Interval
     from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from fitting.study._paper import CurveBias
+    from fitting.study._scan import Predicted
 
 # C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(

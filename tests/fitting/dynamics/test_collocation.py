@@ -129,7 +129,7 @@ def test_order_of_the_rule():
 
 
 def test_sampler_is_exact_for_polynomials():
-    mesh = Mesh.uniform(2.0, 7.0, 4, [3.3])
+    mesh = Mesh.uniform(2.0, 7.0, 4).with_breakpoints([3.3])
     assert len(mesh.edges) == 6
     coefficients = np.random.default_rng(0).normal(size=9)
     poly = np.polynomial.Polynomial(coefficients, domain=[2, 7])

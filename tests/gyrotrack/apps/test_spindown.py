@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from fitting.discovery import _oscillator
+from gyrotrack._errors import TrackingError
 from gyrotrack.apps import _spindown
 from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps._spindown import _with_view_errors
@@ -406,6 +407,27 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
     monkeypatch.setattr(_spindown, "extract", never)
     with pytest.raises(SeveralBodiesError):
         _spindown._film(Path("two.mp4"), _spindown.SpindownOptions(), None)
+
+
+def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch):
+    """A red shirt in a film of a pendulum was tracked as the casing of a gyroscope at rest."""
+
+    def none(*_, **__):
+        raise TrackingError("No body that turns about a hub is found.", "Give --hub X,Y.")
+
+    class Frames:
+        info = SimpleNamespace(tag_fps=30.0)
+
+        def __len__(self):
+            return 200
+
+    shirt = SimpleNamespace(time=np.arange(200) / 30, angle=0.02 * np.sin(np.arange(200)))
+    found = SimpleNamespace(bodies={"casing": shirt})
+    monkeypatch.setattr(_spindown, "Film", lambda _: Frames())
+    monkeypatch.setattr(_spindown, "film_recording", none)
+    monkeypatch.setattr(_spindown, "extract", lambda *_, **__: found)
+    with pytest.raises(TrackingError, match="No body that turns"):
+        _spindown._film(Path("shirt.mp4"), _spindown.SpindownOptions(), None)
 
 
 def coast_down(path):
