@@ -23,7 +23,6 @@ class Points:
     """Named points in every frame."""
 
     path: Path  # the file
-    sha256: str
     time: Floats  # shape (n,); times [s], or frame numbers if `counted`
     # shape (n, 2); x and y of each point; NaN in frames in which it was not tracked
     places: Mapping[str, Floats]
@@ -32,6 +31,7 @@ class Points:
     y_down: bool  # whether y points downwards, as in images
     counted: bool  # whether `time` contains frame numbers
     notes: tuple[str, ...] = ()  # repairs made while reading
+    sha256: str = ""  # hash of the file
 
 
 @dataclass(frozen=True)

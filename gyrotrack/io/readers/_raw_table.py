@@ -38,9 +38,7 @@ _FEW_ROWS = 5
 class RawTable:
     """The columns of a file."""
 
-    # the file and its hash
-    path: Path
-    sha256: str
+    path: Path  # the file
     # header of each column, and its unit if in a separate line; names are empty without a header
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -50,6 +48,7 @@ class RawTable:
     header_line: int = 0  # line of the header; 0 in files without lines
     decimal_comma: bool = False
     notes: tuple[str, ...] = field(default=())  # repairs made while reading
+    sha256: str = ""  # hash of the file
 
     @property
     def headed(self) -> bool:
@@ -186,7 +185,7 @@ def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
 
 
-def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
+def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
     """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
     delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
     comma = delimiter != ","
@@ -233,7 +232,6 @@ def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()
     )
     return RawTable(
         path,
-        sha256,
         tuple(names) if names else ("",) * width,
         tuple(units) if units else ("",) * width,
         tuple([row[i] for row in rows] for i in range(width)),
@@ -292,12 +290,12 @@ def _checked_rows(
     return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
 
 
-def table_of(path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
+def table_of(path: Path, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
     """Return a table of numeric columns of equal length."""
     made = tuple(np.asarray(c, dtype=float).ravel() for c in columns)
     rows = len(made[0]) if made else 0
     line = np.arange(1, rows + 1, dtype=np.int64)
-    return RawTable(path, sha256, tuple(names), ("",) * len(made), made, line)
+    return RawTable(path, tuple(names), ("",) * len(made), made, line)
 
 
 TURN = 2 * math.pi

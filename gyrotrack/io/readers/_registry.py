@@ -51,45 +51,46 @@ Content = RawTable | Points
 
 @dataclass(frozen=True)
 class Format:
-    """One format: name, test of the bytes of a file, and reader (path, SHA-256, bytes, options)."""
+    """One format: name, test of the bytes of a file, and reader (path, bytes, options)."""
 
     name: str
     matches: Callable[[bytes], bool]
-    read: Callable[[Path, str, bytes, ReadOptions], Content]
+    read: Callable[[Path, bytes, ReadOptions], Content]
 
 
-def _text(path: Path, sha256: str, content: bytes, options: ReadOptions) -> Content:
+def _text(path: Path, content: bytes, options: ReadOptions) -> Content:
     lines, notes = content_lines(path, content)
     if not lines:
         raise DatasetError(f"{path} is empty.", EXPECTED)
-    points = read_point_table(path, sha256, lines) if not options.names else None
-    return read_text(path, sha256, lines, notes) if points is None else replace(points, notes=notes)
+    points = read_point_table(path, lines) if not options.names else None
+    return read_text(path, lines, notes) if points is None else replace(points, notes=notes)
 
 
-def _is_project(content: bytes) -> bool:
-    return content.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and b"cabrillo.tracker" in content[:5000]
+def _begins(start: bytes) -> Callable[[bytes], bool]:
+    return lambda content: content.startswith(start)
+
+
+_BLANK = b"\xef\xbb\xbf \r\n\t"
 
 
 FORMATS: tuple[Format, ...] = (
     Format(
         "HDF5 (SLEAP, DeepLabCut, movement, gyrotrack)",
-        lambda c: c.startswith(b"\x89HDF"),
-        lambda p, h, _, o: read_hdf5(p, h, o.body),
+        _begins(b"\x89HDF"),
+        lambda path, _, options: read_hdf5(path, options.body),
     ),
-    Format("Tracker project", _is_project, lambda p, h, c, _: read_project(p, h, c)),
-    Format("Excel or zipped CSV", lambda c: c.startswith(b"PK"), lambda p, h, c, _: read_zip(p, h, c)),
     Format(
-        "Excel 97", lambda c: c.startswith(b"\xd0\xcf\x11\xe0"), lambda p, h, c, _: read_excel_97(p, h, c)
+        "Tracker project",
+        lambda c: c.lstrip(_BLANK)[:1] == b"<" and b"cabrillo.tracker" in c[:5000],
+        read_project,
     ),
-    Format("MATLAB 7.3", lambda c: c.startswith(b"MATLAB 7.3"), lambda p, h, *_: read_matlab_hdf5(p, h)),
-    Format("MATLAB", lambda c: c.startswith(b"MATLAB 5.0"), lambda p, h, c, _: read_matlab(p, h, c)),
-    Format("Parquet", lambda c: c.startswith(b"PAR1"), lambda p, h, c, _: read_parquet(p, h, c)),
-    Format(
-        "JSON",
-        lambda c: c.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] in {b"{", b"["},
-        lambda p, h, c, _: read_json(p, h, c),
-    ),
-    Format("text", lambda c: True, _text),  # noqa: ARG005 - the fallback
+    Format("Excel or zipped CSV", _begins(b"PK"), read_zip),
+    Format("Excel 97", _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
+    Format("MATLAB 7.3", _begins(b"MATLAB 7.3"), read_matlab_hdf5),
+    Format("MATLAB", _begins(b"MATLAB 5.0"), read_matlab),
+    Format("Parquet", _begins(b"PAR1"), read_parquet),
+    Format("JSON", lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
+    Format("text", _begins(b""), _text),  # the fallback
 )
 
 
@@ -112,8 +113,8 @@ def read_passages(path: Path, options: ReadOptions) -> Passages | None:
 
 def _content(path: Path, options: ReadOptions) -> Content:
     content = read_bytes(path)
-    sha256 = hashlib.sha256(content).hexdigest()
-    return next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
+    found = next(f for f in FORMATS if f.matches(content)).read(path, content, options)
+    return replace(found, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
@@ -130,17 +131,9 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
         if set(COORDINATES) <= set(columns):
             place = np.stack([raw.numbers(columns[axis], axis) for axis in COORDINATES], axis=1)
             time = times_of(raw, columns, units, replace(options, start=0.0))
-            points = Points(
-                raw.path,
-                raw.sha256,
-                time,
-                {raw.path.stem: place},
-                {},
-                y_down=False,
-                counted=False,
-                notes=raw.notes,
-            )
-            return _from_points(points, options)
+            places = {raw.path.stem: place}
+            points = Points(raw.path, time, places, {}, y_down=False, counted=False, notes=raw.notes)
+            return _from_points(replace(points, sha256=raw.sha256), options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
             return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
         refuse_passages(raw, options)
@@ -159,13 +152,11 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     """Return the rows of one body, if a table contains several (such as those of `export`)."""
-    place = next(
-        (i for i, n in enumerate(raw.names) if n.casefold() == "body" and isinstance(raw.columns[i], list)),
-        None,
-    )
-    if place is None:
+    labels = (c for n, c in zip(raw.names, raw.columns, strict=True) if n.casefold() == "body")
+    names = next((c for c in labels if isinstance(c, list)), None)
+    if names is None:
         return raw
-    words = np.array([str(w) for w in raw.columns[place]])
+    words = np.array([str(w) for w in names])
     bodies = sorted(set(words))
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
@@ -190,7 +181,5 @@ def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
     rows = np.flatnonzero(valid)
-    made = MotionTable(
-        points.path, points.sha256, "angle", found.time[rows], found.angle[rows], None, rows + 1, ()
-    )
-    return replace(in_order(made, notes), notes=tuple(notes))
+    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], None)
+    return replace(in_order(MotionTable(*origin, *values, rows + 1, ()), notes), notes=tuple(notes))
