@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_LEAST_ANGLE = (
-    0.1  # range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
-)
+# range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
+_LEAST_ANGLE = 0.1
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 

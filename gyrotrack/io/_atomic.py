@@ -38,8 +38,7 @@ from filelock import FileLock, Timeout
 
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 
-LOCK_TIMEOUT = 10.0
-"""Longest time to wait for a lock [s]."""
+LOCK_TIMEOUT = 10.0  # longest time to wait for a lock [s]
 
 
 @contextmanager

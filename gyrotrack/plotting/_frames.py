@@ -190,8 +190,7 @@ class Film:
 
 FRAMES = 12
 _COLUMNS = 4
-_WIDTH = 520
-"""Width of a tile [px]."""
+_WIDTH = 520  # width of a tile [px]
 _LINE, _GREY = 17, (110, 110, 110)
 
 

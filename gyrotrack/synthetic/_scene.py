@@ -251,8 +251,8 @@ class Scene:
 
 
 Curve = Callable[[ArrayLike], Array]
+# ``torque(t, omega_r, omega_c, psi_r, psi_c)`` in N m
 Torque = Callable[[float, float, float, float, float], float]
-"""``torque(t, omega_r, omega_c, psi_r, psi_c)`` in N m."""
 
 
 @dataclass(frozen=True)

@@ -97,10 +97,9 @@ def _view(plane: Any) -> Plane:
     return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))
 
 
+# largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds
 MAX_PIXELS = 64_000_000
-"""Largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds."""
-MIN_SIDE = 32
-"""Smallest side of a picture in which markers can be distinguished."""
+MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguished
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {

@@ -38,12 +38,9 @@ from gyrotrack.video._time_base import stamp_warnings
 
 T = TypeVar("T")
 
-CHUNK = 8
-"""Frames transferred at a time; waking a thread for each one would take longer than its decoding ..."""
-_CHUNK_BYTES = 5_000_000
-"""... unless they are large: several chunks are in memory at a time."""
-WAITING = 2
-"""Largest number of waiting chunks."""
+CHUNK = 8  # frames transferred at a time; waking a thread for each one would take longer than its decoding
+_CHUNK_BYTES = 5_000_000  # ... unless they are large: several chunks are in memory at a time
+WAITING = 2  # largest number of waiting chunks
 _PATIENCE = 0.05
 
 
@@ -319,10 +316,9 @@ def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: 
         return
 
 
+# largest difference of a repeated frame from the previous one, relative to the recent typical difference
 SAME = 0.3
-"""Largest difference of a repeated frame from the previous one, relative to the recent typical difference."""
-SMALL = 0.35
-"""Size of a packet, relative to its neighbours, below which it has little information."""
+SMALL = 0.35  # size of a packet, relative to its neighbours, below which it has little information
 _AROUND = 31
 _LARGE = 80
 _ROWS = 12

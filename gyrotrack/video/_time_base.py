@@ -19,8 +19,8 @@ from gyrotrack._errors import UsageError, VideoError
 from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
+# container rates [fps] below this may be slow motion, and require the capture rate to be given
 SLOWEST_PLAIN_RATE = 100.0
-"""Container rates [fps] below this may be slow motion, and require the capture rate to be given."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     return tuple(found)
 
 
+# largest unit of timestamps that measure time; a container with a larger one counts frames [s]
 COARSEST_TICK = 1e-3
-"""Largest unit of timestamps that measure time; a container with a larger one counts frames [s]."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
@@ -123,10 +123,9 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
-LIVE = 0.05
-"""Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
+LIVE = 0.05  # share by which the stamps' rate may differ from the capture rate in a film that was not slowed down
+# largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that
 EVEN = 5e-3
-"""Largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that."""
 _ROUNDED = 0.75
 _ODD = 0.01
 _HALF = 20

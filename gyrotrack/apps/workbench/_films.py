@@ -167,10 +167,8 @@ def profile_text(wanted: Any) -> str:
     return to_toml(parse(allowed, "profile"))
 
 
-CLICK_SIGMA = 1.5
-"""Standard uncertainty of a clicked position [px]."""
-_MIN_RADIUS = 5.0
-"""Smallest distance from the centre of a clicked position [px]."""
+CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
+_MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
 _TURN = 2 * np.pi
 
 
@@ -251,8 +249,7 @@ def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> Bod
     return replace(body, **kept, omega=omega, omega_sigma=omega_sigma)
 
 
-FRAMES = 500
-"""Number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps."""
+FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:

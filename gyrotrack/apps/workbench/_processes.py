@@ -276,8 +276,7 @@ class Ranker:
             self._end()
 
 
-_MAX_CANDIDATES = 12
-"""Candidates on the page, whose effect on the residual is predicted."""
+_MAX_CANDIDATES = 12  # candidates on the page, whose effect on the residual is predicted
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:

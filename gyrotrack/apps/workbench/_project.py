@@ -36,8 +36,7 @@ from gyrotrack.video._container import probe
 STATE_FILE = "workbench.json"
 TABLES = {".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xls", ".mat", ".parquet", ".json", ".nc", ".trk", ".npz"}
 _DATASETS = {".h5", ".hdf5"}
-LARGEST_UPLOAD = 16 * 2**30
-"""Largest file that a page may upload [bytes]."""
+LARGEST_UPLOAD = 16 * 2**30  # largest file that a page may upload [bytes]
 _MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._films"
 

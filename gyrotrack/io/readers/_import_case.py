@@ -21,8 +21,7 @@ from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
 _SMOOTHING = 31
-_MIN_SAMPLES = 3
-"""Smallest number of samples between two gaps; shorter pieces are excluded."""
+_MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces are excluded
 
 
 def is_wrapped(angle: Floats) -> bool:
@@ -50,10 +49,9 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-_JUMP = 20.0
-"""Change of the angle [changes before, after and usual] above which it is not a motion."""
+_JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
+# times above this limit [s] (three years) are seconds since 1970, not since the start of a record
 _DATES = 1e8
-"""Times above this limit [s] (three years) are seconds since 1970, not since the start of a record."""
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,12 @@ from gyrotrack.io._records import Floats, Integers
 MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
+# a comment after the last number of a line
 _COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
-"""A comment after the last number of a line."""
 
 Lines = Sequence[tuple[int, str]]
-_MOST_SETTINGS = 10
-"""Largest number of lines of settings between header and samples."""
-_FEW_ROWS = 5
-"""Largest number of rows of a transposed table, which has five times as many columns at least."""
+_MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
+_FEW_ROWS = 5  # largest number of rows of a transposed table, which has five times as many columns at least
 
 
 @dataclass(frozen=True)
@@ -300,6 +298,7 @@ def table_of(path: Path, names: Sequence[str], columns: Sequence[npt.ArrayLike])
 
 TURN = 2 * math.pi
 
+# factor of each unit to SI, by quantity
 UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "milliseconds": 1e-3,
           "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
@@ -312,8 +311,8 @@ UNITS: dict[str, dict[str, float]] = {
               "rpm": TURN / 60, "1/min": TURN / 60, "min-1": TURN / 60, "u/min": TURN / 60, "rev/min": TURN / 60,
               "rev/s": TURN, "rps": TURN, "turns/s": TURN, "hz": TURN},
 }  # fmt: skip
-"""Factor of each unit to SI, by quantity."""
 
+# words in a header for each quantity; the first match is used
 _HEADER_WORDS = {
     "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed",
           "millis", "micros", "datetime", "epoch", "unixtime"},
@@ -325,15 +324,13 @@ _HEADER_WORDS = {
     "frame": {"frame", "frames", "step", "frameidx"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
-"""Words in a header for each quantity; the first match is used."""
 
+# units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
-"""Units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else."""
 
-_TICKS = {"millis": "ms", "micros": "us"}
-"""Functions of microcontrollers that give times, and their units."""
+_TICKS = {"millis": "ms", "micros": "us"}  # functions of microcontrollers that give times, and their units
 
 ROLES = tuple(_HEADER_WORDS)
 

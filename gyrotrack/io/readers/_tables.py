@@ -96,8 +96,8 @@ def _axis(name: str) -> tuple[str, str]:
     return ("", "") if sensor else (axis, track)
 
 
+# vectors of the sensors of a phone or an inertial unit, other than the angular velocity
 _SENSOR = re.compile(r"(lin(ear)?[_ ]?)?(acc|accel\w*|mag|magnet\w*|gravity|grav)$", re.IGNORECASE)
-"""Vectors of the sensors of a phone or an inertial unit, other than the angular velocity."""
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:
