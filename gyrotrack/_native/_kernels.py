@@ -34,7 +34,7 @@ def _extension() -> Any:
 
 
 _compiled = _extension()
-# true where the compiled extension is in use, False where the NumPy reference is
+# True where the compiled extension is in use, False where the NumPy reference is
 COMPILED = _compiled is not None
 
 _TERM = re.compile(r"([a-z]\d)\[([^\]]*)\]")

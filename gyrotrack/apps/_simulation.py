@@ -137,10 +137,8 @@ class SimulatedRun:
             The model contains measurement effects, or a given parameter is not in the model.
         """
         if model.measurement:
-            raise UsageError(
-                "Measurement effects cannot be added to a simulation.",
-                "Use --centre-offset for a centre offset.",
-            )
+            what = "Measurement effects cannot be added to a simulation."
+            raise UsageError(what, "Use --centre-offset for a centre offset.")
         speeds = {"omega_r": 0.6 * experiment.omega_rotor, "omega_c": _CASING_SPEED}
         numbers = typical_of_model(model.effects, strength, duration=experiment.duration, speeds=speeds)
         return cls(model, numbers | _given(given, numbers), experiment, inertias, seed)
@@ -225,10 +223,8 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         key, equals, value = item.partition("=")
         key = key.strip()
         if not equals or key not in numbers:
-            raise UsageError(
-                f"{item[:60]!r} is not an assignment to a parameter of the model.",
-                f"Parameters: {', '.join(numbers)}.",
-            )
+            what = f"{item[:60]!r} is not an assignment to a parameter of the model."
+            raise UsageError(what, f"Parameters: {', '.join(numbers)}.")
         try:
             given[key] = float(value)
         except ValueError:

@@ -55,10 +55,8 @@ class Study:
         if fit_id is not None:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
-                raise UsageError(
-                    f"The fit {fit_id} belongs to other cases.",
-                    "`gyrotrack ladder` lists the fits of these cases.",
-                )
+                what = f"The fit {fit_id} belongs to other cases."
+                raise UsageError(what, "`gyrotrack ladder` lists the fits of these cases.")
             return found
         entries = self.ledger.of(self.data)
         return entries[-1] if entries else None
@@ -230,10 +228,8 @@ def open_study(
     read = read_cases(cases, data=data, rotor=rotor)
     kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
     if prior is not None and prior_rotor is not None and prior.resolve() == prior_rotor.resolve():
-        raise UsageError(
-            f"{prior} is given as the study of both bodies.",
-            "Give --prior-rotor the study of the rotor alone.",
-        )
+        what = f"{prior} is given as the study of both bodies."
+        raise UsageError(what, "Give --prior-rotor the study of the rotor alone.")
     studies = ((prior, False), (prior_rotor, True))
     known = [_prior_of(path, read, rotor=of_rotor) for path, of_rotor in studies if path is not None]
     return Study(read, kept, reduce(Prior.joined, known) if known else None)
@@ -246,20 +242,16 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
-        raise UsageError(
-            f"{path} is a fit of the same data, which would be used twice.",
-            "Give --prior a study of other recordings.",
-        )
+        what = f"{path} is a fit of the same data, which would be used twice."
+        raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
     ratio = all(d.record.per_inertia for d in data)
     for name in prior.names:
         unit = entry.model.parameters[name].unit
         expected = per_inertia(unit) if ratio else unit
         if entry.estimates[name].unit != expected:
-            raise UsageError(
-                f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
-                "Give --inertia for both studies, or for neither.",
-            )
+            what = f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}."
+            raise UsageError(what, "Give --inertia for both studies, or for neither.")
     if not rotor:
         return prior
     renamed: dict[str, str] = {}
@@ -269,10 +261,8 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
             pairs = zip(effect.parameters, same.parameters, strict=True)
             renamed |= {f"{effect.name}.{p.symbol}": f"{same.name}.{q.symbol}" for p, q in pairs}
     if not renamed.keys() & set(prior.names):
-        raise UsageError(
-            f"No law in {path} can be applied to the rotor.",
-            "These laws can: air drag, and dry friction of the support.",
-        )
+        what = f"No law in {path} can be applied to the rotor."
+        raise UsageError(what, "These laws can: air drag, and dry friction of the support.")
     return prior.renamed(renamed)
 
 

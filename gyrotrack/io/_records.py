@@ -435,15 +435,11 @@ class Inertia:
         value = float(f"{float(found['value']) * factor:.15g}")
         u = float(f"{float(found['u']) * factor:.15g}") if found["u"] else math.nan
         if not SMALLEST <= value <= LARGEST:
-            raise UsageError(
-                f"A moment of inertia of {value:g} kg m2 is not possible for the {body}.",
-                "Check number and unit; without a unit it is in kg m2.",
-            )
+            what = f"A moment of inertia of {value:g} kg m2 is not possible for the {body}."
+            raise UsageError(what, "Check number and unit; without a unit it is in kg m2.")
         if u >= value:
-            raise UsageError(
-                f"The uncertainty of the moment of inertia of the {body} is not smaller than its value.",
-                _INERTIA_EXAMPLE,
-            )
+            what = f"The uncertainty of the moment of inertia of the {body} is not smaller than its value."
+            raise UsageError(what, _INERTIA_EXAMPLE)
         return cls(value, u)
 
     @classmethod

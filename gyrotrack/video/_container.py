@@ -149,10 +149,8 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
             raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
         stream = container.streams.video[0]
         if stream.codec_context is None:
-            raise VideoError(
-                f"There is no decoder for the codec of {path}.",
-                "Copy the film again, or convert it to H.264.",
-            )
+            what = f"There is no decoder for the codec of {path}."
+            raise VideoError(what, "Copy the film again, or convert it to H.264.")
         _check_size(path, stream)
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
@@ -222,10 +220,8 @@ def _check_size(path: Path, stream: Any) -> None:
             f"{path} declares frames of {width}x{height} px, too large to decode.", "Scale the film down."
         )
     if min(width, height) < MIN_SIDE:
-        raise VideoError(
-            f"{path} has frames of {width}x{height} px, too small to show markers.",
-            f"Give a film with at least {MIN_SIDE} px on each side.",
-        )
+        what = f"{path} has frames of {width}x{height} px, too small to show markers."
+        raise VideoError(what, f"Give a film with at least {MIN_SIDE} px on each side.")
 
 
 def _tagged_rate(metadata: Any) -> float | None:

@@ -41,10 +41,8 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
             return CaptureRate(float(fps), source, _differences(info, float(fps), source))
     if not np.isfinite(info.container_fps) or info.container_fps < SLOWEST_PLAIN_RATE:
         rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "an unknown rate"
-        raise VideoError(
-            f"{info.path} is stored at {rate} and does not state at what rate it was captured.",
-            "Give the rate of the camera with --capture-fps.",
-        )
+        what = f"{info.path} is stored at {rate} and does not state at what rate it was captured."
+        raise VideoError(what, "Give the rate of the camera with --capture-fps.")
     return CaptureRate(info.container_fps, "container")
 
 
@@ -185,20 +183,16 @@ class Timing:
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
-            raise UsageError(
-                f"Unknown source of times {self.source!r}; use auto, stamps or frames.",
-                "Omit it for the default.",
-            )
+            what = f"Unknown source of times {self.source!r}; use auto, stamps or frames."
+            raise UsageError(what, "Omit it for the default.")
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
         """Return when frames with timestamps `pts` (n,) of the unit `tick` [s] were taken; an error if unavailable."""
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
-            raise VideoError(
-                "Times from timestamps were requested, but timestamps are missing or do not increase.",
-                "Omit --times to count frames.",
-            )
+            what = "Times from timestamps were requested, but timestamps are missing or do not increase."
+            raise VideoError(what, "Omit --times to count frames.")
         tick = _real_tick(pts, tick) if grows else tick
         number = frame_numbers(pts, tick)
         varied = grows and uneven(number, pts, tick)

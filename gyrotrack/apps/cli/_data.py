@@ -86,10 +86,8 @@ def import_command(
     rotor = rotor or []
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
-        raise UsageError(
-            f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start.",
-            "Give --rotor-start once per file.",
-        )
+        what = f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start."
+        raise UsageError(what, "Give --rotor-start once per file.")
     title = output.stem if label is None else label
     names = {part: read_names(columns or (), part) or None for part in ("casing", "rotor")}
     options = [

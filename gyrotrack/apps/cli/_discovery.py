@@ -227,10 +227,8 @@ def plan_command(
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
-        raise UsageError(
-            "A description of recordings cannot be combined with other files.",
-            "Give one PLAN.toml, or case files.",
-        )
+        what = "A description of recordings cannot be combined with other files."
+        raise UsageError(what, "Give one PLAN.toml, or case files.")
     if described and (start is not None or ledger is not None):
         raise UsageError(
             "--from and --ledger need case files; a description of recordings has no fits.", "Omit them."
@@ -275,10 +273,8 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
                 f"--bound {text[:40]!r}: unknown quantity.", f"Quantities: {', '.join(_BOUNDED)}."
             )
         if not -math.inf < low <= high < math.inf:
-            raise UsageError(
-                f"--bound {text[:40]!r} is not a pair of increasing numbers.",
-                "Write --bound omega_casing=-60,60.",
-            )
+            what = f"--bound {text[:40]!r} is not a pair of increasing numbers."
+            raise UsageError(what, "Write --bound omega_casing=-60,60.")
         if key in {"duration", "inertia_casing", "touchpoint"} and low <= 0:
             raise UsageError(f"--bound {text[:40]!r} is not positive.", "Write --bound duration=100,400.")
         found[key] = (low, high)

@@ -168,10 +168,8 @@ def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals:
-            raise UsageError(
-                f"{text[:60]!r} is not an assignment to a parameter.",
-                "Write it as --fix bearing.power.g=0.7.",
-            )
+            what = f"{text[:60]!r} is not an assignment to a parameter."
+            raise UsageError(what, "Write it as --fix bearing.power.g=0.7.")
     return held
 
 

@@ -93,10 +93,8 @@ def figures_command(
     out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
     if alone := next((d.record.label for d in data if d.record.single), None):
-        raise UsageError(
-            f"The paper's figures need a rotor and a casing; {alone} is a recording of one body.",
-            "Use `gyrotrack report`.",
-        )
+        what = f"The paper's figures need a rotor and a casing; {alone} is a recording of one body."
+        raise UsageError(what, "Use `gyrotrack report`.")
     with out.progress("fitting") as progress:
         found = scan(data, progress=progress)
     with out.progress("drawing") as progress:
@@ -220,7 +218,5 @@ def _require_packages(*, window: bool) -> None:
             "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
         ) from None
     if window and find_spec("webview") is None:
-        raise UsageError(
-            "A separate window needs a package that is not installed.",
-            'Run: pip install "gyrotrack[window]", or omit --window.',
-        )
+        what = "A separate window needs a package that is not installed."
+        raise UsageError(what, 'Run: pip install "gyrotrack[window]", or omit --window.')

@@ -473,10 +473,8 @@ def spindown_command(
         target = target.with_name(f"{target.stem}_case.h5")
     page = report if report is not None else target.with_suffix(".html")
     if page.resolve() in (target.resolve(), source.resolve()):
-        raise UsageError(
-            f"{page} is the name of both the case and the report.",
-            "Name the case with -o FILE.h5 and the report with --report.",
-        )
+        what = f"{page} is the name of both the case and the report."
+        raise UsageError(what, "Name the case with -o FILE.h5 and the report with --report.")
     for path in (target, page):
         refuse_existing(path, force=force)
     options = SpindownOptions(
@@ -498,10 +496,8 @@ def spindown_command(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )
     if document["case"] is None and (output is not None or report is not None):
-        raise UsageError(
-            f"{source}: light gates show period and decay of a pendulum, but no angle to write.",
-            "Repeat the command without -o and --report.",
-        )
+        what = f"{source}: light gates show period and decay of a pendulum, but no angle to write."
+        raise UsageError(what, "Repeat the command without -o and --report.")
     for warning in document["warnings"]:
         out.warn(warning)
     out.result(document)

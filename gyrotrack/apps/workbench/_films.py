@@ -187,10 +187,8 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
         x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
         radius = float(np.hypot(x, y))
         if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
-            raise UsageError(
-                "This position determines no angle: the centre is unknown or too close.",
-                "Click on the marker itself.",
-            )
+            what = "This position determines no angle: the centre is unknown or too close."
+            raise UsageError(what, "Click on the marker itself.")
         angle = recording.sense * float(np.arctan2(-y, x))  # counter-clockwise in the image; y points down
         sigma = CLICK_SIGMA / radius
     note: dict[str, Any] = {

@@ -67,10 +67,8 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
         )
     for axis, values in zip("xy", place.T, strict=True):
         if np.nanmin(values) == np.nanmax(values):
-            raise DatasetError(
-                f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames.",
-                "Check the columns.",
-            )
+            what = f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames."
+            raise DatasetError(what, "Check the columns.")
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     notes = (f"{points.path.name}: angle of '{name}' about {where}",)
     return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)

@@ -141,10 +141,8 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
         counters = counters_of(raw)
         if len(counters) > 1:
             numbers = ", ".join(str(i + 1) for i in counters)
-            raise DatasetError(
-                f"{raw.path}: the columns {numbers} count revolutions.",
-                f"Choose one: --column revolutions={counters[0] + 1}.",
-            )
+            what = f"{raw.path}: the columns {numbers} count revolutions."
+            raise DatasetError(what, f"Choose one: --column revolutions={counters[0] + 1}.")
         if counters:
             return read_counter(raw, counters[0], options)
     return read_pulses(raw, options) if options.pulses_per_turn else interpret(raw, options)
@@ -160,10 +158,8 @@ def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     bodies = sorted(set(words))
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
-        raise DatasetError(
-            f"{raw.path} contains the bodies {', '.join(bodies)[:80]}.",
-            "Import it with --casing and --rotor.",
-        )
+        what = f"{raw.path} contains the bodies {', '.join(bodies)[:80]}."
+        raise DatasetError(what, "Import it with --casing and --rotor.")
     rows = np.flatnonzero(words == body)
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
     return replace(raw, columns=columns, line=raw.line[rows])

@@ -65,10 +65,8 @@ def _tracker(path: Path, lines: Lines) -> Points | None:
     roles = [role_of(header_of(n)[0]) for n in names]
     time = [i for i, r in enumerate(roles) if r == "t"] or [i for i, r in enumerate(roles) if r == "frame"]
     if not time:
-        raise DatasetError(
-            f"{path}, line {lines[above][0]}: there is no column for the time.",
-            "Export t together with x and y.",
-        )
+        what = f"{path}, line {lines[above][0]}: there is no column for the time."
+        raise DatasetError(what, "Export t together with x and y.")
     unit = header_of(names[time[0]])[1] if roles[time[0]] == "t" else ""
     if (scale := factor("t", unit) if unit else 1.0) is None:
         raise DatasetError(f"{path}, line {lines[above][0]}: unknown unit '{unit[:30]}' of the time.")
@@ -128,10 +126,8 @@ def _deeplabcut(path: Path, lines: Lines) -> Points:
         heads[cells[0].casefold()] = cells
         rows += 1
     if not {"bodyparts", "coords"} <= set(heads):
-        raise DatasetError(
-            f"{path} looks like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'.",
-            "Export it again from DeepLabCut.",
-        )
+        what = f"{path} looks like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'."
+        raise DatasetError(what, "Export it again from DeepLabCut.")
     width = len(heads["coords"])
     table = _numbers(path, lines[rows:], ",", width, range(width))
     single = len(set(heads.get("individuals", ["", ""])[1:])) < 2
@@ -311,10 +307,8 @@ def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTa
     if len(matrices) == 1:
         matrix = matrices[0]
         return table_of(path, [""] * matrix.shape[1], list(matrix.T))
-    raise DatasetError(
-        f"{path} contains neither vectors of equal length nor a single matrix.",
-        "Save time and angle as vectors.",
-    )
+    what = f"{path} contains neither vectors of equal length nor a single matrix."
+    raise DatasetError(what, "Save time and angle as vectors.")
 
 
 def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
