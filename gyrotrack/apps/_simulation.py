@@ -363,13 +363,11 @@ def unseal(path: Path) -> Seal:
     except FileNotFoundError:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise DatasetError(
-            f"{path} is not a sealed file.", "Sealed files are made by `gyrotrack simulate --hide`."
-        ) from None
+        what = f"{path} is not a sealed file."
+        raise DatasetError(what, "Sealed files are made by `gyrotrack simulate --hide`.") from None
     if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
-        raise DatasetError(
-            f"{path} was changed: the answer does not match its commitment.", "Ask for the original file."
-        )
+        what = f"{path} was changed: the answer does not match its commitment."
+        raise DatasetError(what, "Ask for the original file.")
     return Seal(effect, parameters, commitment)
 
 

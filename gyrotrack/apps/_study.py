@@ -276,9 +276,8 @@ def read_cases(
     choices = (("data", data or "angle", ("angle", "velocity")), ("rotor", rotor, ("windows", "generated")))
     for option, word, words in choices:
         if word not in words:
-            raise UsageError(
-                f"Unknown value {word[:40]!r} of --{option}.", f"Use one of: {', '.join(words)}."
-            )
+            what = f"Unknown value {word[:40]!r} of --{option}."
+            raise UsageError(what, f"Use one of: {', '.join(words)}.")
     records = [read_record(path) for path in cases]
     if data is not None or rotor != "windows":
         from fitting.study._paper import prepared
@@ -453,9 +452,8 @@ class FitRequest:
             return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
         path = Path(name)
         if not path.is_file():
-            raise UsageError(
-                f"Unknown model {name[:60]!r}.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
-            )
+            what = f"Unknown model {name[:60]!r}."
+            raise UsageError(what, f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
         return read_model(path, self.own)
 
 

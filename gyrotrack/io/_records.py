@@ -427,9 +427,8 @@ class Inertia:
         found = _INERTIA.fullmatch(str(text).strip())
         unit = _UNIT.fullmatch((found["unit"] or "kg m2").strip()) if found else None
         if found is None or unit is None:
-            raise UsageError(
-                f"'{str(text)[:40]}' is not a moment of inertia of the {body}.", _INERTIA_EXAMPLE
-            )
+            what = f"'{str(text)[:40]}' is not a moment of inertia of the {body}."
+            raise UsageError(what, _INERTIA_EXAMPLE)
         factor = _MASS[unit[1]] * _LENGTH[unit[2]] ** 2
         # rounded, so that 554 g cm2 is exactly 5.54e-5 kg m2
         value = float(f"{float(found['value']) * factor:.15g}")

@@ -290,9 +290,8 @@ def _write(
 def check_overlay(path: Path, *, force: bool) -> None:
     """Check that an overlay can be written: .mp4 (film) or .png (contact sheet), and new unless `force` is set."""
     if path.suffix.lower() not in (".mp4", ".png"):
-        raise UsageError(
-            f"Unknown format of an overlay: {path.name}.", "Use a name that ends in .mp4 or .png."
-        )
+        what = f"Unknown format of an overlay: {path.name}."
+        raise UsageError(what, "Use a name that ends in .mp4 or .png.")
     refuse_existing(path, force=force)
 
 

@@ -286,9 +286,8 @@ def _check_distinct_films(recordings: Sequence[Recording], names: Sequence[str])
 def _rotor(recording: Recording, name: str) -> BodyTrack:
     body = recording.bodies.get("rotor")
     if body is None or not len(body.time):
-        raise SyncError(
-            f"{name} does not show the rotor.", "Track the markers of the rotor, or omit the recording."
-        )
+        what = f"{name} does not show the rotor."
+        raise SyncError(what, "Track the markers of the rotor, or omit the recording.")
     return body
 
 

@@ -216,9 +216,8 @@ def _check_file(path: Path) -> None:
 def _check_size(path: Path, stream: Any) -> None:
     width, height = int(stream.codec_context.width), int(stream.codec_context.height)
     if width * height > MAX_PIXELS:
-        raise VideoError(
-            f"{path} declares frames of {width}x{height} px, too large to decode.", "Scale the film down."
-        )
+        what = f"{path} declares frames of {width}x{height} px, too large to decode."
+        raise VideoError(what, "Scale the film down.")
     if min(width, height) < MIN_SIDE:
         what = f"{path} has frames of {width}x{height} px, too small to show markers."
         raise VideoError(what, f"Give a film with at least {MIN_SIDE} px on each side.")

@@ -104,9 +104,8 @@ def import_command(
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
         case = replace(case, I_rotor_u=r.u, I_casing_u=c.u)
     else:
-        raise UsageError(
-            "A case needs either --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
-        )
+        what = "A case needs either --casing and --rotor, or --body and --inertia."
+        raise UsageError(what, "Give one of these pairs.")
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:

@@ -516,9 +516,8 @@ def _position(text: str | None) -> tuple[float, float] | None:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise UsageError(
-            f"--hub {text[:40]!r} is not a position.", "Give two numbers in px, such as 320,240."
-        ) from error
+        what = f"--hub {text[:40]!r} is not a position."
+        raise UsageError(what, "Give two numbers in px, such as 320,240.") from error
     return x, y
 
 

@@ -262,13 +262,11 @@ def copy_excerpt(film: Path, target: Path, frames: int) -> None:
                     packet.stream = out
                     copy.mux(packet)
         except (av.error.FFmpegError, ValueError) as error:
-            raise TrackingError(
-                f"An excerpt of {film.name} cannot be copied ({error}).", "Track the whole film."
-            ) from error
+            what = f"An excerpt of {film.name} cannot be copied ({error})."
+            raise TrackingError(what, "Track the whole film.") from error
     if _orientation(film) != _orientation(target):
-        raise TrackingError(
-            f"An excerpt of {film.name} has another orientation than the film.", "Track the whole film."
-        )
+        what = f"An excerpt of {film.name} has another orientation than the film."
+        raise TrackingError(what, "Track the whole film.")
 
 
 def _orientation(path: Path) -> Any:

@@ -108,9 +108,8 @@ class Jobs:
             old = self._jobs.get(key)
             if old is not None and old.is_active:
                 if not replace:
-                    raise UsageError(
-                        "This step is already running.", "Wait until it has ended, or cancel it."
-                    )
+                    what = "This step is already running."
+                    raise UsageError(what, "Wait until it has ended, or cancel it.")
                 self.cancel(key)
             if self._closed:
                 raise UsageError("The workbench is closing.", "Start it again.")

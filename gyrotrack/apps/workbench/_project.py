@@ -103,9 +103,8 @@ class Project:
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
-            raise ConfigurationError(
-                f"There is no folder {folder}.", "Create it, or give another one with --folder."
-            )
+            what = f"There is no folder {folder}."
+            raise ConfigurationError(what, "Create it, or give another one with --folder.")
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
@@ -226,9 +225,8 @@ class Project:
         """Add the sample clips with their study.toml."""
         folder = _sample_clips()
         if folder is None:
-            raise UsageError(
-                "The sample clips are not installed.", "They are part of the source distribution."
-            )
+            what = "The sample clips are not installed."
+            raise UsageError(what, "They are part of the source distribution.")
         self.add(folder / "study.toml")
 
     def _add_source(self, path: Path, kind: Literal["film", "recording", "table"]) -> Source:
@@ -327,9 +325,8 @@ class Project:
             raise OutputError(what, "Free some space.") from error
         if size != declared:
             part.unlink(missing_ok=True)
-            raise UsageError(
-                f"The size of {target.name} is not as declared ({declared} bytes).", "Upload it again."
-            )
+            what = f"The size of {target.name} is not as declared ({declared} bytes)."
+            raise UsageError(what, "Upload it again.")
         part.replace(target)
         try:
             self.add(target, confined=True)

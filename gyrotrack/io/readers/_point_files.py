@@ -132,9 +132,8 @@ def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
                     check_storage(value)
                     arrays[name] = np.asarray(load(value)).T
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise DatasetError(
-            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
-        ) from error
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
     return table_of_arrays(path, arrays)
 
 
@@ -142,9 +141,8 @@ def _case_body(path: Path, file: Any, body: str) -> RawTable:
     """Return a body of a case, from `sync`, `import` or `export` (netCDF)."""
     name = body or "casing"
     if name not in file or "time" not in file[name]:
-        raise DatasetError(
-            f"{path} has no series '{name}'.", "Give a case; use `gyrotrack sync` for recordings."
-        )
+        what = f"{path} has no series '{name}'."
+        raise DatasetError(what, "Give a case; use `gyrotrack sync` for recordings.")
     group = file[name]
     wanted = {"time": "t", "angle": "angle", "sigma": "sigma"}
     if str(file.attrs.get("quantity", "angle")) == "omega":
@@ -164,13 +162,11 @@ def _movement(path: Path, file: Any) -> Points:
     elif position.ndim == 4:
         values = load(position)
     else:
-        raise DatasetError(
-            f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints).", _FOREIGN
-        )
+        what = f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints)."
+        raise DatasetError(what, _FOREIGN)
     if values.shape[3] != 1 or values.shape[1] < 2 or values.shape[2] != names.shape[0]:
-        raise DatasetError(
-            f"{path} contains {values.shape[3]} tracked individuals.", "Export one individual."
-        )
+        what = f"{path} contains {values.shape[3]} tracked individuals."
+        raise DatasetError(what, "Export one individual.")
     points = _texts(names)
     confidence_of = {}
     if "confidence" in file and file["confidence"].shape[:2] == (values.shape[0], len(points)):
@@ -193,9 +189,8 @@ def _sleap(path: Path, file: Any) -> Points:
     tracks, names = file["tracks"], file["node_names"]
     check_storage(tracks)
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != names.shape[0] or names.shape[0] > 1000:
-        raise DatasetError(
-            f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames).", _FOREIGN
-        )
+        what = f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames)."
+        raise DatasetError(what, _FOREIGN)
     if tracks.shape[0] != 1:
         raise DatasetError(f"{path} contains {tracks.shape[0]} tracked instances.", "Export one instance.")
     points = _texts(names)
@@ -255,16 +250,14 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.30
 def read_project(path: Path, content: bytes, _options: object) -> Points:
     """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
-        raise DatasetError(
-            f"{path} declares XML entities.", "A Tracker project contains none; export it again."
-        )
+        what = f"{path} declares XML entities."
+        raise DatasetError(what, "A Tracker project contains none; export it again.")
     try:
         root = ET.fromstring(content)  # noqa: S314 - entities are refused above
         return _project_points(path, root)
     except (ET.ParseError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DatasetError(
-            f"{path} is not a complete Tracker project: {error}.", "Save it again in Tracker."
-        ) from error
+        what = f"{path} is not a complete Tracker project: {error}."
+        raise DatasetError(what, "Save it again in Tracker.") from error
 
 
 def _property(node: ET.Element | None, name: str) -> ET.Element | None:

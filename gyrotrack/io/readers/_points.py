@@ -104,9 +104,8 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
 
 def _existing(points: Points, name: str) -> str:
     if name not in points.places:
-        raise UsageError(
-            f"{points.path} has no point '{name[:40]}'.", f"Points: {_list(list(points.places))}."
-        )
+        what = f"{points.path} has no point '{name[:40]}'."
+        raise UsageError(what, f"Points: {_list(list(points.places))}.")
     return name
 
 

@@ -197,9 +197,8 @@ def read_zip(path: Path, content: bytes, _options: object) -> RawTable:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(i.file_size for i in archive.infolist()) > MAX_BYTES:
-                raise DatasetError(
-                    f"{path} is larger than 1 GiB when unpacked.", "Unpack it and give the table."
-                )
+                what = f"{path} is larger than 1 GiB when unpacked."
+                raise DatasetError(what, "Unpack it and give the table.")
             names = [n for n in archive.namelist() if not n.endswith("/")]
             if "[Content_Types].xml" in names:
                 return _workbook(path, content)
@@ -211,9 +210,8 @@ def read_zip(path: Path, content: bytes, _options: object) -> RawTable:
                 raise DatasetError(what, "Unpack it and give one of them.")
             return read_text(path, *content_lines(path, archive.read(tables[0])))
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
-        raise DatasetError(
-            f"{path} is a damaged archive: {error}.", "Download or export it again."
-        ) from error
+        what = f"{path} is a damaged archive: {error}."
+        raise DatasetError(what, "Download or export it again.") from error
 
 
 def _workbook(path: Path, content: bytes) -> RawTable:
@@ -284,9 +282,8 @@ def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
     try:
         held = loadmat(io.BytesIO(content))  # type: ignore[arg-type]
     except Exception as error:
-        raise DatasetError(
-            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
-        ) from error
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
     arrays = {k: v for k, v in held.items() if not k.startswith("__") and isinstance(v, np.ndarray)}
     for name, value in list(arrays.items()):  # the fields of a struct
         if value.dtype.names and value.size == 1:
@@ -316,15 +313,13 @@ def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
     try:
         import pyarrow.parquet as pq
     except ImportError:
-        raise UsageError(
-            "Parquet needs pyarrow, which is not installed.", 'Run: pip install "gyrotrack[notebook]"'
-        ) from None
+        what = "Parquet needs pyarrow, which is not installed."
+        raise UsageError(what, 'Run: pip install "gyrotrack[notebook]"') from None
     try:
         table = pq.read_table(io.BytesIO(content))
     except Exception as error:
-        raise DatasetError(
-            f"{path} is a damaged Parquet file: {str(error)[:100]}.", "Export it again."
-        ) from error
+        what = f"{path} is a damaged Parquet file: {str(error)[:100]}."
+        raise DatasetError(what, "Export it again.") from error
     names, units, columns = [], [], []
     for field, column in zip(table.schema, table.columns, strict=True):
         names.append(field.name)
