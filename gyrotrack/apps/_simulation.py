@@ -14,6 +14,7 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import write_case
-from gyrotrack.io._records import Case, Series
+from gyrotrack.io._records import Case, Series, series_of
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
@@ -59,25 +60,20 @@ def write_record(
         label=record.label,
         surface=surface,
         casing=replace(_series([record.casing]), window=None),
-        rotor=_series(list(record.rotor)),
+        rotor=_series(record.rotor),
         quantity=record.quantity,
     )
     return write_case(path, case, command=command, settings=settings, force=force)
 
 
-def _series(runs: list[Samples]) -> Series:
-    speeds = [angular_velocity(s.time, s.value, s.sigma) for s in runs]
-    angle = np.concatenate([s.value for s in runs])
-    return Series(
-        time=np.concatenate([s.time for s in runs]),
-        angle=angle,
-        sigma=np.concatenate([s.sigma for s in runs]),
-        omega=np.concatenate([omega for omega, _ in speeds]),
-        omega_sigma=np.concatenate([sigma for _, sigma in speeds]),
-        turn=np.floor(angle / (2 * np.pi)).astype(np.int64),
-        window=np.concatenate([np.full(len(s), i, dtype=np.int64) for i, s in enumerate(runs)]),
-        sigma_source="given",
-    )
+def _series(runs: Sequence[Samples]) -> Series:
+    parts = []
+    for s in runs:
+        omega, sigma = angular_velocity(s.time, s.value, s.sigma)
+        parts.append(
+            SimpleNamespace(time=s.time, angle=s.value, sigma=s.sigma, omega=omega, omega_sigma=sigma)
+        )
+    return series_of(parts, sigma_source="given")
 
 
 @dataclass(frozen=True)

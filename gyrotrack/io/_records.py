@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -194,6 +194,16 @@ class Series:
     turn: Integers
     window: Integers | None = None
     sigma_source: str = "measured"
+
+
+def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
+    """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is a factor."""
+    names = ("time", "angle", "sigma", "omega", "omega_sigma")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    joined |= {name: sense * joined[name] for name in ("angle", "omega")}
+    turn = np.floor(joined["angle"] / (2 * np.pi)).astype(np.int64)
+    window = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.time) for part in parts])
+    return Series(**joined, turn=turn, window=window, sigma_source=sigma_source)
 
 
 def windows_of(series: Series) -> Integers:

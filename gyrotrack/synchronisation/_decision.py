@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
-from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, Series, speed_warnings
+from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, series_of, speed_warnings
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
@@ -252,8 +251,8 @@ def synchronise(
     matches = match_clips(curves[0], curves[1:], names[1:], cameras, progress)
     order = sorted(range(len(rotors)), key=lambda k: matches[k].start.offset)
     ids = {k: f"rotor_{window}" for window, k in enumerate(order)}
-    of_casing = _series([casing.bodies["casing"]])
-    of_rotor = _windows([_on_clock(rotor_tracks[k], matches[k]) for k in order])
+    of_casing = replace(series_of([casing.bodies["casing"]]), window=None)
+    of_rotor = series_of([_on_clock(rotor_tracks[k], matches[k]) for k in order])
     remedy = (
         "name the bodies in a profile (`gyrotrack profile VIDEO -o P.toml`) and repeat "
         "`gyrotrack extract VIDEO --profile P.toml`"
@@ -301,20 +300,6 @@ def _on_clock(body: BodyTrack, match: Match) -> BodyTrack:
         omega=body.omega / rate,
         omega_sigma=body.omega_sigma / rate,
     )
-
-
-def _windows(parts: list[BodyTrack]) -> Series:
-    window = np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)])
-    return replace(_series(parts), window=window)
-
-
-def _series(parts: list[BodyTrack]) -> Series:
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("time", "angle", "sigma", "omega", "omega_sigma")
-    }
-    turn = np.floor(joined["angle"] / TURN).astype(np.int64)
-    return Series(**joined, turn=turn, window=None, sigma_source="measured")
 
 
 def _placement(name: str, match: Match) -> Placement:

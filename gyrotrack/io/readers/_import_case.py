@@ -14,7 +14,7 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
-from gyrotrack.io._records import Case, Floats, Series, speed_warnings, windows_of
+from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
@@ -149,20 +149,6 @@ def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
     angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
     share = np.concatenate([[step[0]], step]) * sigma
     return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
-
-
-def series_of(parts: Sequence[Piece], sense: int) -> Series:
-    """Concatenate pieces, each as a window; angles and speeds are multiplied by `sense`."""
-    angle = np.concatenate([sense * part.angle for part in parts])
-    return Series(
-        time=np.concatenate([part.time for part in parts]),
-        angle=angle,
-        sigma=np.concatenate([part.sigma for part in parts]),
-        omega=np.concatenate([sense * part.omega for part in parts]),
-        omega_sigma=np.concatenate([part.omega_sigma for part in parts]),
-        turn=np.floor(angle / TURN).astype(np.int64),
-        window=np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)]),
-    )
 
 
 def no_series() -> Series:
