@@ -271,11 +271,7 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 
 
 class TimeBase:
-    """A non-uniform time base: the times at which the frames of a film were taken.
-
-    `place` (n,) are the times in periods of the capture rate, `sigma` is their standard deviation, independent from
-    frame to frame.
-    """
+    """The times `place` (n,) of frames in periods of the capture rate, with independent errors `sigma`."""
 
     def __init__(self, place: Floats, sigma: float = 0.0) -> None:
         self.place = place - place[0]

@@ -310,11 +310,7 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw a random effect from the library (without those present) or, with probability 0.2, one outside of it.
-
-    Effects that need a reversal of the casing to be observable are not drawn: restoring torques, and friction laws that
-    equal dry friction without a reversal.
-    """
+    """Draw an effect of the library (not those present, nor any shown by reversals only) or, at 20 %, another one."""
     if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     drawn = [n for n, e in LIBRARY.items() if e.kind == "physical" and e.searched and not e.restoring]

@@ -347,11 +347,7 @@ def spindown(
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the motion of one body, fit, diagnose and improve a model, and write a report; return the JSON document.
-
-    `target` and `report` are the case and the report to write, if given. `progress` is called with (frames done, frames
-    in total) while a film is tracked.
-    """
+    """Measure the motion of one body, fit, diagnose, improve, write case and report; return the JSON document."""
     from fitting._workers import single_blas_thread
 
     with single_blas_thread():

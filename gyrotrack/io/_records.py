@@ -241,11 +241,7 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
 
 @dataclass(frozen=True)
 class Placement:
-    """The clock of a clip relative to that of the case: t_case = clock_offset + clock_rate * t_clip.
-
-    `angle_offset` [rad] is added to the angles of the clip, so that their zero is that of the casing camera.
-    `ambiguous`: the start of the clip is not unique.
-    """
+    """The clock of a clip: t_case = clock_offset + clock_rate * t_clip; `angle_offset` [rad] is added to its angles."""
 
     id: str
     clock_offset: float

@@ -343,11 +343,7 @@ def draw(
     limits: tuple[float, float] | None = None,
     most: int = 1200,
 ) -> None:
-    """Draw a chart with matplotlib; labels and limits of the axes are set, but no legend is drawn.
-
-    `intervals` [s] are shaded, `window` are horizontal limits, `limits` vertical ones instead of those of the chart; a
-    curve has at most `most` points.
-    """
+    """Draw a chart without legend, with shaded `intervals` [s], within a time `window` and vertical `limits`."""
     from matplotlib.ticker import NullLocator
 
     label: str | None = "lack of fit"

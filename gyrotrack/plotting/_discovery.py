@@ -246,11 +246,7 @@ def story_picture(
     frame: NDArray[np.uint8] | None = None,
     force: bool = False,
 ) -> Path:
-    """Draw the summary figure of the first case: speed, residuals, and the figure of merit that decreased most.
-
-    `history` and `diagnosis` are those of `write_report`, the path ends in ``.png`` or ``.svg``; `frame` (height,
-    width, 3), red, green, blue, is an inset of the first panel.
-    """
+    """Draw a summary of the first case (.png, .svg): speed and a `frame` (RGB), residuals, figure of merit."""
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in {"png", "svg"}:

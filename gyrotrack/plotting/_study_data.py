@@ -261,11 +261,7 @@ class Step:
 
 @dataclass(frozen=True)
 class StudyView:
-    """Data of a study for the report.
-
-    `rmse_floor` is the noise limit of the rms error of the casing [rad/s]; `upper_limits` are those of effects that are
-    not in the final model, empty if it has a significant lack of fit.
-    """
+    """Data of a study for the report; `rmse_floor` is the noise limit of the rms error of the casing [rad/s]."""
 
     steps: tuple[Step, ...]
     rmse_floor: float

@@ -39,11 +39,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Match:
-    """Start, rate and direction of one clip with standard uncertainties.
-
-    `covariance` (3, 3) is that of (offset [s], rate [1], angle [rad]), of which the first and the last can be strongly
-    correlated.
-    """
+    """Start, rate and direction of one clip with uncertainties and `covariance` (3, 3) of (offset, rate, angle)."""
 
     name: str
     start: Start
@@ -78,11 +74,7 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Determine start, rate and direction of every clip on the clock of the casing camera, from the casing's angle.
-
-    Clips with equal entries in `cameras` are from the same camera; `progress` is called with (clips done, clips in
-    total). A SyncError says that a clip does not match this casing recording.
-    """
+    """Determine start, rate and direction of every clip by the casing's angle; equal `cameras` are one camera."""
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
     for clip, name in zip(clips, names, strict=True):

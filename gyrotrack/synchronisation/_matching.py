@@ -126,11 +126,7 @@ def casing_curve(recording: Recording, name: str) -> Curve:
 
 
 def without_outliers(curve: Curve) -> Curve:
-    """Return the curve without outliers.
-
-    The integral of the running median of the speed is subtracted; samples that deviate from the running median of the
-    remainder by more than six robust standard deviations are excluded.
-    """
+    """Return the curve without samples that deviate from its running median by over six robust standard deviations."""
     step = np.diff(curve.time)
     speed = median_smooth(np.diff(curve.angle) / step, NEIGHBOURS)
     slow = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])

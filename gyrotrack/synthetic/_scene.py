@@ -189,11 +189,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Wobble:
-    """A small circular motion of the axis of the gyroscope.
-
-    The axis moves on a circle of ``radius`` mm with ``frequency`` in Hz, positive in the sense of rotation of the
-    bodies, from ``phase`` in rad at t = 0.
-    """
+    """A circular motion of the axis: ``radius`` [mm], ``frequency`` [Hz] as the bodies turn, ``phase`` [rad] at 0."""
 
     radius: float = 0.0
     frequency: float = 6.0

@@ -305,11 +305,7 @@ def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
 
 
 def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, without the frames between them.
-
-    Their indices are unknown and set to -1; they show the scene in the course of the film before it is decoded.
-    `keep` copies a frame from the decoder.
-    """
+    """Decode up to `count` key frames spread evenly over a film, copied by `keep`, of the index -1."""
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
     wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()

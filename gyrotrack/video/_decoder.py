@@ -213,11 +213,7 @@ def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.fl
 def film_warnings(
     info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
 ) -> tuple[str, ...]:
-    """Return warnings about a decoded film, as sentences.
-
-    `seconds` (n,) are timestamps [s], NaN where a frame has none; `bad_packets` could not be decoded; `corrupt` frames
-    are marked as damaged by the decoder.
-    """
+    """Return warnings about a decoded film; `seconds` (n,) are NaN without a timestamp; `corrupt` is a number."""
     found = []
     if info.frames_declared > len(seconds):
         found.append(
@@ -261,11 +257,7 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), and only what they need.
-
-    `keep` copies a frame from the decoder. A frame that is not found, because a film is damaged there or its packets
-    carry no stamps, is left out. The frames have the index -1.
-    """
+    """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1."""
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
     found: dict[int, Frame] = {}

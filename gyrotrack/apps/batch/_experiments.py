@@ -132,11 +132,7 @@ def unique_name(label: str, taken: set[str]) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set the moments of inertia, `given` by body, of experiments that do not specify them.
-
-    A UsageError is raised if a case made from films lacks one that is not set by an option in `skip`
-    (``--inertia-rotor``) of the settings of the command `sync`.
-    """
+    """Set the inertias, `given` by body, of experiments without; those not in `skip` (options) are required."""
     made = []
     for e in experiments:
         own: dict[str, Any] = {}

@@ -42,11 +42,7 @@ class Child:
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
-        """Run one command and return its exit code ``code`` and JSON output ``document``.
-
-        If the process crashed, exceeded the time limit [s] or could not be started, the document is an error with the
-        code "crash", "timeout" or "processes".
-        """
+        """Run one command; return exit code ``code`` and output ``document``, also after crash or timeout [s]."""
         late = threading.Event()
         timer: threading.Timer | None = None
         try:

@@ -173,11 +173,7 @@ _TURN = 2 * np.pi
 
 
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
-    """Return a recording with a marker corrected, or marked as lost, in one frame.
-
-    `place` is the centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this
-    frame. A UsageError says that there is no such marker or frame, or the position is too close to the centre.
-    """
+    """Return a recording with the centre of a marker at `place` [px] in one frame, or with it lost there (None)."""
     track = recording.markers.get(marker)
     if track is None or not 0 <= frame < len(recording.time):
         raise UsageError("There is no such marker in this frame.", "Choose a marker and a frame of the film.")

@@ -99,10 +99,10 @@ def _refuse_jumps(table: MotionTable) -> None:
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
-    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece.
+    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece, with `notes`.
 
-    Without a sigma in the table, it is estimated from the scatter, with the lower limit of the resolution of the file
-    (quantisation step / sqrt(12)). Repairs are added to `notes`.
+    Without a sigma in the table, it is estimated from the scatter, at least the quantisation step of the file /
+    sqrt(12).
     """
     cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
     short = [cut for cut in cuts if cut.stop - cut.start < _MIN_SAMPLES]

@@ -288,11 +288,7 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
 
 
 def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle or the angular velocity in a table.
-
-    A DatasetError says that a column is missing, ambiguous or of unknown unit, a cell is not a number, the clock
-    restarts, or there are too few samples.
-    """
+    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong."""
     columns, units, unused = find_columns(raw, options)
     quantity = "angle" if "angle" in columns else "omega"
     if quantity not in columns and ("t" in columns or "frame" in columns or options.fps):

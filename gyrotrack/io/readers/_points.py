@@ -44,11 +44,7 @@ class PointAngle:
 
 
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
-    """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards.
-
-    A UsageError asks for marker or frame rate; a DatasetError says that the marker is too close to the centre, or
-    tracked in too few frames, or its path is not a circle about the fitted centre.
-    """
+    """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards."""
     time = points.time.astype(float)
     if points.counted:
         time = time / frame_rate(points.path, options)

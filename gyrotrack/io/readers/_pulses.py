@@ -447,8 +447,7 @@ def read_counter(
 ) -> MotionTable:
     """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
-    Rows are written at events of several sensors, and some loggers write the count one row late. Of both
-    interpretations, the one with the more regular intervals is used.
+    Some loggers write the count one row late: of both interpretations, that with the more regular intervals is used.
     """
     notes = list(raw.notes)
     ticks = raw.numbers(time_column, "t", times=True)

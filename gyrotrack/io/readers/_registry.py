@@ -95,11 +95,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
-    """Read the motion of one body from a file of any supported format.
-
-    These are angles, angular velocities, pulses, a counter, or points that another program tracked. A DatasetError
-    contains file and line; a UsageError asks for marker, frame rate, or pulses per turn.
-    """
+    """Read the motion of one body from any supported file; errors name file and line, or the missing option."""
     options = options or ReadOptions()
     found = _content(Path(path), options)
     return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)

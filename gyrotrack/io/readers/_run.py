@@ -88,11 +88,7 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
-    """Return the samples of the free motion and their unwrapped values, without drive, brake and rest.
-
-    `value` are unwrapped angles [rad], or angular velocities [rad/s]. Each excluded part has a note; with `keep_all`
-    nothing is excluded.
-    """
+    """Return samples of the free motion and unwrapped values [rad] or [rad/s], without drive, brake and rest."""
     if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
     time, speed, error = speeds(table, value)
