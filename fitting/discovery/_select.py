@@ -426,7 +426,6 @@ class Selection(NamedTuple):
     named: Fit  # the refined fit with this effect alone; the base if there is none
     # the refined fit with all that was added, a free shape constant or a second effect; the base if nothing was
     final: Fit
-    history: History  # steps of the forward selection; empty where one effect was enough
 
 
 def select(
@@ -445,7 +444,7 @@ def select(
     ranked = list(candidates)
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
-        return Selection(ranked, None, base, base, History())
+        return Selection(ranked, None, base, base)
     end = _refined(chosen.fit, criteria)
     # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
@@ -454,14 +453,11 @@ def select(
         now_best = best(ranked, criteria)
         if now_best is not None and now_best.fit is not None:
             chosen, end = now_best, now_best.fit
-    history = History()
     if less_noise or end.fails(criteria):
         most = 1 + criteria.follow_up
-        history = (
-            History(known[: 1 + most])
-            if len(known) > 1 and known[1].change == f"+{chosen.effect.name}"
-            else improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
-        )
+        history = known[: 1 + most]
+        if len(known) < 2 or known[1].change != f"+{chosen.effect.name}":
+            history = improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
         named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
     else:
         named = end
@@ -475,7 +471,7 @@ def select(
         now_best = best(separated, criteria)
         if now_best is not None and now_best.effect.name == chosen.effect.name:
             ranked, chosen = separated, now_best
-    return Selection(ranked, chosen, named, end, history)
+    return Selection(ranked, chosen, named, end)
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:
