@@ -426,9 +426,8 @@ def left_out(candidate: Candidate) -> str:
     return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-_FAINT = (
-    0.3  # contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
-)
+# contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
+_FAINT = 0.3
 SPREAD = 24
 """Frames from the whole film in addition to its first ones, for bodies at rest at the start."""
 
