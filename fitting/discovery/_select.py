@@ -40,7 +40,7 @@ from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistributi
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import deviance_at_noise_of, fit_like
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -249,9 +249,15 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         width = screened.columns // len(base.problem.layout.records)
         p = np.minimum(p, np.minimum(1.0, 2 * null.of(base.deviance - common.deviance, width)))
     p_value = family(p, null.weights)
+    excess = base.deviance - deviance_at_noise_of(base, found) if p_value < criteria.significance else 0.0
+    if excess > 0:  # a part of the improvement is that of the noise
+        delta_bic, p_value = (
+            delta_bic + excess,
+            family(null(base.deviance - excess - found.deviance), null.weights),
+        )
     return replace(
         candidate,
-        score=base.deviance - found.deviance,
+        score=base.deviance - excess - found.deviance,
         delta_bic=delta_bic,
         p_value=p_value,
         significant=p_value < criteria.significance,

@@ -170,13 +170,17 @@ def camera_shake(
     if len(places) < _FEWEST:
         return None
     few = np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))
-    moved = np.stack([tracked(reference, places, samples[i]) for i in few])
+    found = []
+    for i in few:
+        found.append(tracked(reference, places, samples[i]))
+        release_pages()
+    moved = np.stack(found)
     use = background(places, moved, reference.shape)
     if not use.any():
         return None
     places = places[use]
-    found = _rigid(places, moved[:, use])
-    if found is None or not found.significant:
+    shake = _rigid(places, moved[:, use])
+    if shake is None or not shake.significant:
         return None
     return _rigid(places, (tracked(reference, places, frame) for frame in frames))
 

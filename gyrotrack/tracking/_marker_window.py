@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
-from gyrotrack.tracking._scene import Marker, Samples
+from gyrotrack.tracking._scene import Marker, Samples, in_turn
 from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
@@ -145,7 +145,7 @@ class MarkerStrip:
 
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
-        seen = np.stack([self.grid.around(frame, slice(None)) for frame in frames], axis=-1)
+        seen = np.stack([self.grid.around(frame, slice(None)) for frame in in_turn(frames)], axis=-1)
         ranks = (len(frames) - 1) // 2, len(frames) // 2
         seen.partition(ranks, axis=-1)
         ground = 0.5 * (seen[..., ranks[0]] + seen[..., ranks[1]])

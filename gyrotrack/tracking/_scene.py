@@ -118,7 +118,7 @@ class FrameStore:
         return replace(frame, **kept)
 
 
-def _in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
+def in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
     """Yield stored frames; their memory is released after every few of them."""
     for count, frame in enumerate(frames, start=1):
         yield frame
@@ -149,7 +149,7 @@ class Samples:
         """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
         kept = np.ascontiguousarray if self.scale == 2 else _halved
-        return np.stack([(kept(f.u), kept(f.v)) for f in _in_turn(chosen)], axis=1)
+        return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
     def spread(self) -> tuple[int, ...]:
@@ -171,12 +171,12 @@ class Samples:
         """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
         maps = ring.chroma_maps
         some = [self.frames[k] for k in frames]
-        return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in _in_turn(some)], axis=1)
+        return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in in_turn(some)], axis=1)
 
     def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the luma of some frames, shape (n, rows, columns)."""
         some = [self.frames[k] for k in frames]
-        return np.stack([unroll(f.y, ring.luma_maps) for f in _in_turn(some)])
+        return np.stack([unroll(f.y, ring.luma_maps) for f in in_turn(some)])
 
 
 def take_samples(path: Path) -> Samples:
