@@ -112,15 +112,14 @@ def view(
     return BodyView(markers, observations, inside, whole)
 
 
+# systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
+# rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
-"""Systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
-rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]."""
 
 
+# reduction of the mean square of the radii in standard errors from which a path of the hub is preferred
 _BETTER = 4.0
-"""Reduction of the mean square of the radii in standard errors from which a path of the hub is preferred."""
-_TOGETHER = 16
-"""Frames over which the errors of radii count as correlated."""
+_TOGETHER = 16  # frames over which the errors of radii count as correlated
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
@@ -227,10 +226,9 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
     return 0.5 * float(np.angle(total))
 
 
+# standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre
 HEIGHT = 0.03
-"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre."""
-DEPTH = 0.5
-"""The same for the rotor's markers, which may be at any depth below."""
+DEPTH = 0.5  # the same for the rotor's markers, which may be at any depth below
 
 
 def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
@@ -321,8 +319,8 @@ def separate_perspective(
     return replace(own.moved(np.array(mean) - shift), offset_covariance=dict.fromkeys(own.offset, covariance))
 
 
+# radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm
 PERSPECTIVE = 0.05
-"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -333,8 +331,7 @@ def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Fl
 
 Integers = npt.NDArray[np.int64]
 
-_FAR = 0.05
-"""Smallest range of a moving centre, relative to the radius of the orbit."""
+_FAR = 0.05  # smallest range of a moving centre, relative to the radius of the orbit
 
 
 @dataclass(frozen=True)
@@ -404,13 +401,7 @@ def _with_gaps(seen: FilmObservations, index: Integers) -> FilmObservations:
     count = int(index[-1]) + 1 if len(index) else 0
     if count == len(index):
         return seen
-    bodies = {
-        name: BodyObservations(
-            spread_out(body.coarse, index, count),
-            {m: s.spread_out(index, count) for m, s in body.markers.items()},
-        )
-        for name, body in seen.bodies.items()
-    }
+    bodies = {name: body.spread_out(index, count) for name, body in seen.bodies.items()}
     disc = None if seen.disc is None else spread_out(seen.disc, index, count)
     return replace(seen, bodies=bodies, disc=disc)
 
@@ -523,8 +514,8 @@ def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
     return replace(body, angle=body.angle - shift, markers=markers)
 
 
+# ranges of the angle [rad] up to which a body is at rest, and from which the other one turns
 _REST, _TURNS = 0.05, 1.0
-"""Ranges of the angle [rad] up to which a body is at rest, and from which the other one turns."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:

@@ -34,8 +34,7 @@ from gyrotrack.tracking._polar import Windows
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0
-"""The factors of the paper's formula."""
+FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0  # the factors of the paper's formula
 
 
 @dataclass(frozen=True)
@@ -106,8 +105,8 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
     return np.asarray(np.sqrt((FACTOR_R * u_r) ** 2 + (FACTOR_1 * u_1) ** 2 + (FACTOR_2 * u_2) ** 2))
 
 
+# number of bands into which the rows of a side, and the columns of the near edge, are averaged
 SIDE_BANDS, NEAR_BANDS = 4, 5
-"""Number of bands into which the rows of a side, and the columns of the near edge, are averaged."""
 _LEAST_FALL = 1e-9
 
 

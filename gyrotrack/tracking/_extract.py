@@ -69,14 +69,7 @@ def marker_track(
         body=marker.body,
         mount_angle=float(np.angle(np.exp(1j * sense * found.mount))),
         corner=own["corner"] if sense > 0 else own["corner"][:, ::-1],
-        delta=measured.delta,
-        rho=measured.rho,
-        beta=measured.beta,
-        angle=measured.angle,
-        sigma=measured.sigma,
-        u_r=measured.u_r,
-        u_1=measured.u_1,
-        u_2=measured.u_2,
+        **vars(measured),
         status=own["status"],
         angle_fine=own["angle_fine"],
         sigma_calibrated=found.sigma,
@@ -135,8 +128,7 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-LEAST_TURN = 0.5
-"""Smallest range of an angle [rad] for which a body counts as turning."""
+LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
 
 
 def extract(
@@ -222,14 +214,10 @@ def _without_roll(seen: FilmObservations, shake: Shake) -> FilmObservations:
     a few px from the hub, which changes an angle by this fraction of its radius times the roll.
     """
     # the roll is clockwise in the picture, angles are counter-clockwise
-    bodies = {
-        name: replace(
-            body,
-            coarse=body.coarse + shake.roll,
-            markers={m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()},
-        )
-        for name, body in seen.bodies.items()
-    }
+    bodies = {}
+    for name, body in seen.bodies.items():
+        markers = {m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()}
+        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and rolls by {1e3 * shake.roll.std():.2g} mrad rms; "
         f"{shake.features} features of the background are used to subtract the roll. "
@@ -252,16 +240,12 @@ def _recording(
 ) -> Recording:
     """Build the recording of a film."""
     time = seen.times.seconds(rate.fps)
-    markers = {
-        marker.name: marker_track(
-            marker, seen.bodies[name].markers[marker.name], found, joint.centre.centre, joint.sense, seen.size
-        )
-        for name, found in joint.bodies.items()
-        for marker in scene.of(name)
-    }
-    bodies = {
-        name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
-    }
+    markers, bodies = {}, {}
+    for name, found in joint.bodies.items():
+        for m in scene.of(name):
+            own = seen.bodies[name].markers[m.name]
+            markers[m.name] = marker_track(m, own, found, joint.centre.centre, joint.sense, seen.size)
+        bodies[name] = body_track(name, found, markers, time, joint.sense)
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
@@ -303,10 +287,8 @@ def _recording(
     )
 
 
-_BODY = 1.5
-"""Radius of the bodies, such as the ring of the casing, relative to the outer end of the markers."""
-LEAST_TRACKED = 0.8
-"""Smallest share of frames with an angle for a recording without a doubt."""
+_BODY = 1.5  # radius of the bodies, such as the ring of the casing, relative to the outer end of the markers
+LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
 _STEPS = 12
 
 
@@ -398,13 +380,11 @@ def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
     """Return a warning if no marker of the first frame is where the motion predicts it, as after a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
-    first = [
-        m.status[0] == STATUS["lost"] and np.any(m.status[1:6] == STATUS["ok"]) for m in markers.values()
-    ]
+    status = [m.status for m in markers.values()]
+    if not all(s[0] == STATUS["lost"] and np.any(s[1:6] == STATUS["ok"]) for s in status):
+        return ()
     return (
-        ("Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",)
-        if all(first)
-        else ()
+        "Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",
     )
 
 
@@ -421,12 +401,8 @@ def _extra(scene: Scene, joint: TrackedBodies, rate_source: str, times: FrameTim
             for name, flat in joint.flattening.items()
         },
         "papers": {
-            p.name: {
-                "inner": p.inner,
-                "outer": p.outer,
-                "half_width": p.half_width,
-                "contrast": list(p.contrast),
-            }
+            p.name: {k: getattr(p, k) for k in ("inner", "outer", "half_width")}
+            | {"contrast": list(p.contrast)}
             for p in scene.markers
         },
     }
@@ -452,13 +428,8 @@ class ExtractionJob:
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that determine the result, as stored in the file."""
-        return {
-            "video": self.video,
-            "capture_fps": self.capture_fps,
-            "body": self.body,
-            "times": self.times,
-            "profile": self.profile.model_dump(mode="json"),
-        }
+        own = {key: getattr(self, key) for key in ("video", "capture_fps", "body", "times")}
+        return own | {"profile": self.profile.model_dump(mode="json")}
 
     def earlier(self) -> Recording | None:
         """Return the existing output if it is of this film and these settings, else None."""
@@ -498,16 +469,8 @@ class ExtractionJob:
             start = perf_counter()
             try:
                 with bar() as progress:
-                    recording = extract(
-                        self.video,
-                        self.profile,
-                        capture_fps=self.capture_fps,
-                        body=self.body,
-                        times=self.times,
-                        workers=self.workers,
-                        progress=progress,
-                        journal=journal,
-                    )
+                    own = {k: getattr(self, k) for k in ("capture_fps", "body", "times", "workers")}
+                    recording = extract(self.video, self.profile, **own, progress=progress, journal=journal)
             except KeyboardInterrupt:
                 if kept := frames_done(journal):
                     tell(f"{kept} frames are stored. Continue with the same command and --resume.")

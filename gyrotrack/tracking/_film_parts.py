@@ -52,14 +52,11 @@ from gyrotrack.video._time_base import Timing
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-PART = 2500
-"""Largest number of frames of a part, up to the distance of key frames."""
-LEAST_PART = 400
-"""Smallest number of frames of a part, from which illumination and templates can be learnt."""
-OVERLAP = 64
-"""Frames that two neighbouring parts share."""
+PART = 2500  # largest number of frames of a part, up to the distance of key frames
+LEAST_PART = 400  # smallest number of frames of a part, from which illumination and templates can be learnt
+OVERLAP = 64  # frames that two neighbouring parts share
+# frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked
 LEARNT = 256
-"""Frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked."""
 _RATE = 24
 _STAMPS = "stamps"
 
@@ -349,15 +346,8 @@ def track_film(
             for marker in scene.of(name)
         }
         bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers)
-    return FilmObservations(
-        bodies,
-        rows.get("disc"),
-        seconds,
-        timing.of(seconds, tick),
-        film_warnings(info, seconds, *kept.damage),
-        work.size,
-        rows["again"],
-    )
+    times, warnings = timing.of(seconds, tick), film_warnings(info, seconds, *kept.damage)
+    return FilmObservations(bodies, rows.get("disc"), seconds, times, warnings, work.size, rows["again"])
 
 
 class _PartResults:
@@ -379,13 +369,9 @@ class _PartResults:
 
     def add(self, index: int, found: PartRows) -> None:
         """Store the rows of a part."""
-        facts = {
-            "part": index,
-            "parts": len(self._parts),
-            "frames": int(self._own(index, found.stamps).sum()),
-            "bad_packets": found.bad_packets,
-            "corrupt": found.corrupt,
-        }
+        frames = int(self._own(index, found.stamps).sum())
+        facts = {"part": index, "parts": len(self._parts), "frames": frames}
+        facts |= {"bad_packets": found.bad_packets, "corrupt": found.corrupt}
         self._facts[index] = facts
         if self._journal is None:
             self._memory[index] = found

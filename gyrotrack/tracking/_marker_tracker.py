@@ -32,8 +32,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 ROUNDS = 8
-FINENESS = 8
-"""Displacements per sample at which the template is tabulated; it is interpolated linearly."""
+FINENESS = 8  # displacements per sample at which the template is tabulated; it is interpolated linearly
 
 
 @dataclass(frozen=True)
@@ -137,8 +136,7 @@ def flat_top(half_width: float, length: int) -> Floats:
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))
 
 
-MOST_SHAPES = 96
-"""Largest number of frames of a batch from which the template is learnt."""
+MOST_SHAPES = 96  # largest number of frames of a batch from which the template is learnt
 
 
 class MarkerTracker:

@@ -24,8 +24,7 @@ Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
-CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5
-"""Spacing of the samples [luma px]."""
+CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5  # spacing of the samples [luma px]
 
 
 def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> int:
@@ -154,8 +153,7 @@ class MarkerStrip:
         return ground
 
 
-LAYERS = 3
-"""Parts of the radius for which the occlusion is measured separately."""
+LAYERS = 3  # parts of the radius for which the occlusion is measured separately
 
 
 class MarkerWindow:
@@ -255,10 +253,9 @@ class AngleMap:
         return height
 
 
+# relative heights below which a marker counts as occluded, and above which as free of shadows
 HIDDEN, CLEAR = 0.55, 0.95
-"""Relative heights below which a marker counts as occluded, and above which as free of shadows."""
-WIDEST_EDGE = 8
-"""Largest width of the blurred edge or the shadow of an occluding object, in columns."""
+WIDEST_EDGE = 8  # largest width of the blurred edge or the shadow of an occluding object, in columns
 
 
 def even_light(light: AngleMap, reach: int) -> Floats:
@@ -278,8 +275,7 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
-FEWEST_PLACES = 64
-"""Frames from which the gaps between random angles are not wider than a marker."""
+FEWEST_PLACES = 64  # frames from which the gaps between random angles are not wider than a marker
 
 
 def places_apart(column: Integers, columns: int) -> int:

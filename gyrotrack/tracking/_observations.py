@@ -86,8 +86,7 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
     return out
 
 
-LARGEST = 24.0
-"""Upper limit of the excess of a squared misfit."""
+LARGEST = 24.0  # upper limit of the excess of a squared misfit
 FEWEST = 30
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 _FAULT = 5.0
@@ -109,10 +108,9 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
     return float(_SHARES[int(np.argmin(unlikely))])
 
 
+# misfit that illumination alone can cause; occlusion of a tenth of a marker causes more
 LARGEST_MISFIT = 0.12
-"""Misfit that illumination alone can cause; occlusion of a tenth of a marker causes more."""
-WEAKEST = 4.0
-"""Factor on the uncertainty beyond which a partly occluded marker is not used."""
+WEAKEST = 4.0  # factor on the uncertainty beyond which a partly occluded marker is not used
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,7 @@ class Profile(BaseModel):
         return tuple(marker for marker in self.marker if marker.body == body)
 
 
+# the gyroscope of the paper: red disc at the centre, red on the casing, three colours on the rotor
 PAPER = Profile(
     name="paper",
     centre="circle",
@@ -228,7 +229,6 @@ PAPER = Profile(
         MarkerProfile(name="green", colour="green", body="rotor"),
     ),
 )
-"""The gyroscope of the paper: red disc at the centre, red on the casing, three colours on the rotor."""
 
 
 def load(path: Path) -> Profile:
