@@ -87,10 +87,8 @@ def read_source(
     body = None
     is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
     if is_film and (options.columns or options.marker or options.centre):
-        raise UsageError(
-            "--column, --marker and --centre apply to tables and tracked points, not to a film.",
-            "Give the centre of rotation in a film by --hub X,Y.",
-        )
+        what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
+        raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
     if is_film:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
@@ -295,9 +293,8 @@ def film_recording(
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
     """Make a case of one body of a recording, by default the one with most samples, in the role of the casing."""
     if name is not None and name not in recording.bodies:
-        raise DatasetError(
-            f"{recording.source} does not contain the {name}.", f"It contains: {', '.join(recording.bodies)}."
-        )
+        what = f"{recording.source} does not contain the {name}."
+        raise DatasetError(what, f"It contains: {', '.join(recording.bodies)}.")
     if not recording.bodies:
         raise DatasetError(f"{recording.source} contains no body.", "Track the film again.")
     count = {key: len(body.time) for key, body in recording.bodies.items()}

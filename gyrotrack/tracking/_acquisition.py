@@ -528,10 +528,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     markers, offsets, doubts = find_markers(samples, profile, centre, disc, radius, where)
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
-        raise TrackingError(
-            f"No markers found in {where}: none of {names} is visible about the centre.",
-            "Check the colours of the profile (--profile).",
-        )
+        what = f"No markers found in {where}: none of {names} is visible about the centre."
+        raise TrackingError(what, "Check the colours of the profile (--profile).")
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     sought = profile.centre == "circle" and profile.hub is None
     warnings = (_NO_DISC,) if disc is None and sought else ()

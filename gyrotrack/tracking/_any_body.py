@@ -151,9 +151,8 @@ def _track(
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None:
         if not all(math.isfinite(v) for v in hub):
-            raise UsageError(
-                "The coordinates of the hub are not finite numbers.", "Give the hub as --hub X,Y in px."
-            )
+            what = "The coordinates of the hub are not finite numbers."
+            raise UsageError(what, "Give the hub as --hub X,Y in px.")
         proposals = [Proposal(hub, "given")]
     elif (loose := track_by_features(film, usable, motion, progress)) is not None:
         return loose
@@ -162,10 +161,8 @@ def _track(
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
-        raise TrackingError(
-            f"No body that turns about a hub is found in {film.path.name}.",
-            "Give the centre of rotation with --hub X,Y.",
-        )
+        what = f"No body that turns about a hub is found in {film.path.name}."
+        raise TrackingError(what, "Give the centre of rotation with --hub X,Y.")
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
         key=lambda t: t.score,

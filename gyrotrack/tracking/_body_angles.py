@@ -23,7 +23,7 @@ from gyrotrack.tracking._hub import (
     refine_centre,
     wandering_centre,
 )
-from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
+from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene

@@ -33,7 +33,7 @@ from gyrotrack.tracking._film_tracker import (
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles, wrapped
-from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
@@ -153,10 +153,8 @@ def extract(
     with `run_facts`, stores intermediate results, so that a killed run can be resumed.
     """
     if body not in BODIES:
-        raise UsageError(
-            f"Unknown body {body!r}; use casing, rotor or both.",
-            "Omit the body to track all that are visible.",
-        )
+        what = f"Unknown body {body!r}; use casing, rotor or both."
+        raise UsageError(what, "Omit the body to track all that are visible.")
     video = Path(video)
     info = probe(video)
     rate = capture_rate(info, capture_fps, profile.capture_fps)
@@ -166,10 +164,8 @@ def extract(
     scene, seen, shake = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
     if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
-        raise VideoError(
-            f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
-            "Copy the film from the camera again.",
-        )
+        what = f"Only {len(seen.pts_time)} frames of {video} can be decoded."
+        raise VideoError(what, "Copy the film from the camera again.")
     if shake is not None:
         seen = _without_roll(seen, shake)
     found = judge_repeats(seen, scene)
@@ -355,15 +351,11 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
     wanted = ("casing", "rotor") if body == "both" else (body,) if body else ()
     for name in wanted:
         if name not in joint.bodies:
-            raise TrackingError(
-                f"The {name} is not visible in {video}.",
-                "Check the colours of the profile (--profile), or omit --body.",
-            )
+            what = f"The {name} is not visible in {video}."
+            raise TrackingError(what, "Check the colours of the profile (--profile), or omit --body.")
     if not joint.bodies:
-        raise TrackingError(
-            f"No body can be tracked in {video}: its markers do not move steadily about a centre.",
-            "Check the colours of the profile (--profile) and inspect the film.",
-        )
+        what = f"No body can be tracked in {video}: its markers do not move steadily about a centre."
+        raise TrackingError(what, "Check the colours of the profile (--profile) and inspect the film.")
 
 
 def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:

@@ -41,8 +41,8 @@ from gyrotrack.tracking._film_tracker import (
     Progress,
     Rows,
 )
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
-from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import Frame, Packets, probe, read_packets
@@ -329,10 +329,8 @@ def track_film(
     if progress is not None:
         progress(kept.frames, total)
     if not kept.frames:
-        raise VideoError(
-            f"No frame of {path} could be decoded.",
-            "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).",
-        )
+        what = f"No frame of {path} could be decoded."
+        raise VideoError(what, "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).")
     rows = kept.rows(scene)
     stamps = np.asarray(rows.pop(_STAMPS))
     tick = float(info.time_base)

@@ -23,9 +23,8 @@ from gyrotrack.tracking._association import (
     follow,
 )
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._marker_tracker import MarkerTracker
+from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker, spread_out
 from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, MarkerWindow, Occlusion, common_columns
-from gyrotrack.tracking._observations import MarkerObservations, spread_out
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples, Scene
 from gyrotrack.video._container import Frame

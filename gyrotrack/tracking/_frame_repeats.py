@@ -18,7 +18,7 @@ from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._association import net_turn
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._fusion import wrapped
-from gyrotrack.tracking._observations import plausible
+from gyrotrack.tracking._marker_tracker import plausible
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
 from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes

@@ -45,7 +45,7 @@ from gyrotrack._smoothing import (
     tail_factor,
     whole_turns,
 )
-from gyrotrack.tracking._observations import Candidate, spread_out, variance_inflation
+from gyrotrack.tracking._marker_tracker import Candidate, spread_out, variance_inflation
 from gyrotrack.tracking._orbit import CELL
 
 Floats = npt.NDArray[np.float64]

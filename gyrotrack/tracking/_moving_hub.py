@@ -172,10 +172,8 @@ def track_free_body(
             x, y = other.place[0]
             notes.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
         return _completed(film, tracked, correlated, "outline", notes)
-    raise TrackingError(
-        f"No body that turns while it moves across the picture is found in {film.path.name}.",
-        "Give the centre of rotation, or a point that the body passes, with --hub X,Y.",
-    )
+    what = f"No body that turns while it moves across the picture is found in {film.path.name}."
+    raise TrackingError(what, "Give the centre of rotation, or a point that the body passes, with --hub X,Y.")
 
 
 @dataclass(frozen=True)

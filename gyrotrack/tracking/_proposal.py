@@ -482,10 +482,8 @@ def propose(
     groups, uneven = group_bodies(candidates, samples.head)
     groups, resting_groups = [g for g in groups if not g.is_at_rest], [g for g in groups if g.is_at_rest]
     if not groups:
-        raise TrackingError(
-            f"No markers found in {video}: no coloured patch turns steadily about a centre.",
-            "Write a profile by hand; see --profile of `gyrotrack extract`.",
-        )
+        what = f"No markers found in {video}: no coloured patch turns steadily about a centre."
+        raise TrackingError(what, "Write a profile by hand; see --profile of `gyrotrack extract`.")
     named, notes = name_bodies(groups, resting_casing(resting_groups, groups, circle), circle)
     notes += [left_out(c) for c in uneven]
     markers = name_markers(named, notes)

@@ -189,10 +189,8 @@ def take_samples(path: Path) -> Samples:
     if not head:
         raise VideoError(f"No frame of {path} can be decoded.", "Copy the film from the camera again.")
     if len(head) < FEWEST:
-        raise VideoError(
-            f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion.",
-            "Give a longer film.",
-        )
+        what = f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion."
+        raise VideoError(what, "Give a longer film.")
     later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *later), len(head))
 
