@@ -26,11 +26,11 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
-from gyrotrack.io.readers._run import Limits, within
+from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import extract
@@ -157,15 +157,9 @@ def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
 
 def _within(series: Series, limits: Limits, warnings: list[str]) -> Series:
     """Return the samples of a film within the limits of the user, and add their number to the warnings."""
-    keep = within(series.time, limits)
+    keep = enough_within(series.time, limits)
     if keep.all():
         return series
-    if keep.sum() < MIN_SAMPLES:
-        raise UsageError(
-            f"{keep.sum()} samples remain within the limits; the times are {series.time[0]:.6g} to "
-            f"{series.time[-1]:.6g} s.",
-            "Choose --from, --to and --cut within these times.",
-        )
     warnings.append(f"{int((~keep).sum())} samples are excluded by --from, --to or --cut.")
     return _rows(series, keep)
 
@@ -308,21 +302,12 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
-    series = Series(
-        body.time,
-        body.angle,
-        body.sigma,
-        body.omega,
-        body.omega_sigma,
-        np.floor(body.angle / TURN).astype(np.int64),
-        sigma_source="measured",
-    )
     return Case(
         I_rotor=inertia,
         I_casing=inertia,
         label="",
         surface="",
-        casing=series,
+        casing=replace(series_of([body]), window=None),
         rotor=no_series(),
         recordings={"casing": recording},
         placements={
