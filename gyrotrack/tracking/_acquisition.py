@@ -231,10 +231,9 @@ def find_white(
     others: list[SampledMarker],
     least: float = LEAST_CONTRAST,
 ) -> Marker | None:
-    """Find a white marker by means of the coloured markers of the same body, `others`, in the samples `frames`.
+    """Find a white marker by the coloured markers of the same body, `others`, in the samples `frames`.
 
-    The median background is subtracted from every frame, which is then rotated back by the angle of the body; the
-    median of the rotated frames contains neither table, lamps nor bar.
+    Frames less their median are rotated back by the angle of the body: their median has no table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)

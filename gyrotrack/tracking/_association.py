@@ -211,8 +211,8 @@ def net_turn(angle: Floats) -> float:
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
 
-    The casing determines the sense, since it never turns by half a turn between frames; if it hardly moves, the rotor.
-    If neither moves, the bodies are assumed to turn clockwise as seen, as in the paper.
+    The casing determines it, which never turns by half a turn between frames, else the rotor, else clockwise as in the
+    paper.
     """
     if given is not None:
         return given

@@ -346,11 +346,7 @@ class TrackedBodies:
 
 
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
-    """Find the centre's path, and join the markers of each body about it.
-
-    Missing frames are inserted without data, so that the frames are equally spaced; the result contains only the
-    frames of the film. A frame that repeats the previous one has no angle.
-    """
+    """Find the centre's path, and join the markers of each body about it; repeated frames have no angle."""
     if seen.times.again is None:
         return _join_fresh(seen, scene, profile, fps)
     fresh, count = np.flatnonzero(~seen.times.again), len(seen.times.again)

@@ -54,8 +54,7 @@ class PaperAngle:
 def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
     """Compute angle (counter-clockwise as seen, in (-pi, pi]) and uncertainty from the near corners as the paper does.
 
-    `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; `centre` (n, 2) [px]; `use` are
-    the frames that enter the averages.
+    `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; averages are over frames `use`.
     """
     found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
     for part in row_blocks(len(corner)):

@@ -289,10 +289,9 @@ _STEPS = 12
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
-    """Return reasons to inspect a recording: lost frames, gaps with an undetermined number of turns, missing markers.
+    """Return reasons to inspect a recording: lost frames, missing markers, gaps with an undetermined number of turns.
 
-    The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
-    predict angles that differ by more than half a turn.
+    The angular rates before and after such a gap predict angles that differ by more than half a turn.
     """
     found, count = list(scene.doubts), len(time)
     for name, track in bodies.items():

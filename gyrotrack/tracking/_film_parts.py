@@ -67,10 +67,9 @@ def available_cores() -> int:
 
 
 def split(packets: Packets) -> tuple[Part, ...]:
-    """Return the parts of a film, in order; one part if it is short or its timestamps are not those of the frames.
+    """Return the parts of a film in order, an even number (as of cores); one if it is short or has no timestamps.
 
-    Their number is even, like most numbers of cores. Each part ends `OVERLAP` frames after the key frame of the next
-    one.
+    Each part ends `OVERLAP` frames after the key frame of the next one.
     """
     stamps, count = packets.stamps, len(packets.stamps)
     number = 2 * -(-count // (2 * PART))

@@ -140,10 +140,9 @@ class BodyTracker:
     def measure_batch(
         self, count: int, casing: Floats | None
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
-        """Measure the markers in the first `count` frames of the batch.
+        """Measure `count` frames of the batch; `casing` is the angle as seen of the body that occludes markers [rad].
 
-        `casing` is the angle as seen of the other body, whose bar may occlude markers [rad]. Returned are the unwrapped
-        coarse angles (count,) [rad], NaN where the body is lost, and the observations by marker.
+        Returned are the unwrapped coarse angles (count,) [rad], NaN where the body is lost, and the observations.
         """
         coarse = self._coarse[:count].copy()
         windows = {

@@ -310,8 +310,7 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
 def once_a_turn(curve: Floats) -> complex:
     """Return the displacement of the axis that a curve corresponds to, (x + i y) over the radius.
 
-    About an axis assumed at 0, a marker at v = e + r (cos a, sin a), y up, has the angle
-    a + (e_y cos a - e_x sin a) / r.
+    About an axis at 0, a marker at v = e + r (cos a, sin a), y up, has the angle a + (e_y cos a - e_x sin a) / r.
     """
     first = complex(np.fft.rfft(curve)[1]) * 2.0 / KNOTS
     return complex(first.imag, first.real)

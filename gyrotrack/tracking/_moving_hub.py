@@ -215,8 +215,7 @@ class _Link:
 def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
-    The background is the median of frames between which the picture changes equally, so that a body which comes to
-    rest does not become a part of it.
+    The background is the median of frames between which the picture changes equally, without bodies that come to rest.
     """
     moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
     steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])

@@ -79,8 +79,7 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    A marker causes a change towards its hue. At a place that it covers in most of the samples, the other samples have
-    the opposite change, which decreases the saturation and is excluded.
+    At a place that a marker covers in most samples the others have the opposite change, of less saturation: excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
