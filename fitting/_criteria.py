@@ -68,6 +68,7 @@ class Criteria:
         4.0, "process noise of a fit above that of the recording that voids its form [sigma]"
     )
     spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is not noise", "Baluev 2008")
+    periodic_torque: float = _criterion(0.001, "p-value of a torque of the angle that is not noise")
     doubt_named: float = _criterion(0.01, "smooth-test p-value that contradicts a named effect", "Hart 1997")
     doubt_adequate: float = _criterion(
         0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008"
@@ -138,7 +139,7 @@ class Criteria:
 
 _AT_MOST_ONE = frozenset({
     "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate", "spectral_line",
-    "shape_share", "refit_share", "refit_p", "refit_oscillation_p", "rival_share", "quieter",
+    "periodic_torque", "shape_share", "refit_share", "refit_p", "refit_oscillation_p", "rival_share", "quieter",
 })  # fmt: skip
 
 DEFAULT = Criteria()

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
+from fitting._criteria import DEFAULT
 from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
@@ -39,7 +39,6 @@ from fitting.inference._compression import (
     integrated,
     responses_to_harmonics,
 )
-from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
 from fitting.inference._process_noise import (
@@ -49,7 +48,12 @@ from fitting.inference._process_noise import (
     mean_acceleration,
 )
 from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
-from fitting.inference._spectral_lines import SpectralLine, line_rows, spectral_lines
+from fitting.inference._spectral_lines import (
+    SpectralLine,
+    line_rows,
+    p_value_of_response,
+    spectral_lines,
+)
 
 
 @dataclass(frozen=True)
@@ -268,22 +272,14 @@ class CaseData:
         return angles if self._shows_periodic_torque(angles) else angles[:, :0]
 
     def _shows_periodic_torque(self, responses: Array) -> bool:
-        """Return whether harmonics of the angle contain the response to a torque of the angle beside those of a camera.
+        """Return whether the angle contains the response to a torque of the angle beside those of a camera.
 
         The amplitude of the response decreases with the square of the speed; those of a camera are constant, or
-        increase with the speed. An F test of the harmonics of all blocks.
+        increase with the speed.
         """
-        z = self.casing.harmonic
-        camera, found = (
-            self.casing.at_samples(c)[1] for c in (camera_columns(self.casing.samples), responses)
-        )
-        basis = orthonormal(camera, _ROUNDING)
-        both = orthonormal(np.concatenate([camera, found], axis=1), _ROUNDING)
-        more, free = both.shape[1] - basis.shape[1], len(z) - both.shape[1]
-        if more <= 0 or free <= 0:
-            return False
-        without, with_ = (float(np.sum(orthogonal_to(b, z) ** 2)) for b in (basis, both))
-        return bool(fdtrc(more, free, (without / with_ - 1) * free / more) < _PERIODIC)
+        camera = self.casing.at_samples(camera_columns(self.casing.samples))[1]
+        p_value = p_value_of_response(self.casing, self._camera_rows, camera, responses)
+        return p_value < DEFAULT.periodic_torque
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
@@ -329,9 +325,7 @@ class CaseData:
     @cached_property
     def row_count(self) -> int:
         """Number of rows without those of harmonics that are zero because polynomials of the block represent them."""
-        k = self.casing.lift.shape[1]
-        empty = sum(int((~operator[k:].any(axis=1)).sum()) for _, operator in self.casing.operators)
-        return len(self.z) - empty
+        return len(self.z) - int((~self.casing.harmonic_exists).sum())
 
     def _tail(self, harmonic: Array) -> Array:
         """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the priors."""
@@ -660,8 +654,6 @@ _CENTRE, _TILT = 0.15, 0.05
 _LONGEST_STEP = 1.0
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
-# probability below which harmonics of the angle are not noise
-_PERIODIC = 1e-3
 
 
 def camera_columns(samples: Samples) -> Array:

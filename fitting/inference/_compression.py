@@ -128,6 +128,12 @@ class Compressed:
         return polynomial, harmonic
 
     @cached_property
+    def harmonic_exists(self) -> NDArray[np.bool_]:
+        """Which rows of harmonics are not zero because polynomials of the block represent them."""
+        k = self.lift.shape[1]
+        return np.concatenate([operator[k:].any(axis=1) for _, operator in self.operators])
+
+    @cached_property
     def binned_operators(self) -> list[tuple[Array, Array]]:
         """For each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
         return self.operators_of_bins(_BINS)

@@ -208,6 +208,8 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
 
 
 _FIRST_LEVEL = 0.01
+# share of the blocks at rest up to which these are left out where the level of random torque is estimated
+_MOST_AT_REST = 0.5
 # correlation time over the length of the record: a slower torque would absorb the error of the initial values
 _FIRST_TIME = 1 / 200
 
@@ -280,6 +282,22 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     return bool(phase > DEFAULT.gross_misfit)
 
 
+def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
+    """Return a column for each smooth row of the blocks in which the casing comes to rest, or is at rest, in a model.
+
+    None if hardly a block is left.
+    """
+    edges, still = prediction.path.mesh.edges, prediction.path.sense == 0
+    k = data.casing.lift.shape[1]
+    times = data.casing.samples.time
+    spans = np.array([(times[where][0], times[where][-1]) for where, _ in data.casing.operators])
+    overlaps = (edges[:-1][still] < spans[:, 1:]) & (edges[1:][still] > spans[:, :1])
+    rests = overlaps.any(axis=1)
+    if not rests.any() or rests.mean() > _MOST_AT_REST:
+        return np.zeros((len(data.z), 0))
+    return np.eye(len(data.z))[:, np.flatnonzero(np.repeat(rests, k))]
+
+
 def refine_level(
     problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
@@ -292,15 +310,16 @@ def refine_level(
     phase would be random, and the period, which is known best, would have no weight (measured: the torque of a pendulum
     6 % too small). The uncertainties are scaled by the residuals instead.
 
-    A random torque is never larger than the largest torque of the recording. Residuals after the model has come to rest
-    do not respond to a torque, and would be explained by torques without limit.
+    Where the model comes to rest, its rows hardly respond to a torque, and their residuals would be explained by
+    torques without limit: they are left out. A random torque is never larger than the largest torque of the recording.
     """
     found = []
     moving = ~problem.layout.at_bound(theta) & (not fixed)
     restoring = problem.layout.model.restoring
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
         columns = np.concatenate(
-            [p.columns[:, moving[p.places]], data.nuisance, data.harmonic_responses], axis=1
+            [p.columns[:, moving[p.places]], data.nuisance, data.harmonic_responses, _rows_at_rest(data, p)],
+            axis=1,
         )
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns)
         level = min(level, data.largest_torque or np.inf)

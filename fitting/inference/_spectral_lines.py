@@ -25,9 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from fitting._criteria import DEFAULT
 from fitting.inference._compression import Compressed
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_into_stretches
 
 Array = NDArray[np.float64]
@@ -42,6 +44,8 @@ _MOST = 4
 # share of its rows that a line must have orthogonal to the polynomials
 _RETAINED = 0.05
 _TINY = 1e-6
+# relative singular value of a direction that is rounding
+_ROUNDING = 1e-7
 # shares of the most likely process noise without a line, which is an upper bound
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
 
@@ -93,6 +97,47 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
     return np.concatenate(parts)
 
 
+def p_value_of_response(run: Compressed, nuisance: Array, camera: Array, responses: Array) -> float:
+    """Return the p-value of responses of the angle to a torque, if there is none: of the fall of the deviance.
+
+    Parameters
+    ----------
+    run : Compressed
+        Projected angles.
+    nuisance : ndarray, shape (rows, columns)
+        Polynomial rows of the nuisance functions, at one standard deviation of their prior.
+    camera : ndarray, shape (rows, columns)
+        Rows of harmonics of the same functions.
+    responses : ndarray, shape (samples, columns)
+        The responses at the samples.
+    """
+    smooth, waves = run.at_samples(responses)
+    size = np.linalg.norm(np.concatenate([smooth, waves]), axis=0)
+    smooth, waves = smooth[:, size > 0] / size[size > 0], waves[:, size > 0] / size[size > 0]
+    basis = orthonormal(camera, _ROUNDING)
+    data, waves = orthogonal_to(basis, run.harmonic), orthogonal_to(basis, waves)
+    # harmonics that a camera changes from block to block have more noise than the samples
+    left = orthogonal_to(orthonormal(waves, _ROUNDING), data)
+    free = int(run.harmonic_exists.sum()) - basis.shape[1] - waves.shape[1]
+    scale = math.sqrt(max(1.0, float(left @ left) / max(free, 1)))
+    stretches = split_into_stretches(run, nuisance)
+    noises = [s.whitenings_at(_noise_times(run), _SHARES) for s in stretches]
+    deviances = np.sum([[d for _, d in noise] for noise in noises], axis=0)
+    falls = [0.0]
+    for i, deviance in enumerate(deviances - deviances.min()):
+        whitened = [(noise[i][0], s) for s, noise in zip(stretches, noises, strict=True)]
+        columns = np.concatenate([*(w @ s.project(smooth[s.rows]) for w, s in whitened), waves / scale])
+        rows = np.concatenate([*(w @ s.projected for w, s in whitened), data / scale])
+        falls.append(float(np.sum((orthonormal(columns, _ROUNDING).T @ rows) ** 2) - deviance))
+    return float(chdtrc(max(1, smooth.shape[1]), max(falls)))
+
+
+def _noise_times(run: Compressed) -> tuple[float, ...]:
+    """Return correlation times of the process noise of stretches [s]."""
+    block = float(np.ptp(run.samples.time)) / len(run.lift)
+    return 0.03 * block, 0.3 * block, block
+
+
 def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | None:
     """Return the most significant line; None if there is none."""
     span = float(np.ptp(run.samples.time))
@@ -100,8 +145,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     step = 2 * np.pi / span / _PER_PEAK
     if highest <= lowest:
         return None
-    block = span / len(run.lift)
-    noises = [s.whitenings_at((0.03 * block, 0.3 * block, block), _SHARES) for s in stretches]
+    noises = [s.whitenings_at(_noise_times(run), _SHARES) for s in stretches]
 
     def left_out(parts: Array) -> Array:
         """Return the sums over all stretches but one, for each of them."""

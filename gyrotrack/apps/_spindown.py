@@ -26,7 +26,7 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, series_of
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
@@ -269,6 +269,7 @@ def film_recording(
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
             "centre_from": tracked.way,
+            "doubts": list(tracked.warnings[-1:]) if tracked.ambiguous else [],
             "tracking": {
                 "method": "registration of the polar picture",
                 "hub_px": list(tracked.ring.hub),
@@ -374,7 +375,7 @@ def _analysed(
     }
     write_case(target, case, command=command, settings=settings, force=force)
     picture = None
-    ambiguous = body is not None and body[1].ambiguous
+    ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
     if body is not None:
         picture = target.with_suffix(".png")
         write_body_picture(picture, *body, force=True)

@@ -215,6 +215,11 @@ def windows_of(series: Series) -> Integers:
 _EQUAL_SPEEDS = 0.003
 
 
+def doubts_of(recording: Recording) -> tuple[str, ...]:
+    """Return the reasons why the angles of a recording may be wrong, as stored in its file."""
+    return tuple(recording.extra.get("doubts", ()))
+
+
 def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 

@@ -16,7 +16,16 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrotrack._errors import SyncError, UsageError
-from gyrotrack.io._records import BodyTrack, Case, Floats, Placement, Recording, series_of, speed_warnings
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    Floats,
+    Placement,
+    Recording,
+    doubts_of,
+    series_of,
+    speed_warnings,
+)
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
 from gyrotrack.synchronisation._search import NEAR, RATE_SIGMA, RIVAL, Prepared, half_length, prepare, survey
 
@@ -259,7 +268,15 @@ def synchronise(
         rotor=of_rotor,
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
-        warnings=(*_warnings(matches, rotor_tracks, order), *speed_warnings(of_casing, of_rotor, remedy)),
+        warnings=(
+            *(
+                f"{n}: {doubt}"
+                for n, r in zip(names, [casing, *rotors], strict=True)
+                for doubt in doubts_of(r)
+            ),
+            *_warnings(matches, rotor_tracks, order),
+            *speed_warnings(of_casing, of_rotor, remedy),
+        ),
         extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))

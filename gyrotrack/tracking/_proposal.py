@@ -352,7 +352,11 @@ def name_bodies(
         alone = len(one.members) == 1
         casing = alone and circle is not None and nearest_colour(circle.hue) == one.members[0].colour
         name: Body = "casing" if casing else "rotor"
-        why = "it has the colour of the disc" if casing else "nothing else turns"
+        why = (
+            "it has the colour of the disc"
+            if casing
+            else "no other coloured marker turns (a body with white markers only is not found: add a coloured one)"
+        )
         notes.append(f"Only one body turns; it is assumed to be the {name}, because {why}.")
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))

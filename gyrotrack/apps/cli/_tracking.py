@@ -234,6 +234,7 @@ def extract_command(
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
     from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._records import doubts_of
     from gyrotrack.plotting._frames import (
         check_contact_sheet,
         check_overlay,
@@ -278,7 +279,7 @@ def extract_command(
         raise
     out.result(document)
     out.show(_extraction_lines(document))
-    return NOT_TRUSTED if recording.extra.get("doubts") else DONE
+    return NOT_TRUSTED if doubts_of(recording) else DONE
 
 
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:

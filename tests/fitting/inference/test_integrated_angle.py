@@ -81,6 +81,16 @@ def test_strong_periodic_torque_is_not_correlated_angle_noise():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("strength", "step", "shown"), [(1.1, 0.01, True), (0.0, 0.01, False), (0.0, 0.03, False)]
+)
+def test_harmonics_are_free_only_where_the_angle_shows_a_torque(strength, step, shown):
+    # blocks of a second hold less than two turns: most rows of harmonics are polynomials, and empty
+    record, _ = wheel(strength, 1, quantity="angle", step=step)
+    assert CaseData.of(record).harmonic_responses.any() == shown
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("strength", "quantity"), [(1.1, "omega"), (0.03, "omega"), (1.1, "angle")])
 def test_standard_errors_are_those_of_repeats(strength, quantity):
     errors = []
