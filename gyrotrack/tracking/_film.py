@@ -24,25 +24,18 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _MOST = 400
-_FEWEST = 6
-"""Smallest number of inliers; fewer features may belong to a small body."""
-_ALIKE = 0.7
-"""Largest residual [px] of a feature of the background from the motion of the picture."""
-_STILL = 0.35
-"""Largest displacement [px] of a feature of the background for a camera at rest."""
-_OFTEN = 0.8
-"""Smallest share of frames in which a feature of the background is an inlier."""
-_MOST_ROLL = 0.05
-"""Largest roll of the camera [rad]; a body that turns farther is not the background."""
+_FEWEST = 6  # smallest number of inliers; fewer features may belong to a small body
+_ALIKE = 0.7  # largest residual [px] of a feature of the background from the motion of the picture
+_STILL = 0.35  # largest displacement [px] of a feature of the background for a camera at rest
+_OFTEN = 0.8  # smallest share of frames in which a feature of the background is an inlier
+_MOST_ROLL = 0.05  # largest roll of the camera [rad]; a body that turns farther is not the background
+# smallest distance of two features that determine the roll, relative to the size of the picture
 _APART = 0.15
-"""Smallest distance of two features that determine the roll, relative to the size of the picture."""
 _TRIES = 300
+# smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less
 _WIDEST_BODY = 0.05
-"""Smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less."""
-_CLEAR = 5.0
-"""Smallest significant motion of the camera in standard uncertainties."""
-_LEAST = 0.15
-"""Rms displacement [px] below which a camera counts as at rest, the size of tracking errors."""
+_CLEAR = 5.0  # smallest significant motion of the camera in standard uncertainties
+_LEAST = 0.15  # rms displacement [px] below which a camera counts as at rest, the size of tracking errors
 
 
 @dataclass(frozen=True)
@@ -226,12 +219,9 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     )
 
 
-_HELD = 600_000_000
-"""Largest size of the decoded pictures that are kept in temporary files [bytes] ..."""
-_FILE = 32_000_000
-"""... of this size ..."""
-_RELEASES = 2
-"""... each of which is read in so many parts."""
+_HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
+_FILE = 32_000_000  # ... of this size
+_RELEASES = 2  # ... each of which is read in so many parts
 
 
 class Film:

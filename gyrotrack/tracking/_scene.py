@@ -82,14 +82,12 @@ class Scene:
         return tuple(body for body in ("casing", "rotor") if self.of(body))
 
 
-HEAD = 48
-"""Number of consecutive first frames; at 0.2 rad per frame they cover more than a turn."""
+HEAD = 48  # number of consecutive first frames; at 0.2 rad per frame they cover more than a turn
+# number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest
 KEYS = 20
-"""Number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest."""
-LATER = 32
-"""Number of samples from the rest of a film with fewer key frames."""
+LATER = 32  # number of samples from the rest of a film with fewer key frames
+# largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller
 DECODED = 240
-"""Largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller."""
 FEWEST = 8
 _BLOB_WIDTH = 400
 
@@ -191,10 +189,8 @@ def take_samples(path: Path) -> Samples:
     if not head:
         raise VideoError(f"No frame of {path} can be decoded.", "Copy the film from the camera again.")
     if len(head) < FEWEST:
-        raise VideoError(
-            f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion.",
-            "Give a longer film.",
-        )
+        what = f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion."
+        raise VideoError(what, "Give a longer film.")
     later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *later), len(head))
 
