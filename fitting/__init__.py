@@ -45,16 +45,16 @@ if TYPE_CHECKING:
     from fitting.study._scan_tables import scan_lines
     from fitting.study._serialisation import load_fit
 
+__all__ = [
+    "GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Candidate", "Criteria", "Diagnosis", "Effect", "EffectError",
+    "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Ledger",
+    "LedgerError", "Model", "Parameter", "Record", "RecordError", "Scan", "SimulationError", "budget",
+    "compare", "diagnose", "effect", "fit", "improve", "laws", "load", "load_fit", "make_record", "plan",
+    "predict_recordings", "profile_interval", "read_effects", "scan", "scan_lines", "simulate",
+]  # fmt: skip
+
 _MODULES = {
-    "fitting._errors": (
-        "EffectError",
-        "EstimationError",
-        "ExpressionError",
-        "FittingError",
-        "LedgerError",
-        "RecordError",
-        "SimulationError",
-    ),
+    "fitting._errors": tuple(n for n in __all__ if n.endswith("Error")),
     "fitting._criteria": ("Criteria",),
     "fitting.discovery._laws": ("laws",),
     "fitting.discovery._plan": ("plan",),
@@ -77,49 +77,6 @@ _MODULES = {
 }
 _ALIASES = {"effect": "resolve", "profile_interval": "profile"}
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
-
-__all__ = [
-    "GENERAL",
-    "LIBRARY",
-    "LINEAR",
-    "REDUCED",
-    "Candidate",
-    "Criteria",
-    "Diagnosis",
-    "Effect",
-    "EffectError",
-    "Estimate",
-    "EstimationError",
-    "Experiment",
-    "ExpressionError",
-    "Fit",
-    "FittingError",
-    "Ledger",
-    "LedgerError",
-    "Model",
-    "Parameter",
-    "Record",
-    "RecordError",
-    "Scan",
-    "SimulationError",
-    "budget",
-    "compare",
-    "diagnose",
-    "effect",
-    "fit",
-    "improve",
-    "laws",
-    "load",
-    "load_fit",
-    "make_record",
-    "plan",
-    "predict_recordings",
-    "profile_interval",
-    "read_effects",
-    "scan",
-    "scan_lines",
-    "simulate",
-]
 
 
 def __getattr__(name: str) -> Any:

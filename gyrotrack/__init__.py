@@ -20,17 +20,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gyrotrack._errors import (
-        ConfigurationError,
-        DatasetError,
-        GyrotrackError,
-        OutputError,
-        ProfileError,
-        SyncError,
-        TrackingError,
-        UsageError,
-        VideoError,
-    )
     from gyrotrack.apps._api import extract, read, sync
     from gyrotrack.apps._simulation import SimulatedRun
     from gyrotrack.apps._study import FitRequest, Study, open_study
@@ -42,20 +31,20 @@ if TYPE_CHECKING:
     from gyrotrack.tracking._profile import Profile
     from gyrotrack.tracking._proposal import Proposal, propose
 
+from gyrotrack._errors import (
+    ConfigurationError,
+    DatasetError,
+    GyrotrackError,
+    OutputError,
+    ProfileError,
+    SyncError,
+    TrackingError,
+    UsageError,
+    VideoError,
+)
 from gyrotrack._versions import __version__ as __version__
 
 _MODULES = {
-    "gyrotrack._errors": (
-        "ConfigurationError",
-        "DatasetError",
-        "GyrotrackError",
-        "OutputError",
-        "ProfileError",
-        "SyncError",
-        "TrackingError",
-        "UsageError",
-        "VideoError",
-    ),
     "gyrotrack.apps._api": ("extract", "read", "sync"),
     "gyrotrack.apps._simulation": ("SimulatedRun",),
     "gyrotrack.apps._study": ("FitRequest", "Study", "open_study"),

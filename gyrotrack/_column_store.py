@@ -22,14 +22,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-LEAST_BYTES = 1 << 18
-"""Smallest size of a table that is stored in a file [bytes]."""
-BLOCK_ROWS = 4096
-"""Rows of a block, in which columns are processed."""
-_BLOCKS_PER_RELEASE = 8
-"""Blocks of rows between two releases of pages; each release takes time."""
-MOST_FILES = 128
-"""Largest number of files; each needs a file handle."""
+LEAST_BYTES = 1 << 18  # smallest size of a table that is stored in a file [bytes]
+BLOCK_ROWS = 4096  # rows of a block, in which columns are processed
+_BLOCKS_PER_RELEASE = 8  # blocks of rows between two releases of pages; each release takes time
+MOST_FILES = 128  # largest number of files; each needs a file handle
 _ALIGNMENT = 64
 _DONTNEED: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on Windows
 _files: WeakSet[mmap.mmap] = WeakSet()
@@ -83,8 +79,7 @@ def release_memory() -> None:
             ctypes.CDLL(None).malloc_trim(0)
 
 
-_LEAST_READ = 8 << 20
-"""Bytes of pictures that are read between two releases of pages."""
+_LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of pages
 
 
 class StoredPictures(Sequence[Array]):

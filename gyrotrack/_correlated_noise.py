@@ -162,11 +162,7 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
 def _noise_models(
     white: Floats, when: Floats, psi: Floats | None = None
 ) -> Iterator[tuple[int, float, float, Floats]]:
-    """Yield the family, q, tau in bins, and the covariance of the noise.
-
-    Families: 0 white, 1 correlated in time, 2 harmonic in the angle, 3 both. The last two are yielded only where the
-    bins resolve a turn.
-    """
+    """Yield family (0 white, 1 in time; where bins resolve a turn: 2 in the angle, 3 both), q, tau, covariance."""
     lag = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))
     correlated = [(q, c) for q in _VARIANCE_RATIOS for c in _TIMES]

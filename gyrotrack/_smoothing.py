@@ -21,21 +21,16 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-WIDTH = 51
-"""Points of the paper's running medians."""
+WIDTH = 51  # points of the paper's running medians
+# half width of the window in which the motion of a body is approximated by a parabola [frames]
 HALF_WINDOW = 20
-"""Half width of the window in which the motion of a body is approximated by a parabola [frames]."""
-FAR = 6.0
-"""Standard deviations beyond which an observation is an outlier."""
-FEWEST = 8
-"""Smallest number of residuals of which a scatter is estimated."""
-_MIN_PATH = 6
-"""Smallest number of known angles of which a path is made."""
-_SIGNIFICANT = 3.5
-"""Standard deviations beyond which a correlation is significant."""
+FAR = 6.0  # standard deviations beyond which an observation is an outlier
+FEWEST = 8  # smallest number of residuals of which a scatter is estimated
+_MIN_PATH = 6  # smallest number of known angles of which a path is made
+_SIGNIFICANT = 3.5  # standard deviations beyond which a correlation is significant
 _MIN_NU, _MAX_NU = 5.0, 1e3
+# degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)
 BORROWED_NU = 4.0
-"""Degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)."""
 _BLOCK = 1024
 _MIN_JITTER_SHARE = 0.5
 _MAX_SHARE_SIGMA = 0.2
@@ -276,11 +271,7 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 
 
 class TimeBase:
-    """A non-uniform time base: the times at which the frames of a film were taken.
-
-    `place` (n,) are the times in periods of the capture rate, `sigma` is their standard deviation, independent from
-    frame to frame.
-    """
+    """The times `place` (n,) of frames in periods of the capture rate, with independent errors `sigma`."""
 
     def __init__(self, place: Floats, sigma: float = 0.0) -> None:
         self.place = place - place[0]

@@ -90,6 +90,7 @@ class Keeper:
 
 def keep(checkout: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
+    _refuse_another_package(checkout.resolve())
     with tempfile.TemporaryDirectory() as scratch:
         keeper, work = Keeper(checkout, folder, Path(scratch)), Path(scratch)
         clips = {"casing": 260, "rotor_1": 1000, "rotor_2": 1000, "rotor_3": 1000}
@@ -117,6 +118,19 @@ def keep(checkout: Path, folder: Path) -> None:
         keeper.command("joint_fit", "fit", *pair, "--joint")
         keeper.command("joint_diagnose", "diagnose", *pair)
         keeper.command("scan", "scan", pair[0])
+
+
+def _refuse_another_package(checkout: Path) -> None:
+    """Stop if this interpreter imports another copy: the finder of an editable install precedes PYTHONPATH."""
+    line = [sys.executable, "-c", "import fitting; print(fitting.__file__)"]
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    found = subprocess.run(
+        line, env=environment, cwd=checkout, capture_output=True, text=True, check=True
+    ).stdout
+    if not Path(found.strip()).is_relative_to(checkout):
+        sys.exit(
+            f"{found.strip()} would be measured, not {checkout}: run with the interpreter of that checkout"
+        )
 
 
 def compare(old: Path, new: Path, *, sentences: bool) -> int:

@@ -87,12 +87,8 @@ class Information:
         found = {}
         for e in self.fit.model.smooth.effects:
             key = f"{e.name}.{e.amplitude.symbol}" if e.amplitude is not None else ""
-            if (
-                e.name not in GENERAL
-                and e.kind == "physical"
-                and key in self._shared
-                and key not in self._held
-            ):
+            free = key in self._shared and key not in self._held
+            if free and e.name not in GENERAL and e.kind == "physical":
                 found[e.name] = self._shared.index(key), self.fit.estimates[key].value
         return found
 
@@ -162,11 +158,8 @@ def simulated(fit: Fit, run: Run) -> Fit:
 
     def samples(t: Array, state: str, like: Samples, effective: float, fewest: int) -> Samples:
         sampler = Sampler(path.mesh, t)
-        value = (
-            sampler.integral(*path.angle(state))
-            if angle
-            else sampler.value(path.y[..., path.states.index(state)])
-        )
+        starts, speed = path.angle(state)
+        value = sampler.integral(starts, speed) if angle else sampler.value(speed)
         # the number of independent samples per second is that of the recording
         rate = effective / max(float(like.time[-1] - like.time[0]), 1e-9)
         seconds = max(float(t[-1] - t[0]), 1e-9)
@@ -174,9 +167,8 @@ def simulated(fit: Fit, run: Run) -> Fit:
         return Samples(t, value, np.full(len(t), sigma))
 
     first = fit.problem.data[0]
-    casing = samples(
-        time, "omega_c", template.casing, first.casing.n_effective / first.casing.scale**2, count
-    )
+    effective = first.casing.n_effective / first.casing.scale**2
+    casing = samples(time, "omega_c", template.casing, effective, count)
     windows = []
     if template.rotor:
         like, run_of = template.rotor[0], first.rotor[0]
@@ -259,11 +251,8 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
     everything = [k for c in columns for k in c]
     n = len(information.present)
     augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n], augmented[:n, n], augmented[n, :n] = (
-        information.present,
-        information.right,
-        information.right,
-    )
+    augmented[:n, :n] = information.present
+    augmented[:n, n] = augmented[n, :n] = information.right
     reduced = schur(augmented, [*everything, n], base)
     full, right = reduced[:-1, :-1], reduced[:-1, -1]
     index = {k: i for i, k in enumerate(everything)}
@@ -285,11 +274,8 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
                 continue
             g = np.linalg.solve(block, right[at] / size[at])
             gain = float(g @ (right[at] / size[at]))
-            signs = [
-                v < 0 and one_sided[i]
-                for i, v in zip([i for i in chosen for _ in columns[i]], g, strict=True)
-            ]
-            if any(signs):
+            owners = [i for i in chosen for _ in columns[i]]
+            if any(v < 0 and one_sided[i] for i, v in zip(owners, g, strict=True)):
                 continue
             bic = -gain + per_parameter * sum(count[i] for i in chosen)
             scored[frozenset(chosen)] = bic, g / size[at]

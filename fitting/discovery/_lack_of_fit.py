@@ -47,7 +47,8 @@ from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._fit import fit_like
-from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear, r_factor
+from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear
+from fitting.inference._metrics import FewRows
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
@@ -143,24 +144,17 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     record = cases[0][0].record
     bodies = (record.body,) if record.single else (record.body, "rotor", "bearing")
     choices = _choices(np.concatenate(values, axis=1)[: len(bodies)])
-    tried, free, residual, shares = [], [], [], []
+    found, widths = [], np.cumsum([len(knots) for _, knots, _ in choices])[:-1]
     for response, speed, (data, p, noise) in zip(responses, values, cases, strict=True):
         acting = response.casing, response.casing - response.rotor
         torques = [acting[body] @ piecewise_linear(speed[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
-        project = Projection(data, noise.whitener.at(noise.pure))
-        white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
-        shares.append(project.whitener.share(orthonormal(white[:, : rows.shape[1]], _RANK)))
-        few = r_factor(white)
-        *parts, rest = np.split(few, np.cumsum([t.shape[1] for t in torques]), axis=1)
-        tried.append(parts)
-        free.append(np.zeros((len(few), p.count)))
-        free[-1][:, p.places] = rest[:, :-1]
-        residual.append(rest[:, -1])
-    joined = [np.concatenate(parts) for parts in zip(*tried, strict=True)]
+        found.append(FewRows.of(data, p, noise, rows))
+    tried, free, residual, shares = zip(*found, strict=True)
+    joined = np.split(np.concatenate(tried), widths, axis=1)
     names = [bodies[which] for which, _, _ in choices]
-    return names, joined, np.concatenate(free), np.concatenate(residual), shares
+    return names, joined, np.concatenate(free), np.concatenate(residual), list(shares)
 
 
 def _choices(values: Array) -> list[tuple[int, Array, int]]:
@@ -280,9 +274,8 @@ class _Periodogram:
 
     def share(self, rate: float) -> float:
         """Return the share of the process noise in the variance of the response at a frequency [rad/s]."""
-        return self._project.whitener.share(
-            orthonormal(self._orthogonal(self._response_to(np.array([rate]))), _RANK)
-        )
+        response = self._orthogonal(self._response_to(np.array([rate])))
+        return self._project.whitener.share(orthonormal(response, _RANK))
 
     def _response_to(self, rates: Array) -> Array:
         phase = np.outer(self._response.centres, rates)
@@ -366,9 +359,8 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
             chi2, count = chi2 + float(gamma @ (s.T @ r)), count + 2
             if np.hypot(*gamma) > torque:
                 torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
-        p_value = (
-            min(1.0, len(_ORDERS) * float(tail_probability(chi2, count, fit.noise, shares))) if count else 1.0
-        )
+        single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
+        p_value = min(1.0, len(_ORDERS) * single)
         # a high order hardly moves the body: to account for an error of the motion it would exceed all other torques
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, p_value, fit.torque_unit)

@@ -497,9 +497,8 @@ class _Search:
             if not s.absorbed and s.score > 0 and law.effect.name not in known
             if law.effect.state is None or not stateless
         ]
-        return sorted(found, key=lambda c: self._worth(c.score, c.law.description_length), reverse=True)[
-            :most
-        ]
+        found.sort(key=lambda c: self._worth(c.score, c.law.description_length), reverse=True)
+        return found[:most]
 
     def _refits(
         self, chosen: Sequence[_Chosen], about: Fit, noise: Sequence[Noise], replaced: Sequence[LawForm] = ()
@@ -696,9 +695,8 @@ def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
 def _separation(one: Fit, other: Fit) -> float:
     """Return the deviance by which data that one fit predicts exactly would separate the other one from it."""
     total = 0.0
-    for data, noise, a, b in zip(
-        one.problem.data, one.noise, one.predictions, other.predictions, strict=True
-    ):
+    both = zip(one.problem.data, one.noise, one.predictions, other.predictions, strict=True)
+    for data, noise, a, b in both:
         white = noise.whitener(np.column_stack([data.nuisance, a.rows - b.rows]))
         free = orthonormal(white[:, :-1], _RANK)
         projected = orthogonal_to(free, white[:, -1])
@@ -711,9 +709,8 @@ def _difference(one: Law, other: Law) -> Difference | None:
     worst: Difference | None = None
     for case, data in enumerate(one.fit.problem.data):
         t = np.linspace(*data.record.span, _POINTS)
-        difference = np.abs(
-            net_torques(one.fit, one.fit, case, t) - net_torques(other.fit, one.fit, case, t)
-        ).max(axis=0)
+        own, others = (net_torques(x.fit, one.fit, case, t) for x in (one, other))
+        difference = np.abs(own - others).max(axis=0)
         peak = int(np.argmax(difference))
         if worst is not None and difference[peak] <= worst.torque_Nm:
             continue
@@ -772,9 +769,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
         )
     best, depends_on = found.laws[0], found.depends_on
     # in a single run two variables may be nearly functions of each other: then the variable of the law is named
-    of_law = {
-        (e.joint, v) for e in best.effects for v in symbols(e.expression) - {p.symbol for p in e.parameters}
-    }
+    of_law = {(e.joint, v) for e in best.effects for v in symbols(e.expression)}
     least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
     preferred = [d for d in depends_on if (d.body, d.variable) in of_law and d.explained > least]
     first = next(iter([*preferred, *depends_on]), None)

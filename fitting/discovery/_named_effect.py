@@ -32,7 +32,6 @@ with the ratio free, and the best ones are refitted with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -54,9 +53,8 @@ from fitting.inference._linear_algebra import (
     orthogonal_to,
     orthonormal,
     piecewise_linear,
-    r_factor,
 )
-from fitting.inference._problem import Projection
+from fitting.inference._metrics import FewRows
 from fitting.inference._result import Estimate, Fit
 
 Array = NDArray[np.float64]
@@ -105,21 +103,19 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
         spline = _cubic_spline(c.along_motion("t")) if slow else np.zeros((len(v), 0))
         splines.append(c.torque_rows(-spline * bool(rotor.any()), spline * bool(casing.any())))
     effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
-    rows = [
-        _projected(found, i, parts) for i, parts in enumerate(zip(deviations, splines, effects, strict=True))
-    ]
-    free, residual = np.concatenate([r[3] for r in rows]), np.concatenate([r[4][:, 0] for r in rows])
-    response = _orthogonal(np.concatenate([r[0] for r in rows]), free)
+    columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
+    known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
+    rows = [FewRows.of(*case) for case in known]
+    free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
+    tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
+    response = _orthogonal(np.concatenate([t[0] for t in tested]), free)
     names, p = _active_bounds(found, free, residual)
     per_case = len(cases) > 1 and effect.per_case
-    spline = block_diagonal([r[1] for r in rows]) if per_case else np.concatenate([r[1] for r in rows])
-    torque = np.concatenate([r[2] for r in rows])[:, 0]
-    any_in_time = (
-        slow and _rise_with_spline(found, effect, spline, torque, free, residual) < criteria.equivalence_width
-    )
-    return FormTest(
-        _limit(response, square / max(torque_square, _TINY), criteria), variable, names, p, any_in_time
-    )
+    spline = (block_diagonal if per_case else np.concatenate)([t[1] for t in tested])
+    torque = np.concatenate([t[2] for t in tested])[:, 0]
+    rise = _rise_with_spline(found, effect, spline, torque, free, residual) if slow else math.inf
+    limit = _limit(response, square / max(torque_square, _TINY), criteria)
+    return FormTest(limit, variable, names, p, rise < criteria.equivalence_width)
 
 
 def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, Array]:
@@ -150,19 +146,6 @@ def _cubic_spline(t: Array) -> Array:
     x = (t - t[0]) / (t[-1] - t[0])
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1]
     return np.concatenate([np.vander(x, 4), np.abs(x[:, None] - knots) ** 3], axis=1)
-
-
-def _projected(found: Fit, index: int, parts: Sequence[Array]) -> list[Array]:
-    """Return columns, those of all variables of the fit, and the residual of one case, as R of a QR decomposition."""
-    data, p, noise = found.problem.data[index], found.predictions[index], found.noise[index]
-    project = Projection(data, noise.whitener.at(noise.pure))
-    white = project(np.concatenate([*parts, p.columns, (data.z - p.rows)[:, None]], axis=1))
-    *few, columns, residual = np.split(
-        r_factor(white), np.cumsum([*(part.shape[1] for part in parts), p.columns.shape[1]]), axis=1
-    )
-    free = np.zeros((len(columns), p.count))
-    free[:, p.places] = columns
-    return [*few, free, residual]
 
 
 def _orthogonal(columns: Array, free: Array) -> Array:
@@ -275,17 +258,13 @@ def with_free_inertia(
         model = base.model.with_effect(LIBRARY[INERTIA])
         freed = fit_like(base, model, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)
-        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed][
-            :_MOST_REFITS
-        ]
-        near = [c for c in usable if c.score > usable[0].score - criteria.equivalence_width]
+        usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed]
+        near = [c for c in usable[:_MOST_REFITS] if c.score > usable[0].score - criteria.equivalence_width]
         refits = [(c.effect.name, refit(freed, c.screened, criteria)) for c in near]
-        best = min(
-            ((name, f) for name, f in refits if f is not None), key=lambda item: item[1].bic, default=None
-        )
-        if best is None:
+        usable_fits = [(f.bic, name, f) for name, f in refits if f is not None]
+        if not usable_fits:
             return None
-        name, found = best
+        _, name, found = min(usable_fits, key=lambda item: item[0])
         share, stated = found.estimates[_SHARE], relative_uncertainty(base)
         largest = criteria.inertia_sigma * stated if stated > 0 else criteria.inertia_largest
         credible = abs(share.value) <= largest + criteria.inertia_sigma * share.stderr

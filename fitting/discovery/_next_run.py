@@ -129,9 +129,7 @@ class _Criterion:
         found = {}
         for (i, a), (j, b) in itertools.permutations(enumerate(self._rivals), 2):
             own = [k for k in a.columns if k not in b.columns]
-            strengths = np.array(
-                [g for k, g in zip(a.columns, a.strengths, strict=True) if k not in b.columns]
-            )
+            strengths = a.strengths[[k not in b.columns for k in a.columns]]
             if own:
                 found[i, j] = float(strengths @ schur(total, own, [*self._base, *b.columns]) @ strengths)
         return found
@@ -143,9 +141,8 @@ class _Criterion:
 
     def limits(self, total: Array) -> Array:
         """Return the information about the strength of each candidate alone."""
-        return np.array(
-            [float(np.trace(schur(total, places, self._all))) / len(places) for places in self._candidates]
-        )
+        traces = [float(np.trace(schur(total, places, self._all))) for places in self._candidates]
+        return np.array(traces) / [len(places) for places in self._candidates]
 
     def __call__(self, total: Array) -> float:
         after = np.maximum(self.limits(total), 1e-300)

@@ -180,10 +180,8 @@ def _strengths(best: Averaged, shares: Array, data: CaseData) -> dict[str, Stren
     """Return the strengths of a set of laws with their standard uncertainties."""
     keys, design, rest = best.rows[0]
     blocks = np.split(design, 2)
-    precision = sum(
-        (share * block.T @ block for share, block in zip(shares, blocks, strict=True)), np.zeros(())
-    )
-    covariance = np.linalg.pinv(np.atleast_2d(precision))
+    precision = shares[0] * blocks[0].T @ blocks[0] + shares[1] * blocks[1].T @ blocks[1]
+    covariance = np.linalg.pinv(precision)
     chi2 = float(shares @ (rest.reshape(2, -1) ** 2).sum(axis=1))
     free = max(float(shares.sum()) * len(rest) / 2 - len(keys) - 2, 1.0)
     errors = np.sqrt(np.diag(covariance) * max(1.0, chi2 / free))

@@ -362,13 +362,10 @@ class Search:
         )
         tests: dict[str, list[_Test]] = {e.name: [] for e in self.effects}
         for each, (e, test, factor, n) in zip(nulls, raw, strict=True):
-            significant = np.array(
-                [_smallest_score(null, family, factor, self.criteria.significance) for null in each]
-            )
-            bic = needed_evidence(e, self.fit, self.criteria) + n * len(e.free) * math.log(
-                self.fit.problem.rows
-            )
-            tests[e.name].append(_Test(test.parts, test.null, np.maximum(significant, bic)))
+            least = [_smallest_score(null, family, factor, self.criteria.significance) for null in each]
+            penalty = n * len(e.free) * math.log(self.fit.problem.rows)
+            bic = needed_evidence(e, self.fit, self.criteria) + penalty
+            tests[e.name].append(_Test(test.parts, test.null, np.maximum(least, bic)))
         return tests
 
     def _nulls(self, effect: Effect, test: _Test, columns: int) -> list[NullDistribution]:

@@ -84,9 +84,8 @@ class ScoreContext:
         random = np.random.default_rng(_SEED)
         shares = np.linspace(0, 1, _LEVELS) if any(n.raised for n in fit.noise) else np.array([1.0])
         self._axes = [n.whitener.vectors for n in fit.noise]
-        self._whiteners = [
-            [n.whitener.at(_level_between(n.least, n.level, x)) for n in fit.noise] for x in shares
-        ]
+        levels = [[_level_between(n.least, n.level, x) for n in fit.noise] for x in shares]
+        self._whiteners = [[n.whitener.at(x) for n, x in zip(fit.noise, at, strict=True)] for at in levels]
         # a parameter at its bound is held, unless it is released: only the refit enforces the bound
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
@@ -208,16 +207,13 @@ class CaseColumns:
         if oscillation is not None:
             measured = np.interp(self.response.centres, oscillation.time, oscillation.deflection)
             self._known = {"deflection": measured} | self._known
-        tau = Tape([self.case.dynamics.bearing_torque])(
-            self._known | self.case.dynamics.constants | self.numbers
-        )
+        dynamics = self.case.dynamics
+        tau = Tape([dynamics.bearing_torque])(self._known | dynamics.constants | self.numbers)
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
-        rates = self.case.dynamics.rates(self.response.centres, y, self.numbers)
+        rates = dynamics.rates(self.response.centres, y, self.numbers)
         # torque by which a factor of the bearing torque, or of the acceleration of the casing, is multiplied
-        self._scaled_torque = {
-            "factor": self._known["tau"],
-            "inertia": self.numbers[INERTIA_CASING] * rates[:, 1],
-        }
+        net = self.numbers[INERTIA_CASING] * rates[:, 1]
+        self._scaled_torque = {"factor": self._known["tau"], "inertia": net}
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
@@ -274,9 +270,7 @@ class CaseColumns:
     @property
     def typical_torque(self) -> Array:
         """Torque of the bearing in each cell [N m]; of a single body the net torque."""
-        return np.asarray(
-            self._scaled_torque["inertia"] if self.case.data.record.single else self._scaled_torque["factor"]
-        )
+        return np.asarray(self._scaled_torque["inertia" if self.case.data.record.single else "factor"])
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
@@ -294,10 +288,8 @@ class CaseColumns:
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants."""
-        parts = [
-            self._units_of_few(effect, choices[i : i + _CHOICES]) for i in range(0, len(choices), _CHOICES)
-        ]
-        return np.concatenate(parts, axis=1)
+        few = [choices[i : i + _CHOICES] for i in range(0, len(choices), _CHOICES)]
+        return np.concatenate([self._units_of_few(effect, c) for c in few], axis=1)
 
     def _units_of_few(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
@@ -334,10 +326,8 @@ class CaseColumns:
         inside = np.flatnonzero((cell >= 0) & (cell < len(unit)))
         cell, at = cell[inside], at[inside]
         share_after = (edges[cell + 1] - at) / (edges[cell + 1] - edges[cell])
-        in_cell = {
-            k: np.broadcast_to(v, unit.shape[:2])[cell, inside] if np.ndim(v) else v
-            for k, v in values.items()
-        }
+        wide = {k: np.broadcast_to(v, unit.shape[:2]) if np.ndim(v) else v for k, v in values.items()}
+        in_cell = {k: v[cell, inside] if np.ndim(v) else v for k, v in wide.items()}
         tape = Tape([effect.expression])
         before, after = (
             np.broadcast_to(tape(in_cell | {"t": t})[0], len(inside))
@@ -365,9 +355,8 @@ class CaseColumns:
         # exact for a constant rate, because a state may decay within a cell
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
         factor = np.exp(exponent)
-        gain = increment * np.where(
-            exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent)
-        )
+        safe = np.where(exponent == 0, 1.0, exponent)
+        gain = increment * np.where(exponent == 0, 1.0, np.expm1(exponent) / safe)
         state = np.empty(size)
         state[0] = first
         for i in range(size[0] - 1):

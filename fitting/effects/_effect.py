@@ -20,16 +20,9 @@ Dimension = tuple[float, float, float, float]
 
 NONE: Dimension = (0.0, 0.0, 0.0, 0.0)
 _BASE: dict[str, Dimension] = {
-    "1": NONE,
-    "rad": NONE,
-    "px": NONE,
-    "kg": (1, 0, 0, 0),
-    "m": (0, 1, 0, 0),
-    "s": (0, 0, 1, 0),
-    "K": (0, 0, 0, 1),
-    "N": (1, 1, -2, 0),
-    "J": (1, 2, -2, 0),
-}
+    "1": NONE, "rad": NONE, "px": NONE, "kg": (1, 0, 0, 0), "m": (0, 1, 0, 0), "s": (0, 0, 1, 0),
+    "K": (0, 0, 0, 1), "N": (1, 1, -2, 0), "J": (1, 2, -2, 0),
+}  # fmt: skip
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
 
@@ -128,21 +121,10 @@ Role = Literal["amplitude", "shape", "phase", "fixed"]
 # `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
 # torque on the rotor with which the slip is constant under all other torques.
 VARIABLES: dict[str, str] = {
-    "t": "s",
-    "omega_r": "s-1",
-    "omega_c": "s-1",
-    "psi_r": "1",
-    "psi_c": "1",
-    "deflection": "1",
-    "delta": "s-1",
-    "temperature": "K",
-    "chirp": "1",
-    "strain": "1",
-    "tau": "N m",
-    "lag": "s-1",
-    "psi": "1",
+    "t": "s", "omega_r": "s-1", "omega_c": "s-1", "psi_r": "1", "psi_c": "1", "deflection": "1",
+    "delta": "s-1", "temperature": "K", "chirp": "1", "strain": "1", "tau": "N m", "lag": "s-1", "psi": "1",
     "omega": "s-1",
-}
+}  # fmt: skip
 # Variables of laws in a contact only.
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
 # trial changepoints, as shares of the length of the recording

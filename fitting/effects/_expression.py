@@ -164,12 +164,8 @@ def symbols(e: Expr) -> set[str]:
 MAX_LENGTH = 500
 MAX_DEPTH = 40
 _BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
-    ast.Add: add,
-    ast.Sub: sub,
-    ast.Mult: mul,
-    ast.Div: div,
-    ast.Pow: power,
-}
+    ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: div, ast.Pow: power,
+}  # fmt: skip
 _WORDS = {
     ast.Call: "a call of anything but one of the functions",
     ast.Attribute: "a dot after a name",
@@ -372,19 +368,10 @@ class Tape:
 
 
 _LATEX_NAMES = {
-    "omega_r": r"\omega_r",
-    "omega_c": r"\omega_c",
-    "psi_r": r"\psi_r",
-    "psi_c": r"\psi_c",
-    "delta": "D",
-    "temperature": "T",
-    "phi": r"\varphi",
-    "eps": r"\varepsilon",
-    "omega": r"\omega",
-    "psi": r"\psi",
-    "tau_T": r"\tau_T",
-    "chirp": r"\chi",
-}
+    "omega_r": r"\omega_r", "omega_c": r"\omega_c", "psi_r": r"\psi_r", "psi_c": r"\psi_c", "delta": "D",
+    "temperature": "T", "phi": r"\varphi", "eps": r"\varepsilon", "omega": r"\omega", "psi": r"\psi",
+    "tau_T": r"\tau_T", "chirp": r"\chi",
+}  # fmt: skip
 _SUM, _PRODUCT, _ATOM = 0, 1, 2
 
 

@@ -261,12 +261,7 @@ SETUP = (
 )
 
 _RATIO = Parameter(
-    RATIO,
-    "1",
-    "shape",
-    _ANY,
-    math.inf,
-    1.0,
+    RATIO, "1", "shape", _ANY, math.inf, 1.0,
     meaning="ratio omega_r / omega_c without slip; negative: opposite senses",
 )
 

@@ -265,8 +265,14 @@ def _hint() -> str:
 
 
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
-_PARAMETER_KEYS = {"unit", "lower", "upper", "start", "grid", "meaning", "shape"}
-_EFFECT_KEYS = {"name", "body", "law", "rate", "parameters", "signature", "source", "per_case"}
+_KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
+# keys of a table, and what their values must be; numbers are checked with their bounds
+_PARAMETER_KEYS = dict.fromkeys(("lower", "upper", "start"), "") | {
+    "unit": "text", "meaning": "text", "grid": "a list", "shape": "true or false"
+}  # fmt: skip
+_EFFECT_KEYS = dict.fromkeys(("name", "body", "law", "rate", "signature", "source"), "text") | {
+    "parameters": "a table", "per_case": "true or false"
+}  # fmt: skip
 
 
 def resolve(text: str) -> Effect:
@@ -333,25 +339,21 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
     where = f"{path}, effect {number}"
     if not isinstance(table, dict):
         raise EffectError(f"{where} is not a table")
-    unknown = set(table) - _EFFECT_KEYS
-    missing = {"name", "body", "law"} - set(table)
-    if unknown or missing:
-        wrong = f"unknown key {sorted(unknown)[0]!r}" if unknown else f"missing key {sorted(missing)[0]!r}"
-        raise EffectError(f"{where}: {wrong}", "keys: " + ", ".join(sorted(_EFFECT_KEYS)))
-    for key in ("name", "body", "law", "rate", "signature", "source"):
-        if not isinstance(table.get(key, ""), str):
-            raise EffectError(f"{where}: {key} must be text")
-    if not isinstance(table.get("per_case", False), bool):
-        raise EffectError(f"{where}: per_case must be true or false")
+    _check_table(where, table, _EFFECT_KEYS, ("body", "law", "name"))
     if not _NAME.match(table["name"]):
         raise EffectError(
             f"{where}: a name has letters, digits, dots and underscores, and starts with a letter"
         )
     declared = table.get("parameters", {})
-    if not isinstance(declared, dict):
-        raise EffectError(f"{where}: parameters must be a table", "write [effect.parameters.k]")
     for symbol, keys in declared.items():
-        _check_keys(f"{where}, parameter {symbol}", keys)
+        _check_table(f"{where}, parameter {symbol}", keys, _PARAMETER_KEYS)
+        # rad/s2 is rad s-2
+        unit = re.sub(r"\s*/\s*([A-Za-z]+)(\d*)", lambda m: f" {m[1]}-{m[2] or 1}", keys.get("unit", "1"))
+        try:
+            parse_unit(unit, dict.fromkeys(string.ascii_lowercase, 1.0))
+        except ExpressionError as fault:
+            raise EffectError(f"{where}, parameter {symbol}: {fault.message}", fault.hint) from None
+        declared[symbol] = keys | ({"unit": unit} if "unit" in keys else {})
     more = {k: table[k] for k in ("rate", "signature", "source", "per_case") if k in table}
     try:
         return formula(table["name"], table["body"], table["law"], declared, **more)
@@ -359,26 +361,14 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
 
 
-def _check_keys(where: str, keys: Any) -> None:
-    if not isinstance(keys, dict):
+def _check_table(where: str, table: Any, keys: Mapping[str, str], needed: Sequence[str] = ()) -> None:
+    if not isinstance(table, dict):
         raise EffectError(f"{where} must be a table", "write [effect.parameters.k]")
-    unknown = sorted(set(keys) - _PARAMETER_KEYS)
-    if unknown:
-        raise EffectError(
-            f"{where}: unknown key {unknown[0]!r}", "keys: " + ", ".join(sorted(_PARAMETER_KEYS))
-        )
-    for key, kind, word in (
-        ("unit", str, "text"),
-        ("meaning", str, "text"),
-        ("grid", list, "a list"),
-        ("shape", bool, "true or false"),
-    ):
-        if not isinstance(keys.get(key, kind()), kind):
-            raise EffectError(f"{where}: {key} must be {word}")
-    if "unit" in keys:
-        # rad/s2 is rad s-2
-        keys["unit"] = re.sub(r"\s*/\s*([A-Za-z]+)(\d*)", lambda m: f" {m[1]}-{m[2] or 1}", keys["unit"])
-    try:
-        parse_unit(keys.get("unit", "1"), dict.fromkeys(string.ascii_lowercase, 1.0))
-    except ExpressionError as fault:
-        raise EffectError(f"{where}: {fault.message}", fault.hint) from None
+    wrong = [f"unknown key {key!r}" for key in sorted(set(table) - set(keys))]
+    wrong += [f"missing key {key!r}" for key in needed if key not in table]
+    if wrong:
+        raise EffectError(f"{where}: {wrong[0]}", "keys: " + ", ".join(sorted(keys)))
+    for key, value in table.items():
+        if keys[key] and not isinstance(value, _KINDS[keys[key]]):
+            hint = "write [effect.parameters.k]" if keys[key] == "a table" else ""
+            raise EffectError(f"{where}: {key} must be {keys[key]}", hint)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fitting.dynamics._model import Dynamics
 from fitting.inference._case_data import CaseData
+from fitting.inference._compression import integrated
 from fitting.inference._oscillation import SlowMotion
 from fitting.inference._parameters import START_CASING, START_DEFLECTION, START_ROTOR, ParameterLayout
 
@@ -87,9 +88,8 @@ def averaged(
             amplitude = max(float(np.sqrt(np.mean(rest[0] ** 2))), 1e-9)
             phase_errors[case] = max(float(np.sqrt(np.mean((relative * rest[1]) ** 2))), 1e-9)
             if errors is None:
-                scales[case] = np.concatenate(
-                    [np.full(len(relative), amplitude), phase_errors[case] / relative]
-                )
+                same = np.full(len(relative), amplitude)
+                scales[case] = np.concatenate([same, phase_errors[case] / relative])
             size = scales[case]
             rows.append((keys, _without_level(design / size[:, None], 1 / size), rest.ravel() / size))
             first = {START_ROTOR: 0.0} | _first_state(data[case].record.span[0], slow[case], rest)
@@ -129,12 +129,7 @@ def _equations(
     # x = a cos(phase): a'' - a phase'^2 and -2 a' phase' - a phase'' are the components of the torque along cos and sin
     turning[:, -1] += rate / 2 + curvature / (2 * rate * amplitude)
     shrinking[:, -1] -= amplitude * _slope(t, motion.phase, 2) / (2 * rate)
-    rates = np.nan_to_num(np.stack([shrinking, turning]))
-    step = np.diff(t)[:, None]
-    sums = np.concatenate(
-        [np.zeros((2, 1, law.shape[2])), np.cumsum(0.5 * step * (rates[:, 1:] + rates[:, :-1]), axis=1)],
-        axis=1,
-    )
+    sums = np.stack([integrated(t, np.nan_to_num(rates)) for rates in (shrinking, turning)])
     target = np.stack([amplitude, motion.phase]) - sums[..., -1]
     return keys, sums[..., :-1].reshape(2 * len(t), -1), target.ravel()
 

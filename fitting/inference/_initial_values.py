@@ -30,6 +30,7 @@ from fitting.effects._library import LIBRARY
 from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged, averaged
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
+from fitting.inference._compression import integrated
 from fitting.inference._linear_algebra import r_factor
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import minimise, search
@@ -245,8 +246,8 @@ def _equations(
             f"the law of {name[:80]!r} has no finite value at the measured speeds",
             "look for a division by zero or a huge exponent",
         )
-    integrals = _integral(times, rates)
-    held = _integral(times, constant[:, :2])
+    integrals = integrated(times, rates)
+    held = integrated(times, constant[:, :2])
     # while friction holds the casing, its torque equals the others and contains no information
     everywhere = np.ones(len(times), dtype=bool)
     used = [everywhere, everywhere if dynamics.free_starts > 2 else _longest_motion(speeds[:, 1])]
@@ -327,12 +328,6 @@ def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _integral(times: Array, rates: Array) -> Array:
-    steps = np.diff(times).reshape(-1, *[1] * (rates.ndim - 1))
-    middle = 0.5 * (rates[1:] + rates[:-1]) * steps
-    return np.concatenate([np.zeros((1, *rates.shape[1:])), np.cumsum(middle, axis=0)])
-
-
 # trial exponents of a power law, and largest number of trial shapes of a law
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 _MOST = 80
@@ -350,9 +345,8 @@ def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -
         shapes = [f"{e.name}.{p.symbol}" for p in e.parameters if p.role == "shape"]
         # the exponent of the bearing's power law has transformed variables and a sufficient initial value
         alone = e.joint == "bearing" and sum(o.joint == "bearing" for o in layout.model.effects) == 1
-        searched = (
-            not alone and e.name != "bearing.power" and "phase" not in roles and e.amplitude is not None
-        ) and e.joint != "contact"
+        searched = not alone and e.name != "bearing.power" and e.joint != "contact"
+        searched = searched and "phase" not in roles and e.amplitude is not None
         if shapes and searched and not known.intersection(shapes):
             effects.append(e)
     return effects

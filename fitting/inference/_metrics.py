@@ -29,6 +29,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial import hermite_e
@@ -38,7 +39,7 @@ from fitting.dynamics._mesh import Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._compression import CASING_DEGREE
+from fitting.inference._compression import CASING_DEGREE, integrated
 from fitting.inference._linear_algebra import (
     block_diagonal,
     orthogonal_to,
@@ -140,8 +141,7 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     inertia = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
     kinetic = 0.5 * (state[:, :2] ** 2) @ inertia
     power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
-    lost = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
-    energy = kinetic + lost
+    energy = kinetic + integrated(t, power)
     scale = energy[0] if energy[0] > _SLOW_START * kinetic.max() else kinetic.max()
     return EnergyBalance(t, energy, (energy - energy[0]) / scale)
 
@@ -306,19 +306,31 @@ class LackOfFit:
     p_value: float
 
 
+class FewRows(NamedTuple):
+    """Columns that are tested beside a fitted model, as the few rows R of a QR decomposition."""
+
+    tested: Array
+    free: Array  # derivatives by all variables of the fit
+    residual: Array
+    share: float  # share of the process noise in the variance of the tested columns
+
+    @classmethod
+    def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array) -> Self:
+        """Return the rows of a case, whitened at its pure noise, nuisance parameters projected out."""
+        project = Projection(data, n.whitener.at(n.pure))
+        white = project(np.concatenate([tested, p.columns, (data.z - p.rows)[:, None]], axis=1))
+        share = project.whitener.share(orthonormal(white[:, : tested.shape[1]], _RANK))
+        few, own, residual = np.split(r_factor(white), [tested.shape[1], -1], axis=1)
+        free = np.zeros((len(own), p.count))
+        free[:, p.places] = own
+        return cls(few, free, residual[:, 0], share)
+
+
 def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise]) -> LackOfFit:
     """Return the lack of fit of a fitted model, at the pure noise of its cases."""
-    slow, free, residual, shares = [], [], [], []
-    for data, p, n in zip(problem.data, predictions, noise, strict=True):
-        rows = slow_responses(data, p)
-        project = Projection(data, n.whitener.at(n.pure))
-        white = project(np.concatenate([rows, p.columns, (data.z - p.rows)[:, None]], axis=1))
-        shares.append(project.whitener.share(orthonormal(white[:, : rows.shape[1]], _RANK)))
-        few = r_factor(white)
-        slow.append(few[:, : rows.shape[1]])
-        free.append(np.zeros((len(few), p.count)))
-        free[-1][:, p.places] = few[:, rows.shape[1] : -1]
-        residual.append(few[:, -1])
+    cases = zip(problem.data, predictions, noise, strict=True)
+    rows = [FewRows.of(data, p, n, slow_responses(data, p)) for data, p, n in cases]
+    slow, free, residual, shares = zip(*rows, strict=True)
     # the parameters are common to all cases, so the cases are tested together
     chi2, dof = (_case_by_case if len(slow) > _MANY else _together)(slow, free, residual)
     p_value = float(tail_probability(chi2, dof, noise, shares)) if dof else 1.0

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.inference._compression import integrated
 from fitting.inference._record import Record
 
 Array = NDArray[np.float64]
@@ -124,7 +125,7 @@ def find_oscillation(record: Record) -> Oscillation | None:
     if not record.single:
         return None
     t, y = record.casing.time, record.casing.value
-    angle = y if record.quantity == "angle" else _integral(t, y)
+    angle = y if record.quantity == "angle" else integrated(t, y)
     least = _SHARE * float(np.ptp(angle))
     if record.quantity == "angle":
         least = max(least, _SIGMAS * float(np.median(record.casing.sigma)))
@@ -174,7 +175,3 @@ def _sign_changes(speed: Array, least: float) -> NDArray[np.intp]:
     before, after = significant[change], significant[change + 1]
     share = speed[before] / (speed[before] - speed[after])
     return np.asarray(np.round(before + share * (after - before)), dtype=np.intp)
-
-
-def _integral(t: Array, speed: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))])

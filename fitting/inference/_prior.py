@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
+from fitting.inference._linear_algebra import block_diagonal
 
 Array = NDArray[np.float64]
 
@@ -103,9 +104,7 @@ class Prior:
                 f"{self.source} and {other.source} both have the parameter {twice[0]}",
                 "Leave one of them out.",
             )
-        from scipy.linalg import block_diag
-
-        covariance = block_diag(np.array(self.covariance), np.array(other.covariance))
+        covariance = block_diagonal([np.array(self.covariance), np.array(other.covariance)])
         return replace(
             self,
             names=(*self.names, *other.names),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,22 +41,13 @@ class Interval:
     upper_open: bool
 
 
-class _Estimate(Protocol):
-    @property
-    def value(self) -> float: ...
-    @property
-    def stderr(self) -> float: ...
-    @property
-    def at_bound(self) -> bool: ...
-
-
 class _Fitted(Protocol):
     """The attributes of a `Fit` that a profile uses."""
 
     @property
     def problem(self) -> Problem: ...
     @property
-    def estimates(self) -> Mapping[str, _Estimate]: ...
+    def estimates(self) -> Mapping[str, Any]: ...
     @property
     def theta(self) -> Array: ...
     @property
@@ -108,13 +99,9 @@ def profile(fit: _Fitted, name: str, level: float = LEVEL) -> Interval:
 
 def weakly_determined(fit: _Fitted) -> list[str]:
     """Return the parameters that need a profile: a large relative uncertainty, or an active bound."""
-    weak = []
-    for name, e in fit.estimates.items():
-        if name.startswith("initial.") or name not in fit.problem.layout.index:
-            continue
-        if e.at_bound or e.stderr > _WEAK * abs(e.value):
-            weak.append(name)
-    return weak
+    fitted = [n for n in fit.estimates if n in fit.problem.layout.index and not n.startswith("initial.")]
+    known = ((n, fit.estimates[n]) for n in fitted)
+    return [n for n, e in known if e.at_bound or e.stderr > _WEAK * abs(e.value)]
 
 
 class _Held:

@@ -306,9 +306,8 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     c = np.linalg.solve(gram, right[..., None])[..., 0]
     c[:, 0] += samples.value[first]
     if is_angle:
-        rows[:, 1 : degree + 1] = (c[:, 1:] / half[:, None] ** np.arange(1, degree + 1)) * np.array([1, 2])[
-            :degree
-        ]
+        order = np.arange(1, degree + 1)
+        rows[:, 1 : degree + 1] = c[:, 1:] / half[:, None] ** order * order
     else:
         rows[:, 1 : degree + 2] = c / half[:, None] ** np.arange(degree + 1)
     return rows

@@ -202,9 +202,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
     for name, e in fit.estimates.items():
         note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
         value = rounded(e.value, e.stderr, e.unit)
-        lines += (
-            [f"  {name:<32}{value}{note}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{value}{note}"]
-        )
+        lines += [f"  {name}"] if len(name) >= 32 else []
+        lines.append(f"  {name if len(name) < 32 else '':<32}{value}{note}")
     if getattr(fit, "generated", False):
         lines += ["", *wrap(GENERATED, 79)]
     weak = not_determined(fit.estimates)

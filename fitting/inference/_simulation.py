@@ -136,9 +136,7 @@ def simulate(
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment)
     # harmonics of the angle hardly change the response to a torque: that of the smooth motion is used
-    smooth = (
-        (dynamics, path) if not model.angle_dependent else simulate_path(model.smooth, values, experiment)
-    )
+    smooth = simulate_path(model.smooth, values, experiment) if model.angle_dependent else (dynamics, path)
     random_angle = _RandomTorque(*smooth, values, experiment, random)
     time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
     psi = _angle(path, "omega_c", time) + random_angle(time, 1)

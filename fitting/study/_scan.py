@@ -26,17 +26,6 @@ from fitting.inference._noise import Noise
 from fitting.inference._record import Record
 from fitting.inference._result import Estimate, Fit
 
-EFFECT_OF = {
-    "a1": "rotor.air.linear",
-    "a2": "rotor.air.quadratic",
-    "b1": "touchpoint.constant",
-    "b2": "casing.air.linear",
-    "c": "bearing.constant",
-    "d": "bearing.linear",
-    "e": "bearing.quadratic",
-    "f": "bearing.power",
-}
-
 
 @dataclass(frozen=True)
 class Column:
@@ -62,6 +51,7 @@ COLUMNS = {
         Column("g", "bearing.power.g", "1", 0),
     )
 }
+EFFECT_OF = {symbol: c.key.rpartition(".")[0] for symbol, c in COLUMNS.items() if symbol != "g"}
 
 
 @dataclass(frozen=True)
@@ -112,9 +102,7 @@ def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str
     """
     ranges = {}
     for key, width in WIDTHS.items():
-        values = [
-            e.value for fit in reduced for name, e in fit.estimates.items() if name.partition("@")[0] == key
-        ]
+        values = [e.value for fit in reduced for e in _of(fit, key)]
         mean = sum(values) / len(values) if values else 0.0
         if mean > 0:
             for name in (key, *(f"{key}@{label}" for label in labels)):
@@ -349,9 +337,8 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     reduced = [fit(Model.of(REDUCED), [d]) for d in data]
     noise = [f.noise[0] for f in reduced]
     count.add(1)
-    air, bearing = (
-        tuple(_rows(runs, d, n, count) for d, n in zip(data, noise, strict=True)) for runs in (AIR, BEARING)
-    )
+    known = list(zip(data, noise, strict=True))
+    air, bearing = (tuple(_rows(runs, d, n, count) for d, n in known) for runs in (AIR, BEARING))
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)

@@ -295,9 +295,8 @@ def _parameters(model: ModelFits, labels: Sequence[str], symbols: Sequence[str])
 
 def _latex_metrics(model: ModelFits, labels: Sequence[str]) -> list[str]:
     lines = [_line(_FIGURES_OF_MERIT), r"\midrule"]
-    blocks = [
-        (f"Fit {i + 1}", f, [label]) for i, (f, label) in enumerate(zip(model.separate, labels, strict=True))
-    ]
+    separate = enumerate(zip(model.separate, labels, strict=True), 1)
+    blocks = [(f"Fit {i}", f, [label]) for i, (f, label) in separate]
     if model.joint is not None:
         blocks.append((f"Fit {len(labels) + 1}", model.joint, list(labels)))
     for name, fit, of in blocks:

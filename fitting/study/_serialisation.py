@@ -49,7 +49,14 @@ from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
-from fitting.discovery._residuals import Failure, ResidualTorque, angle_harmonics, residual_torques, whiteness
+from fitting.discovery._residuals import (
+    AngleHarmonics,
+    Failure,
+    ResidualTorque,
+    angle_harmonics,
+    residual_torques,
+    whiteness,
+)
 from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
@@ -175,9 +182,6 @@ def interval_document(interval: Interval) -> dict[str, Any]:
 
 def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
     """Return a diagnosis under the keys of `diagnose --json`."""
-    ripples = [
-        {"label": r.label, "angle": r.angle, "torque_Nm": r.torque, "sigma_Nm": r.sigma} for r in d.ripples
-    ]
     document = DiagnosisDocument.model_validate(
         vars(d)
         | {
@@ -186,7 +190,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
             "differs": difference_document(d.differs),
             "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
             "residual_torque": [_torque(t) for t in d.torques],
-            "residual_ripple": [{k: to_json(v) for k, v in r.items()} for r in ripples],
+            "residual_ripple": [_ripple(r) for r in d.ripples],
         }
     )
     return document.model_dump()
@@ -212,6 +216,11 @@ def _torque(torque: ResidualTorque) -> dict[str, Any]:
     }
     thinned = {k: v[::step].tolist() for k, v in columns.items()}
     return {"label": torque.label, "body": torque.body} | thinned
+
+
+def _ripple(r: AngleHarmonics) -> dict[str, Any]:
+    columns = {"angle": r.angle, "torque_Nm": r.torque, "sigma_Nm": r.sigma}
+    return {"label": r.label} | {k: to_json(v) for k, v in columns.items()}
 
 
 def _candidate(c: Candidate) -> dict[str, Any]:
@@ -310,19 +319,16 @@ def load_fit(path: str | Path) -> SavedFit:
     covariance = np.array(stored.covariance, dtype=float).reshape(len(stored.covariance), -1)
     if covariance.shape != (len(stored.names), len(stored.names)):
         raise LedgerError(f"{path} is damaged: the size of the covariance differs from the number of names")
-    numbers: dict[str, Any] = {
-        k: getattr(stored, k) for k in ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
-    }
-    lists: dict[str, Any] = {
-        k: tuple(getattr(stored, k)) for k in ("labels", "noise", "names", "sources", "digests")
-    }
+    same = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
+    lists = ("labels", "noise", "names", "sources", "digests")
+    kept: dict[str, Any] = {k: getattr(stored, k) for k in same}
+    kept |= {k: tuple(getattr(stored, k)) for k in lists}
     return SavedFit(
         model=model,
         estimates=_estimates(stored.estimates),
         cases=tuple(TypeAdapter(CaseMetrics).validate_python(c.model_dump()) for c in stored.cases),
         covariance=covariance,
-        **numbers,
-        **lists,
+        **kept,
     )
 
 

@@ -20,8 +20,7 @@ import numpy.typing as npt
 
 from gyrotrack._native import _reference
 
-ABI = 6
-"""Version of the interface; an extension of another version is not used."""
+ABI = 6  # version of the interface; an extension of another version is not used
 
 Array = npt.NDArray[Any]
 
@@ -35,8 +34,8 @@ def _extension() -> Any:
 
 
 _compiled = _extension()
+# True where the compiled extension is in use, False where the NumPy reference is
 COMPILED = _compiled is not None
-"""True where the compiled extension is in use, False where the NumPy reference is."""
 
 _TERM = re.compile(r"([a-z]\d)\[([^\]]*)\]")
 

@@ -15,8 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 
-_DISC_BATCH = 64
-"""Windows that are processed together."""
+_DISC_BATCH = 64  # windows that are processed together
 
 
 def likelihood(squares: Floats, excess: Floats, shares: Floats, clip: float, out: Floats) -> None:

@@ -17,23 +17,20 @@ from gyrotrack.io.readers._run import start_of_oscillation
 Floats = npt.NDArray[np.float64]
 
 TURN = 2 * math.pi
+# prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
+# camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
-"""Prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
-camera tilt of 0.28 rad, and its perspective."""
 _MIN_SAMPLES = 12
 _ORDERS = range(2, 7)
+# candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
-"""Candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation."""
+# degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
-"""Degrees for the fit in growing windows; polynomials of higher degree extrapolate badly."""
+# highest degree of the polynomials for times and durations of passages through a light gate
 _PASSAGE_ORDER = 4
-"""Highest degree of the polynomials for times and durations of passages through a light gate."""
-_END = 0.05
-"""Share of a record from which the angular velocity at its ends is determined."""
-_MIN_WINDOWS, _MAX_WINDOWS = 12, 100
-"""Numbers of windows of whole periods for the demodulation of residuals."""
-_FIRST_PERIODS = 1.5
-"""Half length of the first window [periods]."""
+_END = 0.05  # share of a record from which the angular velocity at its ends is determined
+_MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
+_FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
 
 

@@ -12,8 +12,9 @@ import hashlib
 import json
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,10 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._hdf5 import write_case
-from gyrotrack.io._records import Case, Series
+from gyrotrack.io._records import Case, Series, series_of
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
-_CASING_CLIP = "casing.mp4"
 _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
@@ -52,8 +52,6 @@ def write_record(
     force: bool = False,
 ) -> Path:
     """Write a simulated recording as a case file."""
-    casing = _series([record.casing])
-    rotor = _series(list(record.rotor))
     case = Case(
         I_rotor=record.I_rotor,
         I_casing=record.I_casing,
@@ -61,29 +59,21 @@ def write_record(
         I_casing_u=record.I_casing_u,
         label=record.label,
         surface=surface,
-        casing=Series(**{**vars(casing), "window": None}),
-        rotor=rotor,
-        recordings={},
-        placements={},
-        rotor_generated=None,
+        casing=replace(_series([record.casing]), window=None),
+        rotor=_series(record.rotor),
         quantity=record.quantity,
     )
     return write_case(path, case, command=command, settings=settings, force=force)
 
 
-def _series(runs: list[Samples]) -> Series:
-    speeds = [angular_velocity(s.time, s.value, s.sigma) for s in runs]
-    angle = np.concatenate([s.value for s in runs])
-    return Series(
-        time=np.concatenate([s.time for s in runs]),
-        angle=angle,
-        sigma=np.concatenate([s.sigma for s in runs]),
-        omega=np.concatenate([omega for omega, _ in speeds]),
-        omega_sigma=np.concatenate([sigma for _, sigma in speeds]),
-        turn=np.floor(angle / (2 * np.pi)).astype(np.int64),
-        window=np.concatenate([np.full(len(s), i, dtype=np.int64) for i, s in enumerate(runs)]),
-        sigma_source="given",
-    )
+def _series(runs: Sequence[Samples]) -> Series:
+    parts = []
+    for s in runs:
+        omega, sigma = angular_velocity(s.time, s.value, s.sigma)
+        parts.append(
+            SimpleNamespace(time=s.time, angle=s.value, sigma=s.sigma, omega=omega, omega_sigma=sigma)
+        )
+    return series_of(parts, sigma_source="given")
 
 
 @dataclass(frozen=True)
@@ -143,10 +133,8 @@ class SimulatedRun:
             The model contains measurement effects, or a given parameter is not in the model.
         """
         if model.measurement:
-            raise UsageError(
-                "Measurement effects cannot be added to a simulation.",
-                "Use --centre-offset for a centre offset.",
-            )
+            what = "Measurement effects cannot be added to a simulation."
+            raise UsageError(what, "Use --centre-offset for a centre offset.")
         speeds = {"omega_r": 0.6 * experiment.omega_rotor, "omega_c": _CASING_SPEED}
         numbers = typical_of_model(model.effects, strength, duration=experiment.duration, speeds=speeds)
         return cls(model, numbers | _given(given, numbers), experiment, inertias, seed)
@@ -206,28 +194,22 @@ class SimulatedRun:
         inertias = {INERTIA_ROTOR: self.inertias[0], INERTIA_CASING: self.inertias[1]}
         motion = _motion(self.model, {**self.model.constants, **self.numbers, **inertias}, self.experiment)
         clips = _clips(self.experiment)
-        total = sum(clip.frames for clip in clips)
-        done, written = 0, []
+        total, done = sum(clip.frames for clip in clips), 0
         for clip in clips:
 
             def count(k: int, _: int | None, before: int = done) -> None:
                 if progress is not None:
                     progress(before + k, total)
 
-            render_clip(
-                folder / clip.name,
-                Scene(),
-                motion,
-                clip.camera,
-                Light(),
-                frames=clip.frames,
-                seed=self.seed + done,
-                force=force,
-                progress=count,
-            )
-            written.append(folder / clip.name)
+            options: Any = {
+                "frames": clip.frames,
+                "seed": self.seed + done,
+                "force": force,
+                "progress": count,
+            }
+            render_clip(folder / clip.name, Scene(), motion, clip.camera, Light(), **options)
             done += clip.frames
-        return written
+        return self.film_files(folder)
 
 
 def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
@@ -237,10 +219,8 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         key, equals, value = item.partition("=")
         key = key.strip()
         if not equals or key not in numbers:
-            raise UsageError(
-                f"{item[:60]!r} is not an assignment to a parameter of the model.",
-                f"Parameters: {', '.join(numbers)}.",
-            )
+            what = f"{item[:60]!r} is not an assignment to a parameter of the model."
+            raise UsageError(what, f"Parameters: {', '.join(numbers)}.")
         try:
             given[key] = float(value)
         except ValueError:
@@ -270,12 +250,10 @@ class _Clip:
 
 
 def _clips(e: Experiment) -> list[_Clip]:
-    casing = _Clip(_CASING_CLIP, e.casing_fps, e.casing_fps, 0.0, e.duration)
-    rotor = [
-        _Clip(f"rotor_{i}.mp4", e.rotor_fps, _STORED_FPS, start, e.window_length)
-        for i, start in enumerate(e.windows, 1)
-    ]
-    return [casing, *rotor]
+    clips = [_Clip("casing.mp4", e.casing_fps, e.casing_fps, 0.0, e.duration)]
+    for i, start in enumerate(e.windows, 1):
+        clips.append(_Clip(f"rotor_{i}.mp4", e.rotor_fps, _STORED_FPS, start, e.window_length))
+    return clips
 
 
 def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -> Motion:
@@ -332,22 +310,11 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw a random effect from the library (without those present) or, with probability 0.2, one outside of it.
-
-    Effects that need a reversal of the casing to be observable are not drawn: restoring torques, and friction laws that
-    equal dry friction without a reversal.
-    """
+    """Draw an effect of the library (not those present, nor any shown by reversals only) or, at 20 %, another one."""
     if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
-    names = [
-        n
-        for n, e in LIBRARY.items()
-        if e.kind == "physical"
-        and e.searched
-        and not e.restoring
-        and n not in present
-        and n not in _NOT_DRAWN
-    ]
+    drawn = [n for n, e in LIBRARY.items() if e.kind == "physical" and e.searched and not e.restoring]
+    names = [n for n in drawn if n not in present and n not in _NOT_DRAWN]
     return LIBRARY[names[int(random.integers(len(names)))]]
 
 
@@ -383,20 +350,16 @@ def unseal(path: Path) -> Seal:
         salt, commitment = str(document["salt"]), str(document["commitment"])
         answer = _xor_with_salt(sealed, salt).decode()
         content = json.loads(answer)
-        effect, parameters = (
-            str(content["effect"]),
-            {str(k): float(v) for k, v in content["parameters"].items()},
-        )
+        effect = str(content["effect"])
+        parameters = {str(k): float(v) for k, v in content["parameters"].items()}
     except FileNotFoundError:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise DatasetError(
-            f"{path} is not a sealed file.", "Sealed files are made by `gyrotrack simulate --hide`."
-        ) from None
+        what = f"{path} is not a sealed file."
+        raise DatasetError(what, "Sealed files are made by `gyrotrack simulate --hide`.") from None
     if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
-        raise DatasetError(
-            f"{path} was changed: the answer does not match its commitment.", "Ask for the original file."
-        )
+        what = f"{path} was changed: the answer does not match its commitment."
+        raise DatasetError(what, "Ask for the original file.")
     return Seal(effect, parameters, commitment)
 
 
@@ -414,12 +377,9 @@ def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, fl
     """Grade an answer: the effect and those indistinguishable from it (nothing for "none"), with values and errors."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
+    word = "right class" if set(named) & equivalent or (outside and not named) else "wrong"
     if named and named[0] in equivalent:
         word = "right"
-    elif set(named) & equivalent or (outside and not named):
-        word = "right class"
-    else:
-        word = "wrong"
     pulls = {
         k: (value - truth.parameters[k]) / error
         for k, (value, error) in found.items()

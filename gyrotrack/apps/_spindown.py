@@ -26,12 +26,12 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, within
-from gyrotrack.plotting._proposal import write_body_picture
+from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._film import Film
@@ -48,7 +48,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_LEAST_ANGLE = 0.1  # range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
+# range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
+_LEAST_ANGLE = 0.1
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
 
@@ -276,6 +277,7 @@ def film_recording(
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
             "centre_from": tracked.way,
+            "doubts": list(tracked.warnings[-1:]) if tracked.ambiguous else [],
             "tracking": {
                 "method": "registration of the polar picture",
                 "hub_px": list(tracked.ring.hub),
@@ -346,11 +348,7 @@ def spindown(
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the motion of one body, fit, diagnose and improve a model, and write a report; return the JSON document.
-
-    `target` and `report` are the case and the report to write, if given. `progress` is called with (frames done, frames
-    in total) while a film is tracked.
-    """
+    """Measure the motion of one body, fit, diagnose, improve, write case and report; return the JSON document."""
     from fitting._workers import single_blas_thread
 
     with single_blas_thread():
@@ -395,7 +393,7 @@ def _analysed(
     }
     write_case(target, case, command=command, settings=settings, force=force)
     picture = None
-    ambiguous = body is not None and body[1].ambiguous
+    ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
     if body is not None:
         picture = target.with_suffix(".png")
         write_body_picture(picture, *body, force=True)

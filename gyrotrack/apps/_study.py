@@ -55,10 +55,8 @@ class Study:
         if fit_id is not None:
             found = self.ledger.find(fit_id)
             if sorted(found.digests) != sorted(d.record.digest for d in self.data):
-                raise UsageError(
-                    f"The fit {fit_id} belongs to other cases.",
-                    "`gyrotrack ladder` lists the fits of these cases.",
-                )
+                what = f"The fit {fit_id} belongs to other cases."
+                raise UsageError(what, "`gyrotrack ladder` lists the fits of these cases.")
             return found
         entries = self.ledger.of(self.data)
         return entries[-1] if entries else None
@@ -99,10 +97,8 @@ class Study:
             return []
         known = {e.fit_id: e for e in self.ledger.of(self.data)}
         chain = [entry]
-        while (
-            parent := known.get(str(chain[-1].document.get("parent", "")))
-        ) is not None and parent not in chain:
-            chain.append(parent)
+        while (found := known.get(str(chain[-1].document.get("parent", "")))) and found not in chain:
+            chain.append(found)
         return chain
 
     def diagnosis(
@@ -232,15 +228,10 @@ def open_study(
     read = read_cases(cases, data=data, rotor=rotor)
     kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
     if prior is not None and prior_rotor is not None and prior.resolve() == prior_rotor.resolve():
-        raise UsageError(
-            f"{prior} is given as the study of both bodies.",
-            "Give --prior-rotor the study of the rotor alone.",
-        )
-    known = [
-        _prior_of(path, read, rotor=of_rotor)
-        for path, of_rotor in ((prior, False), (prior_rotor, True))
-        if path is not None
-    ]
+        what = f"{prior} is given as the study of both bodies."
+        raise UsageError(what, "Give --prior-rotor the study of the rotor alone.")
+    studies = ((prior, False), (prior_rotor, True))
+    known = [_prior_of(path, read, rotor=of_rotor) for path, of_rotor in studies if path is not None]
     return Study(read, kept, reduce(Prior.joined, known) if known else None)
 
 
@@ -251,20 +242,16 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
-        raise UsageError(
-            f"{path} is a fit of the same data, which would be used twice.",
-            "Give --prior a study of other recordings.",
-        )
+        what = f"{path} is a fit of the same data, which would be used twice."
+        raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
     ratio = all(d.record.per_inertia for d in data)
     for name in prior.names:
         unit = entry.model.parameters[name].unit
         expected = per_inertia(unit) if ratio else unit
         if entry.estimates[name].unit != expected:
-            raise UsageError(
-                f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}.",
-                "Give --inertia for both studies, or for neither.",
-            )
+            what = f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}."
+            raise UsageError(what, "Give --inertia for both studies, or for neither.")
     if not rotor:
         return prior
     renamed: dict[str, str] = {}
@@ -274,10 +261,8 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
             pairs = zip(effect.parameters, same.parameters, strict=True)
             renamed |= {f"{effect.name}.{p.symbol}": f"{same.name}.{q.symbol}" for p, q in pairs}
     if not renamed.keys() & set(prior.names):
-        raise UsageError(
-            f"No law in {path} can be applied to the rotor.",
-            "These laws can: air drag, and dry friction of the support.",
-        )
+        what = f"No law in {path} can be applied to the rotor."
+        raise UsageError(what, "These laws can: air drag, and dry friction of the support.")
     return prior.renamed(renamed)
 
 
@@ -288,8 +273,11 @@ def read_cases(
     from fitting.inference._case_data import CaseData
     from fitting.inference._case_file import read_record
 
-    _require_choice("--data", data or "angle", ("angle", "velocity"))
-    _require_choice("--rotor", rotor, ("windows", "generated"))
+    choices = (("data", data or "angle", ("angle", "velocity")), ("rotor", rotor, ("windows", "generated")))
+    for option, word, words in choices:
+        if word not in words:
+            what = f"Unknown value {word[:40]!r} of --{option}."
+            raise UsageError(what, f"Use one of: {', '.join(words)}.")
     records = [read_record(path) for path in cases]
     if data is not None or rotor != "windows":
         from fitting.study._paper import prepared
@@ -324,11 +312,6 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
             raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
         found[name] = entries[-1]
     return found
-
-
-def _require_choice(option: str, word: str, words: tuple[str, ...]) -> None:
-    if word not in words:
-        raise UsageError(f"Unknown value {word[:40]!r} of {option}.", f"Use one of: {', '.join(words)}.")
 
 
 _NAMED = ("reduced", "general", "linear")
@@ -402,15 +385,9 @@ class FitRequest:
             )
         options: dict[str, Any] = {"share": share, "per_case": per_case, "ranges": ranges}
         found = self._fitted(with_prior(study.data, prior), wanted, values, options)
-        kept = study.ledger.add(
-            found,
-            parent=entry.fit_id if entry is not None else "",
-            added=self.change,
-            previous=previous,
-            **options,
-            loss=self.loss,
-        )
-        return found, kept.fit_id
+        parent = entry.fit_id if entry is not None else ""
+        options |= {"parent": parent, "added": self.change, "previous": previous, "loss": self.loss}
+        return found, study.ledger.add(found, **options).fit_id
 
     def _fitted(
         self,
@@ -439,10 +416,8 @@ class FitRequest:
         share, per_case = (
             [n for n in names if any(covers(n, key) for key in wanted.free)] for names in entry.choices
         )
-        return (
-            (*self.share, *(n for n in share if n not in self.per_case)),
-            (*self.per_case, *(n for n in per_case if n not in self.share)),
-        )
+        own = (n for n in per_case if n not in self.share)
+        return (*self.share, *(n for n in share if n not in self.per_case)), (*self.per_case, *own)
 
     @property
     def change(self) -> str:
@@ -477,9 +452,8 @@ class FitRequest:
             return study.model({"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}[name])
         path = Path(name)
         if not path.is_file():
-            raise UsageError(
-                f"Unknown model {name[:60]!r}.", f"Models: {', '.join(_NAMED)}, or the name of a TOML file."
-            )
+            what = f"Unknown model {name[:60]!r}."
+            raise UsageError(what, f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
         return read_model(path, self.own)
 
 

@@ -38,17 +38,12 @@ from filelock import FileLock, Timeout
 
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 
-LOCK_TIMEOUT = 10.0
-"""Longest time to wait for a lock [s]."""
+LOCK_TIMEOUT = 10.0  # longest time to wait for a lock [s]
 
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path`, which need not exist and is not changed, against other processes within the context.
-
-    An OutputError is raised if another program holds it for longer than `timeout` [s] (`LOCK_TIMEOUT` by default). A
-    system without locks is no error.
-    """
+    """Hold the lock of `path`, which need not exist, against other processes; an OutputError after `timeout` [s]."""
     timeout = LOCK_TIMEOUT if timeout is None else timeout
     with ExitStack() as stack:
         try:
@@ -122,11 +117,7 @@ def refuse_existing(path: Path, *, force: bool) -> None:
 
 @contextmanager
 def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
-    """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error.
-
-    An OutputError is raised if the target exists and `force` is not set, its folder does not exist, another program
-    writes the same output, or the write fails.
-    """
+    """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error."""
     path = Path(path)
     refuse_existing(path, force=force)
     part = path.with_name(path.name + ".part")

@@ -216,9 +216,8 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
     """
     form = FORMATS.get(target.suffix.lower())
     if form is None:
-        raise UsageError(
-            f"{target.name} has the suffix of no known format.", f"Known suffixes: {', '.join(FORMATS)}."
-        )
+        what = f"{target.name} has the suffix of no known format."
+        raise UsageError(what, f"Known suffixes: {', '.join(FORMATS)}.")
     kind = hdf5.read_kind(source)
     if form is _netcdf:
         return _netcdf(source, target, force=force)

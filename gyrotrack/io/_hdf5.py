@@ -387,9 +387,8 @@ def _check_signature(path: Path) -> None:
 
 def _check_root(file: Any, path: Path, kind: str | None) -> None:
     if attribute(file, "format", str, "?") != layout.FORMAT:
-        raise DatasetError(
-            f"{path} is an HDF5 file, but was not written by gyrotrack.", "The attribute 'format' is missing."
-        )
+        what = f"{path} is an HDF5 file, but was not written by gyrotrack."
+        raise DatasetError(what, "The attribute 'format' is missing.")
     version = attribute(file, "format_version", str)
     major = version.partition(".")[0]
     if not major.isdecimal():

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -196,6 +196,16 @@ class Series:
     sigma_source: str = "measured"
 
 
+def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
+    """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is a factor."""
+    names = ("time", "angle", "sigma", "omega", "omega_sigma")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    joined |= {name: sense * joined[name] for name in ("angle", "omega")}
+    turn = np.floor(joined["angle"] / (2 * np.pi)).astype(np.int64)
+    window = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.time) for part in parts])
+    return Series(**joined, turn=turn, window=window, sigma_source=sigma_source)
+
+
 def windows_of(series: Series) -> Integers:
     """Return the window of each sample; 0 for a series without windows."""
     return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
@@ -203,6 +213,11 @@ def windows_of(series: Series) -> Integers:
 
 # relative difference of two speeds below which they are equal
 _EQUAL_SPEEDS = 0.003
+
+
+def doubts_of(recording: Recording) -> tuple[str, ...]:
+    """Return the reasons why the angles of a recording may be wrong, as stored in its file."""
+    return tuple(recording.extra.get("doubts", ()))
 
 
 def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy: str) -> list[str]:
@@ -231,11 +246,7 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
 
 @dataclass(frozen=True)
 class Placement:
-    """The clock of a clip relative to that of the case: t_case = clock_offset + clock_rate * t_clip.
-
-    `angle_offset` [rad] is added to the angles of the clip, so that their zero is that of the casing camera.
-    `ambiguous`: the start of the clip is not unique.
-    """
+    """The clock of a clip: t_case = clock_offset + clock_rate * t_clip; `angle_offset` [rad] is added to its angles."""
 
     id: str
     clock_offset: float
@@ -427,23 +438,18 @@ class Inertia:
         found = _INERTIA.fullmatch(str(text).strip())
         unit = _UNIT.fullmatch((found["unit"] or "kg m2").strip()) if found else None
         if found is None or unit is None:
-            raise UsageError(
-                f"'{str(text)[:40]}' is not a moment of inertia of the {body}.", _INERTIA_EXAMPLE
-            )
+            what = f"'{str(text)[:40]}' is not a moment of inertia of the {body}."
+            raise UsageError(what, _INERTIA_EXAMPLE)
         factor = _MASS[unit[1]] * _LENGTH[unit[2]] ** 2
         # rounded, so that 554 g cm2 is exactly 5.54e-5 kg m2
         value = float(f"{float(found['value']) * factor:.15g}")
         u = float(f"{float(found['u']) * factor:.15g}") if found["u"] else math.nan
         if not SMALLEST <= value <= LARGEST:
-            raise UsageError(
-                f"A moment of inertia of {value:g} kg m2 is not possible for the {body}.",
-                "Check number and unit; without a unit it is in kg m2.",
-            )
+            what = f"A moment of inertia of {value:g} kg m2 is not possible for the {body}."
+            raise UsageError(what, "Check number and unit; without a unit it is in kg m2.")
         if u >= value:
-            raise UsageError(
-                f"The uncertainty of the moment of inertia of the {body} is not smaller than its value.",
-                _INERTIA_EXAMPLE,
-            )
+            what = f"The uncertainty of the moment of inertia of the {body} is not smaller than its value."
+            raise UsageError(what, _INERTIA_EXAMPLE)
         return cls(value, u)
 
     @classmethod

@@ -197,6 +197,7 @@ PLACEMENT_ATTRIBUTES = (
     Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
 )
 
+# all tables of a file with their paths, for docs/reference/format.md
 GROUPS = (
     ("`/frame`: the clip, frame by frame", FRAME),
     ("`/marker/<name>`: one marker", MARKER),
@@ -205,11 +206,10 @@ GROUPS = (
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
 )
-"""All tables of a file with their paths, for docs/reference/format.md."""
 
+# all attributes of groups that are not tables, for docs/reference/format.md
 ATTRIBUTES = (
     ("Attributes of a recording", RECORDING_ATTRIBUTES),
     ("Attributes of a case", CASE_ATTRIBUTES),
     ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),
 )
-"""All attributes of groups that are not tables, for docs/reference/format.md."""

@@ -75,15 +75,13 @@ def own_member(group: Any, name: str) -> Any:
 def check_bytes(dataset: Any) -> None:
     """Raise a DatasetError for a dataset with external storage, an unknown filter, or more than its stored bytes."""
     if dataset.is_virtual or dataset.external:
-        raise DatasetError(
-            f"{location(dataset)} stores its data in another file.", "Copy the data into the file."
-        )
+        what = f"{location(dataset)} stores its data in another file."
+        raise DatasetError(what, "Copy the data into the file.")
     plist = dataset.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
     if not filters <= KNOWN_FILTERS:
-        raise DatasetError(
-            f"{location(dataset)} uses an unknown compression filter.", "Write it with gzip or uncompressed."
-        )
+        what = f"{location(dataset)} uses an unknown compression filter."
+        raise DatasetError(what, "Write it with gzip or uncompressed.")
     if dataset.shape is None:
         return
     claimed = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
@@ -297,9 +295,8 @@ def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> An
     if name not in group.attrs:
         if default is not None:
             return default
-        raise DatasetError(
-            f"{location(group)} lacks the attribute '{name}'.", "The file is not complete; create it again."
-        )
+        what = f"{location(group)} lacks the attribute '{name}'."
+        raise DatasetError(what, "The file is not complete; create it again.")
     try:
         if group.attrs.get_id(name).shape in {(), (1,)}:
             value = np.asarray(group.attrs[name]).reshape(())[()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,11 +73,8 @@ def _body_name(view: CaseView, body: str) -> str:
 def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
     """Return the chart of measured and modelled speed of a body."""
     measured = (view.casing,) if body == "casing" else view.rotor
-    traces = [
-        concatenated(
-            "measured", [(c.time, c.value, None) for c in measured], _MEASURED, width=3.0, scale="reference"
-        )
-    ]
+    points = [(c.time, c.value, None) for c in measured]
+    traces = [concatenated("measured", points, _MEASURED, width=3.0, scale="reference")]
     for m, label, (colour, dash) in zip(view.models, names, _MODEL_STYLES, strict=False):
         curves = (m.casing,) if body == "casing" else m.rotor
         parts = [(c.time, c.value, c.sigma) for c in curves]
@@ -221,34 +218,19 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         branches = _branches(curve.omega_c)
         for k, part in enumerate(branches):
             rising = k == 0 and len(branches) > 1
-            traces.append(
-                Trace(
-                    f"{label}, accelerating" if rising else label,
-                    curve.omega_c[part],
-                    factor * torque[part],
-                    colour,
-                    factor * sigma[part],
-                    dash=(4.0, 2.0) if rising else (),
-                )
-            )
-    for a, colour, width in [
-        *([(view.added, _INK, 1.8)] if view.added is not None else []),
-        *(
-            (x, c, 1.2)
-            for x, c in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False)
-        ),
-    ]:
+            name, dash = (f"{label}, accelerating", (4.0, 2.0)) if rising else (label, ())
+            band = factor * torque[part], colour, factor * sigma[part]
+            traces.append(Trace(name, curve.omega_c[part], *band, dash=dash))
+    laws = [("added law", view.added, _INK, 1.8)] if view.added is not None else []
+    for a, colour in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False):
+        laws.append((a.name, a, colour, 1.2))
+    for name, a, colour, width in laws:
         law = factor * a.casing
-        if not law.any():
-            continue
-        branches = _branches(a.omega_c)
+        branches = _branches(a.omega_c) if law.any() else []
         for k, part in enumerate(branches):
-            name = "added law" if a is view.added else a.name
-            name += ", accelerating" if k == 0 and len(branches) > 1 else ""
-            dash = (2.0, 2.0) if k == 0 else (1.0, 1.0)
-            traces.append(
-                Trace(name, a.omega_c[part], law[part], colour, width=width, dash=dash, scale="none")
-            )
+            label = f"{name}, accelerating" if k == 0 and len(branches) > 1 else name
+            options: dict[str, Any] = {"dash": (2.0, 2.0) if k == 0 else (1.0, 1.0), "scale": "none"}
+            traces.append(Trace(label, a.omega_c[part], law[part], colour, width=width, **options))
     return Chart(
         "torque-speed",
         f"Unmodelled torque, {view.body}",
@@ -351,17 +333,12 @@ def tracking_charts(tracks: Tracks) -> list[Chart]:
     for axis in (0, 1):
         curves = [(c.clip, c.time, c.place[:, axis]) for c in tracks.centres]
         centre += _combined_traces("xy"[axis], curves, len(centre))
-    charts = []
-    if sigma:
-        finding = sigma_finding(tracks.sigmas)
-        caption = "From the consistency of the markers and their sharpness."
-        charts.append(
-            Chart("sigma", "Uncertainty of the angles", "mrad", tuple(sigma), finding, caption=caption)
-        )
-    finding = centre_finding(tracks.centres)
+    caption = "From the consistency of the markers and their sharpness."
+    title, finding = "Uncertainty of the angles", sigma_finding(tracks.sigmas)
+    charts = [Chart("sigma", title, "mrad", tuple(sigma), finding, caption=caption)] if sigma else []
     caption = "Centre in the image, relative to its median; tracking corrects the angles for it."
-    charts.append(Chart("centre", "Motion of the centre", "px", tuple(centre), finding, caption=caption))
-    return charts
+    title, finding = "Motion of the centre", centre_finding(tracks.centres)
+    return [*charts, Chart("centre", title, "px", tuple(centre), finding, caption=caption)]
 
 
 def _combined_traces(prefix: str, curves: Sequence[tuple[str, Array, Array]], used: int) -> list[Trace]:
@@ -370,18 +347,13 @@ def _combined_traces(prefix: str, curves: Sequence[tuple[str, Array, Array]], us
     for name, time, value in sorted(curves, key=lambda c: float(c[1][0])):
         free = next((lane for _, lane in lanes if lane[-1][0][-1] < time[0]), None)
         if free is None:
-            lanes.append((name, [(time, value, None)]))
-        else:
-            free.append((time, value, None))
-    return [
-        concatenated(
-            f"{prefix}, {name}" + (" …" if len(lane) > 1 else ""),
-            lane,
-            _CLIPS[(used + i) % len(_CLIPS)],
-            width=1.0,
-        )
-        for i, (name, lane) in enumerate(lanes)
-    ]
+            lanes.append((name, free := []))
+        free.append((time, value, None))
+    traces = []
+    for i, (name, lane) in enumerate(lanes, used):
+        label = f"{prefix}, {name} …" if len(lane) > 1 else f"{prefix}, {name}"
+        traces.append(concatenated(label, lane, _CLIPS[i % len(_CLIPS)], width=1.0))
+    return traces
 
 
 _MAX_WINDOWS = 8

@@ -146,14 +146,8 @@ def plain(text: str, most: int = 34) -> str:
 
 def legend(axes: Axes, **changes: Any) -> None:
     """Draw the legend above the axes, on the left."""
-    place = {
-        "loc": "lower left",
-        "bbox_to_anchor": (0.0, 1.0),
-        "borderaxespad": 0.2,
-        "ncols": 4,
-        "handlelength": 1.6,
-    }
-    axes.legend(**{**place, **changes}, fontsize=9)
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    axes.legend(**{**place, "ncols": 4, "handlelength": 1.6, **changes}, fontsize=9)
 
 
 def beside(axes: Axes, text: str, at: tuple[float, float], offset: float = 4, **changes: Any) -> None:
@@ -331,18 +325,13 @@ def concatenated(
     label: str, curves: Sequence[tuple[Array, Array, Array | None]], colour: str, **options: Any
 ) -> Trace:
     """Concatenate curves (x, value, sigma) that do not overlap to one trace with interruptions."""
-    x, value, sigma = [], [], []
+    parts = [np.zeros((3, 0))]
     for i, (t, v, s) in enumerate(curves):
-        x.append(t)
-        value.append(v)
-        sigma.append(np.zeros_like(v) if s is None else s)
+        parts.append(np.stack([t, v, np.zeros_like(v) if s is None else s]))
         if i + 1 < len(curves) and len(t) and len(curves[i + 1][0]):
-            x.append(np.array([0.5 * (t[-1] + curves[i + 1][0][0])]))
-            value.append(np.array([np.nan]))
-            sigma.append(np.array([np.nan]))
-    joined = [np.concatenate(part) if part else np.zeros(0) for part in (x, value, sigma)]
-    has_band = bool(np.nansum(joined[2]) > 0)
-    return Trace(label, joined[0], joined[1], colour, joined[2] if has_band else None, **options)
+            parts.append(np.array([[0.5 * (t[-1] + curves[i + 1][0][0])], [np.nan], [np.nan]]))
+    x, value, sigma = np.concatenate(parts, axis=1)
+    return Trace(label, x, value, colour, sigma if np.nansum(sigma) > 0 else None, **options)
 
 
 def draw(
@@ -354,18 +343,14 @@ def draw(
     limits: tuple[float, float] | None = None,
     most: int = 1200,
 ) -> None:
-    """Draw a chart with matplotlib; labels and limits of the axes are set, but no legend is drawn.
-
-    `intervals` [s] are shaded, `window` are horizontal limits, `limits` vertical ones instead of those of the chart; a
-    curve has at most `most` points.
-    """
+    """Draw a chart without legend, with shaded `intervals` [s], within a time `window` and vertical `limits`."""
     from matplotlib.ticker import NullLocator
 
     label: str | None = "lack of fit"
     for i in intervals:
-        start, stop = (
-            (i.start, i.stop) if window is None else (max(i.start, window[0]), min(i.stop, window[1]))
-        )
+        start, stop = i.start, i.stop
+        if window is not None:
+            start, stop = max(start, window[0]), min(stop, window[1])
         if start < stop:
             ax.axvspan(start, stop, color=FAILING, alpha=0.3, linewidth=0, zorder=0.5, label=label)
             label = None
@@ -375,13 +360,10 @@ def draw(
             inside = (x >= window[0]) & (x <= window[1])
             x, value, sigma = x[inside], value[inside], None if sigma is None else sigma[inside]
         if sigma is not None:
-            step = max(1, len(x) // most)
-            lower, upper = value - 2 * sigma, value + 2 * sigma
-            alpha = 0.55 if t.kind == "band" else 0.22
-            name = t.label if t.kind == "band" else None
-            ax.fill_between(
-                x[::step], lower[::step], upper[::step], color=t.colour, alpha=alpha, linewidth=0, label=name
-            )
+            few = slice(None, None, max(1, len(x) // most))
+            band = (value - 2 * sigma)[few], (value + 2 * sigma)[few]
+            alpha, name = (0.55, t.label) if t.kind == "band" else (0.22, None)
+            ax.fill_between(x[few], *band, color=t.colour, alpha=alpha, linewidth=0, label=name)
         if t.kind != "band":
             marks: dict[str, Any] = {"marker": "o", "markersize": 2.2} if t.kind == "points" else {}
             ax.plot(
@@ -436,16 +418,8 @@ def dashboard_document(board: Dashboard) -> dict[str, Any]:
         "title": board.title,
         "intervals": [interval_document(i) for i in board.intervals],
         "charts": [
-            {
-                "name": c.name,
-                "title": c.title,
-                "unit": c.unit,
-                "finding": c.finding,
-                "caption": c.caption,
-                "x_label": c.x_label,
-                "is_time": c.x_label == TIME,
-                "traces": [_trace(t) for t in c.traces],
-            }
+            {key: getattr(c, key) for key in ("name", "title", "unit", "finding", "caption", "x_label")}
+            | {"is_time": c.x_label == TIME, "traces": [_trace(t) for t in c.traces]}
             for c in board.charts
         ],
     }
@@ -457,16 +431,8 @@ def interval_document(i: Interval) -> dict[str, Any]:
 
 
 def _trace(t: Trace) -> dict[str, Any]:
-    document: dict[str, Any] = {
-        "label": t.label,
-        "colour": t.colour,
-        "kind": t.kind,
-        "width": t.width,
-        "dash": list(t.dash),
-        "scale": t.scale,
-        "x": _abscissa(t.x),
-        "value": _values(t.value),
-    }
+    document: dict[str, Any] = {k: getattr(t, k) for k in ("label", "colour", "kind", "width", "scale")}
+    document |= {"dash": list(t.dash), "x": _abscissa(t.x), "value": _values(t.value)}
     if t.sigma is not None:
         document["sigma"] = _values(t.sigma)
     return document

@@ -106,15 +106,8 @@ def _brackets(ax: Axes, shown: list[Candidate], letters: dict[str, str]) -> None
         transform = ax.get_yaxis_transform()
         xs, ys = [x - 0.012, x, x, x - 0.012], [first, first, last, last]
         ax.plot(xs, ys, color="#000000", linewidth=1.2, transform=transform, clip_on=False)
-        ax.text(
-            x + 0.006,
-            0.5 * (first + last),
-            letter,
-            transform=transform,
-            va="center",
-            fontweight="bold",
-            fontsize=10,
-        )
+        bold: dict[str, Any] = {"va": "center", "fontweight": "bold", "fontsize": 10}
+        ax.text(x + 0.006, 0.5 * (first + last), letter, transform=transform, **bold)
 
 
 def _candidates_finding(shown: list[Candidate]) -> str:
@@ -157,14 +150,9 @@ def history_picture(view: StudyView) -> Picture:
         axes = figure.subplots(2, 3, sharey=True)
         for ax, (title, unit, name, takes_prefix) in zip(axes.flat, _KINDS, strict=True):
             values = np.array([getattr(s, name) for s in steps], dtype=float)
-            texts = [
-                "not resolved"
-                if name == "torque_left" and v == 0
-                else "start"
-                if name == "delta_bic" and i == 0
-                else ""
-                for i, v in enumerate(values)
-            ]
+            texts = ["not resolved" if name == "torque_left" and v == 0 else "" for v in values]
+            if name == "delta_bic":
+                texts[0] = "start"
             size = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
             factor, prefix = scaled(size) if takes_prefix else (1.0, "")
             limit = limits.get(name)
@@ -237,11 +225,8 @@ def history_finding(view: StudyView) -> str:
         if abs(before - after) > _CLEAR_CHANGE * abs(before):
             end = "not resolved" if after == 0 else f"{short(after)}{unit}"
             parts.append(f"{words.replace('{body}', view.body)} {short(before)}{unit} → {end}")
-    return (
-        f"With {_change_phrase(view)}: "
-        + ("; ".join(parts) or "no figure of merit changes by more than 5 %")
-        + "."
-    )
+    changes = "; ".join(parts) or "no figure of merit changes by more than 5 %"
+    return f"With {_change_phrase(view)}: {changes}."
 
 
 def _change_phrase(view: StudyView) -> str:
@@ -261,11 +246,7 @@ def story_picture(
     frame: NDArray[np.uint8] | None = None,
     force: bool = False,
 ) -> Path:
-    """Draw the summary figure of the first case: speed, residuals, and the figure of merit that decreased most.
-
-    `history` and `diagnosis` are those of `write_report`, the path ends in ``.png`` or ``.svg``; `frame` (height,
-    width, 3), red, green, blue, is an inset of the first panel.
-    """
+    """Draw a summary of the first case (.png, .svg): speed and a `frame` (RGB), residuals, figure of merit."""
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in {"png", "svg"}:
@@ -362,12 +343,9 @@ def correlation_picture(view: StudyView) -> Picture | None:
         return None
     cases = [v.label for v in view.cases]
     symbols = [symbol(n, cases) for n in names]
-    labels = [  # effects distinguish equal symbols
-        f"{s} {plain(n.partition('@')[0].rpartition('.')[0].rpartition('.')[2], 12)}"
-        if symbols.count(s) > 1
-        else s
-        for n, s in zip(names, symbols, strict=True)
-    ]
+    effects = [plain(n.partition("@")[0].rpartition(".")[0].rpartition(".")[2], 12) for n in names]
+    # effects distinguish equal symbols
+    labels = [f"{s} {e}" if symbols.count(s) > 1 else s for s, e in zip(symbols, effects, strict=True)]
     with style({"axes.grid": False}):
         size = min(7.5, 1.6 + 0.5 * len(names))
         figure = canvas(size + 0.9, size)

@@ -109,17 +109,13 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
     size = max(float(np.abs(d.torque).max()), 1e-300)
     factor, prefix = scaled(size)
     band = np.minimum(2 * d.sigma, 3 * size)
-    ax.fill_between(
-        d.value, factor * (d.torque - band), factor * (d.torque + band), color=PALE, linewidth=0,
-        label="unmodelled torque ± 2 u",
-    )  # fmt: skip
+    limits = factor * (d.torque - band), factor * (d.torque + band)
+    ax.fill_between(d.value, *limits, color=PALE, linewidth=0, label="unmodelled torque ± 2 u")
     ax.plot(d.value, factor * d.torque, color=GREY, linewidth=4.0, alpha=0.6)
     for (law, values), colour, dash in zip(drawn, _COLOURS, _DASHES, strict=False):
         if values is not None:
-            ax.plot(
-                d.value, factor * values, color=colour, linestyle=dash, linewidth=1.5,
-                label=plain(law.formula, 46),
-            )  # fmt: skip
+            label = plain(law.formula, 46)
+            ax.plot(d.value, factor * values, color=colour, linestyle=dash, linewidth=1.5, label=label)
     ax.axhline(0.0, color="#444444", linewidth=0.7)
     ax.set_xlabel(_AXES[d.variable])
     ax.set_ylabel(f"torque {_ON[d.body]} [{prefix}{unit_text(found.fit.torque_unit)}]")
@@ -136,13 +132,8 @@ def _law_curve(law: Law, d: Dependence) -> Any:
         own = {p.symbol for p in e.parameters}
         if e.joint != d.body or e.state is not None or symbols(e.expression) - own != {d.variable}:
             return None
-        numbers = {
-            p.symbol: next(
-                v.value for k, v in law.estimates.items()
-                if k.partition("@")[0].rpartition(".")[::2] == (e.name, p.symbol)
-            )
-            for p in e.parameters
-        }  # fmt: skip
+        keys = {k.partition("@")[0]: v.value for k, v in reversed(law.estimates.items())}  # of the first case
+        numbers = {symbol: keys[f"{e.name}.{symbol}"] for symbol in own}
         total = total + np.asarray(Tape([e.expression])({d.variable: d.value, **numbers})[0])
     return d.comparable(total)
 
@@ -154,15 +145,8 @@ def _draw_shares(ax: Axes, found: Laws) -> None:
     ax.barh(np.arange(len(shown)), [100 * d.explained for d in shown], color=colours, height=0.66)
     for i, d in enumerate(shown):
         text = f"{100 * d.explained:.1f} %" + ("" if d.p_value < 0.05 else f", p = {d.p_value:.2g}")
-        inside = 100 * d.explained > _WIDE
-        beside(
-            ax,
-            text,
-            (100 * d.explained, i),
-            -4 if inside else 4,
-            ha="right" if inside else "left",
-            fontsize=9,
-        )
+        offset, side = (-4, "right") if 100 * d.explained > _WIDE else (4, "left")
+        beside(ax, text, (100 * d.explained, i), offset, ha=side, fontsize=9)
     as_rows(ax, labels, fontsize=9)
     ax.set_xlim(0, 100)
     ax.set_xlabel("explained lack of fit [%]")
@@ -225,23 +209,14 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None
     ax.set_xscale("log")
     as_rows(ax, [plain(e.effect.name) for e in shown])
     ax.set_xlabel(f"rms torque along the motion [{unit}]")
-    ax.legend(
-        loc="lower left",
-        bbox_to_anchor=(-0.3, 1.0),
-        ncols=3,
-        fontsize=8.5,
-        handletextpad=0.3,
-        columnspacing=0.9,
-    )
+    narrow: dict[str, Any] = {"ncols": 3, "fontsize": 8.5, "handletextpad": 0.3, "columnspacing": 0.9}
+    ax.legend(loc="lower left", bbox_to_anchor=(-0.3, 1.0), **narrow)
 
 
 def _power(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
     # evenly distributed over the range of limits
-    chosen = (
-        [shown[i] for i in sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))})]
-        if shown
-        else []
-    )
+    places = sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))}) if shown else []
+    chosen = [shown[i] for i in places]
     for e, colour in zip(chosen, _CURVES, strict=False):
         torque = e.curve[1:, 0] * e.stderr * e.torque
         ax.plot(torque, 100 * e.curve[1:, 1], color=colour, label=plain(e.effect.name))
@@ -259,13 +234,8 @@ def _run(ax: Axes, found: NextRun) -> None:
     if run.windows:
         ax.plot(found.times, found.omega_rotor, color=VERMILLION, label="rotor")
         for i, w in enumerate(run.windows):
-            ax.axvspan(
-                w,
-                w + run.window_length,
-                color=ORANGE,
-                alpha=0.35,
-                label="film of the rotor" if i == 0 else None,
-            )
+            label = "film of the rotor" if i == 0 else None
+            ax.axvspan(w, w + run.window_length, color=ORANGE, alpha=0.35, label=label)
         other = ax.twinx()
         other.grid(visible=False)
         other.spines["right"].set_visible(True)

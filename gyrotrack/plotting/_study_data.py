@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
 from fitting._numbers import unit_text
-from fitting.inference._speed_residuals import SpeedResidual, speed_residuals
+from fitting.inference._speed_residuals import CASING, ROTOR, SpeedResidual, modelled_speed, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
@@ -115,15 +115,10 @@ class CaseView:
         These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed is
         outside of its band: an unmodelled torque changes the speed also at later times.
         """
-        found = [
-            Interval(
-                f.t_start,
-                f.t_stop,
-                f"{'–'.join(f.times)} s, {f.called}, {f.size_sigma:.0f} σ",
-                f.body,
-            )
-            for f in failures
-        ]
+        found = []
+        for f in failures:
+            text = f"{'–'.join(f.times)} s, {f.called}, {f.size_sigma:.0f} σ"
+            found.append(Interval(f.t_start, f.t_stop, text, f.body))
         noise = self.models[-1]
         bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
             ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
@@ -193,23 +188,15 @@ def _measured(time: Array, omega: Array) -> Curve:
 
 def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> CaseModel:
     record = fit.problem.data[index].record
-    casing, rotor = speed_residuals(fit, index)
-    ends = record.casing.time[[0, -1]]
-    return CaseModel(
-        _modelled(fit, index, 1, np.linspace(ends[0], ends[1], _MODEL_POINTS)),
-        tuple(
-            _modelled(fit, index, 0, np.linspace(w.time[0], w.time[-1], _WINDOW_POINTS)) for w in record.rotor
-        ),
-        casing,
-        rotor,
-        {t.body: t for t in torques if t.label == record.label},
-    )
 
+    def curve(body: int, measured: Array, points: int) -> Curve:
+        time = np.linspace(measured[0], measured[-1], points)
+        return Curve(time, *modelled_speed(fit, index, body, time))
 
-def _modelled(fit: Fit, index: int, body: int, time: Array) -> Curve:
-    from fitting.inference._speed_residuals import modelled_speed
-
-    return Curve(time, *modelled_speed(fit, index, body, time))
+    casing = curve(CASING, record.casing.time, _MODEL_POINTS)
+    rotor = tuple(curve(ROTOR, w.time, _WINDOW_POINTS) for w in record.rotor)
+    own = {t.body: t for t in torques if t.label == record.label}
+    return CaseModel(casing, rotor, *speed_residuals(fit, index), own)
 
 
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
@@ -274,11 +261,7 @@ class Step:
 
 @dataclass(frozen=True)
 class StudyView:
-    """Data of a study for the report.
-
-    `rmse_floor` is the noise limit of the rms error of the casing [rad/s]; `upper_limits` are those of effects that are
-    not in the final model, empty if it has a significant lack of fit.
-    """
+    """Data of a study for the report; `rmse_floor` is the noise limit of the rms error of the casing [rad/s]."""
 
     steps: tuple[Step, ...]
     rmse_floor: float
@@ -328,16 +311,14 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
     fits = (base, final) if len(history) > 1 else (base,)
     torques = tuple(_torques(f, diagnosis) for f in fits)
     candidates = diagnosis.candidates if diagnosis is not None else history[0].candidates
-    verdict = history_verdict(history)
-    if len(history) == 1 and diagnosis is not None:
-        verdict = diagnosis.verdict
+    alone = len(history) == 1 and diagnosis is not None
     return StudyView(
         steps=_steps(history),
         rmse_floor=final.rmse_noise,
         base=base,
         final=final,
         added=tuple(n for n in final.model.names if n not in base.model.names),
-        verdict=verdict,
+        verdict=diagnosis.verdict if alone and diagnosis is not None else history_verdict(history),
         sentence=diagnosis.sentence if diagnosis is not None else "",
         candidates=tuple(c for c in candidates if c.score > 0),
         differs=diagnosis.differs if diagnosis is not None else None,
@@ -363,19 +344,10 @@ def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
     steps = []
     for i, step in enumerate(history):
         d = step_document(step.fit, "", step.change, history[i - 1].fit if i else None)
-        steps.append(
-            Step(
-                change=step.change or "base model",
-                rmse=d["rmse_casing"],
-                reduced_chi2=d["reduced_chi2"],
-                held_out=d["held_out"],
-                delta_bic=d["delta_bic"],
-                energy_drift=d["energy_drift"],
-                torque_left=step.fit.torque_noise,
-                torque_pure=max(n.pure for n in step.fit.noise),
-                verdict=step.fit.verdict,
-            )
-        )
+        merits = {k: d[k] for k in ("reduced_chi2", "held_out", "delta_bic", "energy_drift", "verdict")}
+        change, pure = step.change or "base model", max(n.pure for n in step.fit.noise)
+        torques: dict[str, Any] = {"torque_left": step.fit.torque_noise, "torque_pure": pure}
+        steps.append(Step(change=change, rmse=d["rmse_casing"], **torques, **merits))
     return tuple(steps)
 
 

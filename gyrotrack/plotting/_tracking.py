@@ -6,13 +6,13 @@ import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import short
-from gyrotrack.plotting._charts import BLUE, VERMILLION, WIDTH, Picture, canvas, markup, plain, style
+from gyrotrack.plotting._charts import BLUE, VERMILLION, WIDTH, Picture, beside, canvas, markup, plain, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,14 +55,12 @@ class Centre:
 
 @dataclass(frozen=True)
 class Span:
-    """Interval of a clip on the clock of the case [s], with the uncertainty of its start and rate."""
+    """Interval of a clip on the clock of the case [s], with the uncertainty of its start."""
 
     clip: str
     start: float
     stop: float
     sigma: float
-    rate: float
-    rate_sigma: float
     ambiguous: bool
     method: str
 
@@ -84,24 +82,12 @@ def tracks_of(case: Case) -> Tracks | None:
         if placement is None or not len(r.time):
             continue
         time = on_clock(placement, r.time)
-        sigmas += [
-            Sigma(r.source, name, on_clock(placement, b.time), b.sigma)
-            for name, b in r.bodies.items()
-            if len(b.time)
-        ]
+        for name, b in r.bodies.items():
+            if len(b.time):
+                sigmas.append(Sigma(r.source, name, on_clock(placement, b.time), b.sigma))
         centres.append(Centre(r.source, time, _about_median(r)))
-        spans.append(
-            Span(
-                r.source,
-                float(time[0]),
-                float(time[-1]),
-                placement.clock_offset_sigma,
-                placement.clock_rate,
-                placement.clock_rate_sigma,
-                placement.ambiguous,
-                placement.method,
-            )
-        )
+        ends, sigma = (float(time[0]), float(time[-1])), placement.clock_offset_sigma
+        spans.append(Span(r.source, *ends, sigma, placement.ambiguous, placement.method))
     return Tracks(tuple(sigmas), tuple(centres), tuple(spans)) if spans else None
 
 
@@ -144,16 +130,9 @@ def sync_picture(tracks: Tracks, name: str) -> Picture:
         figure = canvas(WIDTH, 0.9 + 0.42 * len(spans))
         ax = figure.subplots()
         for i, s in enumerate(spans):
-            colour = VERMILLION if s.ambiguous else BLUE
-            ax.barh(
-                i,
-                max(s.stop - s.start, 1e-9),
-                left=s.start,
-                height=0.55,
-                color=colour,
-                hatch="////" if s.ambiguous else "",
-                edgecolor="white",
-            )
+            colour, hatch = (VERMILLION, "////") if s.ambiguous else (BLUE, "")
+            options: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
+            ax.barh(i, max(s.stop - s.start, 1e-9), left=s.start, height=0.55, **options)
         room = (max(s.stop for s in spans) - min(s.start for s in spans)) or 1.0
         ax.set_xlim(min(s.start for s in spans) - 0.02 * room, max(s.stop for s in spans) + 0.34 * room)
         _notes(ax, spans)
@@ -168,14 +147,7 @@ def sync_picture(tracks: Tracks, name: str) -> Picture:
 def _notes(ax: Axes, spans: tuple[Span, ...]) -> None:
     for i, s in enumerate(spans):
         text = "reference clock" if s.sigma == 0 else f"start ± {short(1e3 * s.sigma, 2)} ms"
-        ax.annotate(
-            text + ("  AMBIGUOUS" if s.ambiguous else ""),
-            (s.stop, i),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9.5,
-        )
+        beside(ax, text + ("  AMBIGUOUS" if s.ambiguous else ""), (s.stop, i), 5, fontsize=9.5)
 
 
 def _sync_caption(spans: tuple[Span, ...]) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -23,7 +22,8 @@ from gyrotrack.io._records import (
     Floats,
     Placement,
     Recording,
-    Series,
+    doubts_of,
+    series_of,
     speed_warnings,
 )
 from gyrotrack.synchronisation._matching import TURN, Curve, Pair, Solution, Start, casing_curve, solve
@@ -48,11 +48,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Match:
-    """Start, rate and direction of one clip with standard uncertainties.
-
-    `covariance` (3, 3) is that of (offset [s], rate [1], angle [rad]), of which the first and the last can be strongly
-    correlated.
-    """
+    """Start, rate and direction of one clip with uncertainties and `covariance` (3, 3) of (offset, rate, angle)."""
 
     name: str
     start: Start
@@ -69,9 +65,7 @@ class Match:
     @property
     def ambiguous(self) -> bool:
         """Whether another start cannot be excluded, or the uncertainty is too large."""
-        return self.offset_sigma > MAX_START_SIGMA or any(
-            rival.delta_chi2 < EXCLUDED for rival in self.rivals
-        )
+        return self.offset_sigma > MAX_START_SIGMA or any(r.delta_chi2 < EXCLUDED for r in self.rivals)
 
     @property
     def method(self) -> str:
@@ -89,11 +83,7 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Determine start, rate and direction of every clip on the clock of the casing camera, from the casing's angle.
-
-    Clips with equal entries in `cameras` are from the same camera; `progress` is called with (clips done, clips in
-    total). A SyncError says that a clip does not match this casing recording.
-    """
+    """Determine start, rate and direction of every clip by the casing's angle; equal `cameras` are one camera."""
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
     for clip, name in zip(clips, names, strict=True):
@@ -116,10 +106,8 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
     if common:
         free = _solve(pairs, best.starts, common_rate=False, windows=best.windows)
         if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < 1e-4:
-            common, fits = (
-                False,
-                [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)],
-            )
+            common = False
+            fits = [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)]
             best = min(fits, key=lambda fit: fit.chi2)
     rivals = [_rivals(fits, best, k) for k in range(len(prepared))]
     turns, locked = _common_direction(pairs, best, common_rate=common)
@@ -158,12 +146,8 @@ def _solve(
 
 def _combinations(prepared: list[Prepared]) -> list[tuple[Start, ...]]:
     """Return the most likely combinations of possible starts."""
-    options = []
-    for p in prepared:
-        lowest = p.solutions[0].chi2
-        options.append([s for s in p.solutions if s.chi2 < lowest + RIVAL])
-    combos = list(product(*options))
-    combos.sort(key=lambda combo: sum(solution.chi2 for solution in combo))
+    options = [[s for s in p.solutions if s.chi2 < p.solutions[0].chi2 + RIVAL] for p in prepared]
+    combos = sorted(product(*options), key=lambda combo: sum(solution.chi2 for solution in combo))
     return [tuple(solution.starts[0] for solution in combo) for combo in combos[:MAX_COMBINATIONS]]
 
 
@@ -268,10 +252,8 @@ def synchronise(
     matches = match_clips(curves[0], curves[1:], names[1:], cameras, progress)
     order = sorted(range(len(rotors)), key=lambda k: matches[k].start.offset)
     ids = {k: f"rotor_{window}" for window, k in enumerate(order)}
-    of_casing, of_rotor = (
-        _series([casing.bodies["casing"]]),
-        _windows([_on_clock(rotor_tracks[k], matches[k]) for k in order]),
-    )
+    of_casing = replace(series_of([casing.bodies["casing"]]), window=None)
+    of_rotor = series_of([_on_clock(rotor_tracks[k], matches[k]) for k in order])
     remedy = (
         "name the bodies in a profile (`gyrotrack profile VIDEO -o P.toml`) and repeat "
         "`gyrotrack extract VIDEO --profile P.toml`"
@@ -286,7 +268,15 @@ def synchronise(
         rotor=of_rotor,
         recordings={"casing": casing, **{ids[k]: rotors[k] for k in order}},
         placements={"casing": still, **{ids[k]: _placement(ids[k], matches[k]) for k in order}},
-        warnings=(*_warnings(matches, rotor_tracks, order), *speed_warnings(of_casing, of_rotor, remedy)),
+        warnings=(
+            *(
+                f"{n}: {doubt}"
+                for n, r in zip(names, [casing, *rotors], strict=True)
+                for doubt in doubts_of(r)
+            ),
+            *_warnings(matches, rotor_tracks, order),
+            *speed_warnings(of_casing, of_rotor, remedy),
+        ),
         extra={"sync_covariance": {ids[k]: matches[k].covariance.tolist() for k in order}},
     )
     return Synchronised(case, tuple(matches))
@@ -296,19 +286,16 @@ def _check_distinct_films(recordings: Sequence[Recording], names: Sequence[str])
     seen: dict[str, str] = {}
     for recording, name in zip(recordings, names, strict=True):
         if recording.source_sha256 and recording.source_sha256 in seen:
-            raise SyncError(
-                f"{name} and {seen[recording.source_sha256]} come from the same film.",
-                "Give each film once.",
-            )
+            other = seen[recording.source_sha256]
+            raise SyncError(f"{name} and {other} come from the same film.", "Give each film once.")
         seen[recording.source_sha256] = name
 
 
 def _rotor(recording: Recording, name: str) -> BodyTrack:
     body = recording.bodies.get("rotor")
     if body is None or not len(body.time):
-        raise SyncError(
-            f"{name} does not show the rotor.", "Track the markers of the rotor, or omit the recording."
-        )
+        what = f"{name} does not show the rotor."
+        raise SyncError(what, "Track the markers of the rotor, or omit the recording.")
     return body
 
 
@@ -324,20 +311,6 @@ def _on_clock(body: BodyTrack, match: Match) -> BodyTrack:
     )
 
 
-def _windows(parts: list[BodyTrack]) -> Series:
-    window = np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)])
-    return replace(_series(parts), window=window)
-
-
-def _series(parts: list[BodyTrack]) -> Series:
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("time", "angle", "sigma", "omega", "omega_sigma")
-    }
-    turn = np.floor(joined["angle"] / TURN).astype(np.int64)
-    return Series(**joined, turn=turn, window=None, sigma_source="measured")
-
-
 def _placement(name: str, match: Match) -> Placement:
     return Placement(
         id=name,
@@ -351,18 +324,14 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
-def _rival_text(rival: Rival) -> str:
-    turn = " (one turn of the casing away)" if rival.kind == "turn" else ""
-    return f"{rival.offset:.3f} s{turn}"
-
-
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
     """Return warnings about uncertain starts and inconsistent clips."""
     found = []
     for match in matches:
         rivals = [rival for rival in match.rivals if rival.delta_chi2 < EXCLUDED]
         if rivals:
-            others = ", ".join(_rival_text(rival) for rival in rivals[:3])
+            away = {"turn": " (one turn of the casing away)"}
+            others = ", ".join(f"{r.offset:.3f} s{away.get(r.kind, '')}" for r in rivals[:3])
             found.append(f"{match.name}: ambiguous start, {match.start.offset:.3f} s or {others}")
         elif match.offset_sigma > MAX_START_SIGMA:
             found.append(
@@ -375,7 +344,5 @@ def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order
         if second.time[0] < first.time[-1]:
             found.append(f"{pair} overlap in time")
         elif np.nanmedian(second.omega) > 1.02 * np.nanmedian(first.omega):
-            found.append(
-                f"{pair}: the rotor is faster in the later clip, so that one of the starts may be wrong"
-            )
+            found.append(f"{pair}: the rotor is faster in the later clip; one of the starts may be wrong")
     return found

@@ -115,26 +115,18 @@ def casing_curve(recording: Recording, name: str) -> Curve:
     """Return the angle of the casing in a recording; a SyncError says that it is shown in too few frames."""
     body = recording.bodies.get("casing")
     if body is None:
-        raise SyncError(
-            f"{name} does not show the casing.",
-            "Clips are synchronised by the casing: track its marker in every clip.",
-        )
+        what = f"{name} does not show the casing."
+        raise SyncError(what, "Clips are synchronised by the casing: track its marker in every clip.")
     valid = np.isfinite(body.angle) & np.isfinite(body.time) & (body.sigma > 0)
     curve = Curve(body.time[valid], body.angle[valid], body.sigma[valid])
     if len(curve.time) < MIN_FRAMES or curve.duration < MIN_DURATION:
-        raise SyncError(
-            f"{name} shows the casing in only {len(curve.time)} frames.",
-            f"At least {MIN_FRAMES} frames over {MIN_DURATION} s are needed.",
-        )
+        what = f"{name} shows the casing in only {len(curve.time)} frames."
+        raise SyncError(what, f"At least {MIN_FRAMES} frames over {MIN_DURATION} s are needed.")
     return without_outliers(curve)
 
 
 def without_outliers(curve: Curve) -> Curve:
-    """Return the curve without outliers.
-
-    The integral of the running median of the speed is subtracted; samples that deviate from the running median of the
-    remainder by more than six robust standard deviations are excluded.
-    """
+    """Return the curve without samples that deviate from its running median by over six robust standard deviations."""
     step = np.diff(curve.time)
     speed = median_smooth(np.diff(curve.angle) / step, NEIGHBOURS)
     slow = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])

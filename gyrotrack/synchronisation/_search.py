@@ -189,14 +189,8 @@ def _initial_value(casing: Curve, clip: Curve, offset: float) -> Start:
 
 def _distinct(pair: Pair, starts: list[Start], rate_limit: float = RATE_LIMIT) -> list[Solution]:
     """Refine the initial values and return the distinct solutions with small chi2, best first."""
-    found: list[Solution] = []
-    for start in starts:
-        if not _is_covered(pair, start):
-            continue
-        solution = _refine(pair, start, rate_limit)
-        if solution is not None:
-            found.append(solution)
-    found.sort(key=lambda solution: solution.chi2)
+    refined = (_refine(pair, start, rate_limit) for start in starts if _is_covered(pair, start))
+    found = sorted((s for s in refined if s is not None), key=lambda solution: solution.chi2)
     distinct: list[Solution] = []
     for solution in found:
         offset = solution.starts[0].offset
@@ -211,11 +205,8 @@ def _refine(pair: Pair, start: Start, rate_limit: float) -> Solution | None:
         solution = solve([pair], [start], rate_sigma=RATE_SIGMA)
     except (np.linalg.LinAlgError, ValueError):  # outside of the record, or the casing is at rest
         return None
-    start = solution.starts[0]
-    sound = (
-        abs(start.eps) < rate_limit and np.isfinite(solution.covariance).all() and _is_covered(pair, start)
-    )
-    return solution if sound else None
+    start, known = solution.starts[0], np.isfinite(solution.covariance).all()
+    return solution if known and abs(start.eps) < rate_limit and _is_covered(pair, start) else None
 
 
 def _is_covered(pair: Pair, start: Start) -> bool:
@@ -252,15 +243,11 @@ def _with_slow_noise(pair: Pair, start: Start) -> Pair:
     speed = casing.speed(moment)
     change = np.column_stack([speed, speed * pair.clip.time, np.ones_like(speed), harmonics(pair.clip.angle)])
     rows = np.hstack([casing.design(moment), change]) / pair.clip.sigma[:, None]
-    return replace(
-        pair,
-        casing=pair.casing.scaled(
-            np.sqrt(slow_variance(record.time, casing.rows, left.residual_casing, pair.clip.duration))
-        ),
-        clip=pair.clip.scaled(
-            np.sqrt(slow_variance(pair.clip.time, rows, left.residual_clip, pair.clip.duration))
-        ),
-    )
+    period = pair.clip.duration
+    of_casing = slow_variance(record.time, casing.rows, left.residual_casing, period)
+    of_clip = slow_variance(pair.clip.time, rows, left.residual_clip, period)
+    scaled = pair.casing.scaled(np.sqrt(of_casing)), pair.clip.scaled(np.sqrt(of_clip))
+    return replace(pair, casing=scaled[0], clip=scaled[1])
 
 
 def _with_calibrated_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
@@ -278,11 +265,8 @@ def _with_calibrated_noise(pair: Pair, start: Start) -> tuple[Pair, int]:
         float(np.sqrt(np.mean(residual**2) / max(1 - used, 0.1) * factor))
         for residual, factor in zip(residuals, factors, strict=True)
     )
-    cleaned = replace(
-        pair,
-        casing=pair.casing.keep(good_casing).scaled(casing),
-        clip=pair.clip.keep(good_clip).scaled(clip),
-    )
+    kept = pair.casing.keep(good_casing).scaled(casing), pair.clip.keep(good_clip).scaled(clip)
+    cleaned = replace(pair, casing=kept[0], clip=kept[1])
     return cleaned, int((~good_clip).sum() + (~good_seen).sum())
 
 

@@ -171,27 +171,16 @@ def load_truth(path: Path) -> Truth:
     if path.suffix == ".json":
         content = json.loads(path.read_text(encoding="utf-8"))
         scalars = {key: content.pop(key) for key in ("clock_offset", "clock_rate", "sense")}
-        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in content.items()}
+        arrays: dict[str, Any] = {name: np.asarray(v, dtype=np.float64) for name, v in content.items()}
     else:
         with np.load(path, allow_pickle=False) as held:
             scalars = json.loads(str(held["scalars"]))
             arrays = {name: held[name] for name in held.files if name != "scalars"}
-    groups: dict[str, dict[str, Array]] = {"angle": {}, "omega": {}, "corners": {}, "visible": {}}
+    groups: dict[str, Any] = {"angle": {}, "omega": {}, "corners": {}, "visible": {}}
     for name in [n for n in arrays if "." in n]:
         kind, _, item = name.partition(".")
         groups[kind][item] = arrays.pop(name)
-    return Truth(
-        time=arrays["time"],
-        clip_time=arrays["clip_time"],
-        clock_offset=float(scalars["clock_offset"]),
-        clock_rate=float(scalars["clock_rate"]),
-        angle=groups["angle"],
-        omega=groups["omega"],
-        centre=arrays["centre"],
-        corners=groups["corners"],
-        visible=groups["visible"],
-        sense=int(scalars["sense"]),
-    )
+    return Truth(**arrays, **scalars, **groups)
 
 
 def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:

@@ -64,11 +64,7 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return the picture with the motion blur of a rotation by ``angle`` rad, from -1/2 to 3/2 of a turn.
-
-        With two turns, angles need not be wrapped. The last result is cached: the blur changes little from frame to
-        frame.
-        """
+        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached, as it changes little."""
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
         if width not in self._blurred:

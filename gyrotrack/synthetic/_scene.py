@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -189,11 +189,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Wobble:
-    """A small circular motion of the axis of the gyroscope.
-
-    The axis moves on a circle of ``radius`` mm with ``frequency`` in Hz, positive in the sense of rotation of the
-    bodies, from ``phase`` in rad at t = 0.
-    """
+    """A circular motion of the axis: ``radius`` [mm], ``frequency`` [Hz] as the bodies turn, ``phase`` [rad] at 0."""
 
     radius: float = 0.0
     frequency: float = 6.0
@@ -251,8 +247,8 @@ class Scene:
 
 
 Curve = Callable[[ArrayLike], Array]
+# ``torque(t, omega_r, omega_c, psi_r, psi_c)`` in N m
 Torque = Callable[[float, float, float, float, float], float]
-"""``torque(t, omega_r, omega_c, psi_r, psi_c)`` in N m."""
 
 
 @dataclass(frozen=True)
@@ -271,23 +267,15 @@ class Motion:
 
     @classmethod
     def constant(
-        cls,
-        omega_rotor: float,
-        omega_casing: float,
-        psi_rotor: float = 0.0,
-        psi_casing: float = 0.0,
+        cls, omega_rotor: float, omega_casing: float, psi_rotor: float = 0.0, psi_casing: float = 0.0
     ) -> Motion:
         """Both bodies at constant speed: psi = psi_0 + omega t."""
 
         def line(offset: float, slope: float) -> Curve:
             return lambda t: offset + slope * np.asarray(t, dtype=np.float64)
 
-        return cls(
-            line(psi_rotor, omega_rotor),
-            line(psi_casing, omega_casing),
-            line(omega_rotor, 0.0),
-            line(omega_casing, 0.0),
-        )
+        angles = line(psi_rotor, omega_rotor), line(psi_casing, omega_casing)
+        return cls(*angles, line(omega_rotor, 0.0), line(omega_casing, 0.0))
 
     @classmethod
     def from_speeds(
@@ -299,37 +287,23 @@ class Motion:
         psi_casing: float = 0.0,
     ) -> Motion:
         """Angles from at least four speeds [rad/s] by an exactly integrated cubic spline, given at ``time[0]``."""
-        from scipy.interpolate import CubicSpline
-
-        t = np.asarray(time, dtype=np.float64)
-        rotor = CubicSpline(t, np.asarray(omega_rotor, dtype=np.float64), extrapolate=False)
-        casing = CubicSpline(t, np.asarray(omega_casing, dtype=np.float64), extrapolate=False)
-        rotor_angle, casing_angle = rotor.antiderivative(), casing.antiderivative()
-        return cls(
-            _curve(rotor_angle, psi_rotor),
-            _curve(casing_angle, psi_casing),
-            _curve(rotor),
-            _curve(casing),
-            float(t[0]),
-            float(t[-1]),
-        )
+        t, rotor, casing = _splines(time, omega_rotor, omega_casing)
+        angles = _curve(rotor.antiderivative(), psi_rotor), _curve(casing.antiderivative(), psi_casing)
+        return cls(*angles, _curve(rotor), _curve(casing), float(t[0]), float(t[-1]))
 
     @classmethod
     def from_angles(cls, time: ArrayLike, psi_rotor: ArrayLike, psi_casing: ArrayLike) -> Motion:
         """Speeds from unwrapped angles: cubic splines through psi(t) and their derivatives."""
-        from scipy.interpolate import CubicSpline
+        t, rotor, casing = _splines(time, psi_rotor, psi_casing)
+        speeds = _curve(rotor.derivative()), _curve(casing.derivative())
+        return cls(_curve(rotor), _curve(casing), *speeds, float(t[0]), float(t[-1]))
 
-        t = np.asarray(time, dtype=np.float64)
-        rotor = CubicSpline(t, np.asarray(psi_rotor, dtype=np.float64), extrapolate=False)
-        casing = CubicSpline(t, np.asarray(psi_casing, dtype=np.float64), extrapolate=False)
-        return cls(
-            _curve(rotor),
-            _curve(casing),
-            _curve(rotor.derivative()),
-            _curve(casing.derivative()),
-            float(t[0]),
-            float(t[-1]),
-        )
+
+def _splines(time: ArrayLike, rotor: ArrayLike, casing: ArrayLike) -> tuple[Array, Any, Any]:
+    from scipy.interpolate import CubicSpline
+
+    t, first, second = (np.asarray(x, dtype=np.float64) for x in (time, rotor, casing))
+    return t, CubicSpline(t, first, extrapolate=False), CubicSpline(t, second, extrapolate=False)
 
 
 def _curve(spline: Callable[[Array], Array], offset: float = 0.0) -> Curve:

@@ -58,8 +58,9 @@ def unaliased(
     """Return the rotation to take of those that a film allows.
 
     The one that explains more (`explained`) of the changes of brightness is taken. Of two that explain as much it is
-    the one that slows down, as a body does that turns freely. `angle` (n,) are angles followed by continuity,
-    counter-clockwise [rad], in the frames `frame`, with which the picture `template` was learnt.
+    the one that slows down, as a body does that turns freely; of two steady ones the slower one, with a warning.
+    `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
+    picture `template` was learnt.
     """
     steps = np.diff(angle) / np.diff(frame)
     usual = float(np.median(steps))
@@ -80,15 +81,16 @@ def unaliased(
         slows, other_slows = (_growth(a, frame) < -_STEADY for a in (angle, other))
         fastest = float(np.quantile(np.abs(steps), 0.99))
         if not other_slows or (slows and fastest < 0.5 * period):
-            if fastest > 0.5 * period:
+            # nothing decides between two steady rotations
+            if fastest > 0.5 * period or not (slows or other_slows):
                 return Alias(angle, _warning(angle, other, frame, period, chosen="slower at first"))
             continue
         return Alias(other, _warning(other, angle, frame, period, chosen="that slows down"))
     return Alias(angle, None)
 
 
-def doubtful(angle: Floats, frame: npt.NDArray[np.int64]) -> str | None:
-    """Return a warning if a body seems to speed up and would slow down with a turn per frame less; None otherwise.
+def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
+    """Return the rotation with a turn per frame less if that slows down while `angle` speeds up; None otherwise.
 
     For markers, which leave only whole turns undetermined.
     """
@@ -96,9 +98,15 @@ def doubtful(angle: Floats, frame: npt.NDArray[np.int64]) -> str | None:
     if not _FAST * TURN < abs(usual) < TURN:
         return None
     other = angle - math.copysign(TURN, usual) * (frame - frame[0])
-    if _growth(angle, frame) > _STEADY and _growth(other, frame) < -_STEADY:
-        return _warning(angle, other, frame, TURN, chosen="named first")
-    return None
+    return other if _growth(angle, frame) > _STEADY and _growth(other, frame) < -_STEADY else None
+
+
+def doubtful(
+    taken: Floats, other: Floats, frame: npt.NDArray[np.int64], *, chosen: str = "named first"
+) -> str:
+    """Return the warning that a film of markers shows `other` as well as the rotation `taken`."""
+    remedy = "Film with a higher frame rate, or state the sense of rotation in the profile (`sense`)."
+    return _warning(taken, other, frame, TURN, chosen=chosen, remedy=remedy)
 
 
 def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
@@ -116,8 +124,17 @@ def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
     return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
 
 
+_REMEDY = "Film with a higher frame rate, or mark the body on one side."
+
+
 def _warning(
-    taken: Floats, other: Floats, frame: npt.NDArray[np.int64], period: float, *, chosen: str
+    taken: Floats,
+    other: Floats,
+    frame: npt.NDArray[np.int64],
+    period: float,
+    *,
+    chosen: str,
+    remedy: str = _REMEDY,
 ) -> str:
     def words(angle: Floats) -> str:
         first, last = (math.degrees(x) for x in _ends(angle, frame))
@@ -126,5 +143,5 @@ def _warning(
     alike = "" if period == TURN else f"The body looks alike after {math.degrees(period):.0f} degrees. "
     return (
         f"{alike}The film shows a rotation of {words(taken)} as well as one of {words(other)}; the one "
-        f"{chosen} is taken. Film with a higher frame rate, or mark the body on one side."
+        f"{chosen} is taken. {remedy}"
     )

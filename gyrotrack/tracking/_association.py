@@ -212,6 +212,10 @@ def net_turn(angle: Floats) -> float:
     return float(known[-1] - known[0]) if len(known) > 1 else 0.0
 
 
+SENSE_TURN = 0.5
+"""Net rotation [rad] from which a body shows the sense of rotation."""
+
+
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
 
@@ -221,7 +225,7 @@ def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     if given is not None:
         return given
     for name in ("casing", "rotor"):
-        if abs(turns.get(name, 0.0)) > 0.5:
+        if abs(turns.get(name, 0.0)) > SENSE_TURN:
             return 1 if turns[name] > 0 else -1
     return -1
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import TimeBase, jitter_is_real
-from gyrotrack.tracking._association import find_rotation_sense, net_turn, unfold
+from gyrotrack.tracking._aliasing import doubtful, slowing
+from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import PLACE_ORDERS, BodyAngles, MarkerAngles, join, variance_left
@@ -346,6 +347,7 @@ class TrackedBodies:
     flattening: dict[str, Flattening]  # effect of the oblique view on each body's orbits
     sense: int  # factor that makes the angles increase
     warnings: tuple[str, ...]  # what the user should know
+    doubts: tuple[str, ...] = ()  # reasons why the angles may be wrong
 
 
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
@@ -423,6 +425,7 @@ def _join_even(
         _centre(seen, views, scene, profile), views, profile, marked=seen.disc is not None
     )
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
+    doubts = _unalias(bodies, profile.sense)
     sense = find_rotation_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
         angle, changed = unfold(body.angle, sense)
@@ -431,10 +434,43 @@ def _join_even(
             warnings.append(
                 f"The {name} turns by more than half a turn between frames; its sense of rotation is assumed."
             )
+    if profile.sense is None:
+        doubts += _undecided(bodies)
     for name, body in bodies.items():
         bodies[name] = _zeroed(body, profile, sense)
     slants = {name: flattening[name] for name in bodies}
-    return TrackedBodies(centre, bodies, slants, sense, tuple(warnings))
+    return TrackedBodies(centre, bodies, slants, sense, tuple(warnings), tuple(doubts))
+
+
+def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
+    """Let a rotor that seems to speed up turn as the rotation that slows down, for nothing drives it.
+
+    Not where the casing or the profile determines the sense. Returns a warning if the markers show both rotations.
+    """
+    casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
+    if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
+        return []
+    body = bodies["rotor"]
+    frame = np.flatnonzero(np.isfinite(body.angle))
+    seen = body.angle[frame]
+    other = slowing(seen, frame)
+    if other is None:
+        return []
+    angle = np.full(len(body.angle), np.nan)
+    angle[frame] = other
+    bodies["rotor"] = replace(body, angle=angle)
+    return [f"The rotor: {doubtful(other, seen, frame, chosen='that slows down')}"]
+
+
+def _undecided(bodies: dict[str, BodyAngles]) -> list[str]:
+    """Return a warning for each body that seems to speed up and would slow down with a turn per frame less."""
+    found = []
+    for name, body in bodies.items():
+        frame = np.flatnonzero(np.isfinite(body.angle))
+        other = slowing(body.angle[frame], frame)
+        if other is not None:
+            found.append(f"The {name}: {doubtful(body.angle[frame], other, frame)}")
+    return found
 
 
 def _followed(

@@ -21,7 +21,6 @@ from gyrotrack.io._hdf5 import read_recording, read_settings, write_recording
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording, speed_warnings
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
-from gyrotrack.tracking._aliasing import doubtful
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film import Shake, camera_shake
@@ -265,7 +264,7 @@ def _recording(
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
-    doubts = _doubts(scene, bodies, time)
+    doubts = (*joint.doubts, *_doubts(scene, bodies, time))
     remedy = (
         f"`gyrotrack profile {info.path.name} -o P.toml`, exchange the names of the bodies in it, and "
         f"`gyrotrack extract {info.path.name} --profile P.toml`"
@@ -275,6 +274,7 @@ def _recording(
         *at_rest,
         *film,
         *scene.warnings,
+        *_unseen(scene),
         *joint.warnings,
         *_first_frame_warning(markers),
         *speeds,
@@ -318,8 +318,6 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
     """
     found, count = list(scene.doubts), len(time)
     for name, track in bodies.items():
-        if alias := doubtful(track.angle, np.searchsorted(time, track.time - 1e-9)):
-            found.append(f"The {name}: {alias}")
         if len(track.time) < LEAST_TRACKED * count:
             found.append(
                 f"The {name} has an angle in {len(track.time)} of {count} frames "
@@ -348,6 +346,20 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
                 "Check the film and the profile (--profile)."
             )
     return tuple(found)
+
+
+def _unseen(scene: Scene) -> tuple[str, ...]:
+    """Return a warning for a body of the profile none of whose markers is found."""
+    found = {marker.body for marker in scene.markers}
+    absent: dict[str, list[str]] = {}
+    for name, body in scene.body_of.items():
+        if body not in found:
+            absent.setdefault(body, []).append(name)
+    return tuple(
+        f"The {body} is not tracked: no {' and no '.join(names)} marker is found."
+        + (" Synchronisation needs the casing in every film." if body == "casing" else "")
+        for body, names in absent.items()
+    )
 
 
 def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:

@@ -366,7 +366,11 @@ def name_bodies(
         alone = len(one.members) == 1
         casing = alone and circle is not None and nearest_colour(circle.hue) == one.members[0].colour
         name: Body = "casing" if casing else "rotor"
-        why = "it has the colour of the disc" if casing else "nothing else turns"
+        why = (
+            "it has the colour of the disc"
+            if casing
+            else "no other coloured marker turns (a body with white markers only is not found: add a coloured one)"
+        )
         notes.append(f"Only one body turns; it is assumed to be the {name}, because {why}.")
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
@@ -422,9 +426,8 @@ def left_out(candidate: Candidate) -> str:
     return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-_FAINT = (
-    0.3  # contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
-)
+# contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
+_FAINT = 0.3
 SPREAD = 24
 """Frames from the whole film in addition to its first ones, for bodies at rest at the start."""
 

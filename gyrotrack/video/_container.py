@@ -97,10 +97,9 @@ def _view(plane: Any) -> Plane:
     return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))
 
 
+# largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds
 MAX_PIXELS = 64_000_000
-"""Largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds."""
-MIN_SIDE = 32
-"""Smallest side of a picture in which markers can be distinguished."""
+MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguished
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
@@ -150,10 +149,8 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
             raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
         stream = container.streams.video[0]
         if stream.codec_context is None:
-            raise VideoError(
-                f"There is no decoder for the codec of {path}.",
-                "Copy the film again, or convert it to H.264.",
-            )
+            what = f"There is no decoder for the codec of {path}."
+            raise VideoError(what, "Copy the film again, or convert it to H.264.")
         _check_size(path, stream)
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
@@ -219,14 +216,11 @@ def _check_file(path: Path) -> None:
 def _check_size(path: Path, stream: Any) -> None:
     width, height = int(stream.codec_context.width), int(stream.codec_context.height)
     if width * height > MAX_PIXELS:
-        raise VideoError(
-            f"{path} declares frames of {width}x{height} px, too large to decode.", "Scale the film down."
-        )
+        what = f"{path} declares frames of {width}x{height} px, too large to decode."
+        raise VideoError(what, "Scale the film down.")
     if min(width, height) < MIN_SIDE:
-        raise VideoError(
-            f"{path} has frames of {width}x{height} px, too small to show markers.",
-            f"Give a film with at least {MIN_SIDE} px on each side.",
-        )
+        what = f"{path} has frames of {width}x{height} px, too small to show markers."
+        raise VideoError(what, f"Give a film with at least {MIN_SIDE} px on each side.")
 
 
 def _tagged_rate(metadata: Any) -> float | None:
@@ -311,11 +305,7 @@ def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
 
 
 def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, without the frames between them.
-
-    Their indices are unknown and set to -1; they show the scene in the course of the film before it is decoded.
-    `keep` copies a frame from the decoder.
-    """
+    """Decode up to `count` key frames spread evenly over a film, copied by `keep`, of the index -1."""
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
     wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()

@@ -38,12 +38,9 @@ from gyrotrack.video._time_base import stamp_warnings
 
 T = TypeVar("T")
 
-CHUNK = 8
-"""Frames transferred at a time; waking a thread for each one would take longer than its decoding ..."""
-_CHUNK_BYTES = 5_000_000
-"""... unless they are large: several chunks are in memory at a time."""
-WAITING = 2
-"""Largest number of waiting chunks."""
+CHUNK = 8  # frames transferred at a time; waking a thread for each one would take longer than its decoding
+_CHUNK_BYTES = 5_000_000  # ... unless they are large: several chunks are in memory at a time
+WAITING = 2  # largest number of waiting chunks
 _PATIENCE = 0.05
 
 
@@ -216,11 +213,7 @@ def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.fl
 def film_warnings(
     info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
 ) -> tuple[str, ...]:
-    """Return warnings about a decoded film, as sentences.
-
-    `seconds` (n,) are timestamps [s], NaN where a frame has none; `bad_packets` could not be decoded; `corrupt` frames
-    are marked as damaged by the decoder.
-    """
+    """Return warnings about a decoded film; `seconds` (n,) are NaN without a timestamp; `corrupt` is a number."""
     found = []
     if info.frames_declared > len(seconds):
         found.append(
@@ -264,11 +257,7 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), and only what they need.
-
-    `keep` copies a frame from the decoder. A frame that is not found, because a film is damaged there or its packets
-    carry no stamps, is left out. The frames have the index -1.
-    """
+    """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1."""
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
     found: dict[int, Frame] = {}
@@ -319,10 +308,9 @@ def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: 
         return
 
 
+# largest difference of a repeated frame from the previous one, relative to the recent typical difference
 SAME = 0.3
-"""Largest difference of a repeated frame from the previous one, relative to the recent typical difference."""
-SMALL = 0.35
-"""Size of a packet, relative to its neighbours, below which it has little information."""
+SMALL = 0.35  # size of a packet, relative to its neighbours, below which it has little information
 _AROUND = 31
 _LARGE = 80
 _ROWS = 12

@@ -19,8 +19,8 @@ from gyrotrack._errors import UsageError, VideoError
 from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
+# container rates [fps] below this may be slow motion, and require the capture rate to be given
 SLOWEST_PLAIN_RATE = 100.0
-"""Container rates [fps] below this may be slow motion, and require the capture rate to be given."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,8 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
             return CaptureRate(float(fps), source, _differences(info, float(fps), source))
     if not np.isfinite(info.container_fps) or info.container_fps < SLOWEST_PLAIN_RATE:
         rate = f"{info.container_fps:g} fps" if np.isfinite(info.container_fps) else "an unknown rate"
-        raise VideoError(
-            f"{info.path} is stored at {rate} and does not state at what rate it was captured.",
-            "Give the rate of the camera with --capture-fps.",
-        )
+        what = f"{info.path} is stored at {rate} and does not state at what rate it was captured."
+        raise VideoError(what, "Give the rate of the camera with --capture-fps.")
     return CaptureRate(info.container_fps, "container")
 
 
@@ -60,8 +58,8 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     return tuple(found)
 
 
+# largest unit of timestamps that measure time; a container with a larger one counts frames [s]
 COARSEST_TICK = 1e-3
-"""Largest unit of timestamps that measure time; a container with a larger one counts frames [s]."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
@@ -123,10 +121,9 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
-LIVE = 0.05
-"""Share by which the stamps' rate may differ from the capture rate in a film that was not slowed down."""
+LIVE = 0.05  # share by which the stamps' rate may differ from the capture rate in a film that was not slowed down
+# largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that
 EVEN = 5e-3
-"""Largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that."""
 _ROUNDED = 0.75
 _ODD = 0.01
 _HALF = 20
@@ -186,20 +183,16 @@ class Timing:
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
-            raise UsageError(
-                f"Unknown source of times {self.source!r}; use auto, stamps or frames.",
-                "Omit it for the default.",
-            )
+            what = f"Unknown source of times {self.source!r}; use auto, stamps or frames."
+            raise UsageError(what, "Omit it for the default.")
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
         """Return when frames with timestamps `pts` (n,) of the unit `tick` [s] were taken; an error if unavailable."""
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
-            raise VideoError(
-                "Times from timestamps were requested, but timestamps are missing or do not increase.",
-                "Omit --times to count frames.",
-            )
+            what = "Times from timestamps were requested, but timestamps are missing or do not increase."
+            raise VideoError(what, "Omit --times to count frames.")
         tick = _real_tick(pts, tick) if grows else tick
         number = frame_numbers(pts, tick)
         varied = grows and uneven(number, pts, tick)

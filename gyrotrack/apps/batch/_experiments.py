@@ -89,9 +89,8 @@ def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experi
     found, folders, labels = [], set[str](), set[str]()
     for e in experiments:
         if e.label in labels:
-            raise ConfigurationError(
-                f"{where}: two cases have the label '{e.label[:60]}'.", "Give each case a different label."
-            )
+            what = f"{where}: two cases have the label '{e.label[:60]}'."
+            raise ConfigurationError(what, "Give each case a different label.")
         labels.add(e.label)
         _check_films(e, where)
         found.append(replace(e, folder=unique_name(e.label, folders)))
@@ -133,11 +132,7 @@ def unique_name(label: str, taken: set[str]) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set the moments of inertia, `given` by body, of experiments that do not specify them.
-
-    A UsageError is raised if a case made from films lacks one that is not set by an option in `skip`
-    (``--inertia-rotor``) of the settings of the command `sync`.
-    """
+    """Set the inertias, `given` by body, of experiments without; those not in `skip` (options) are required."""
     made = []
     for e in experiments:
         own: dict[str, Any] = {}
@@ -361,9 +356,8 @@ def _from_rows(path: Path) -> list[Experiment]:
             given = {str(k).strip(): v for k, v in cells.items() if v is not None and v != ""}
             rows.append(check(given, _Row, what="row", where=f"{path}, line {reader.line_num}"))
     except csv.Error as error:
-        raise ConfigurationError(
-            f"{path}, line {reader.line_num}: {error}.", "Write the manifest as plain CSV."
-        ) from error
+        what = f"{path}, line {reader.line_num}: {error}."
+        raise ConfigurationError(what, "Write the manifest as plain CSV.") from error
 
     def clip(r: _Row, body: Body) -> Clip:
         return Clip(root / r.file, body, r.capture_fps, _resolved(root, r.profile))

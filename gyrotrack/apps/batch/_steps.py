@@ -163,9 +163,8 @@ class Journal:
         try:
             text = self.path.read_text(encoding="utf-8", errors="replace")
         except OSError as error:
-            raise OutputError(
-                f"{self.path} cannot be read: {error.strerror}.", "Choose another folder with -o."
-            ) from error
+            what = f"{self.path} cannot be read: {error.strerror}."
+            raise OutputError(what, "Choose another folder with -o.") from error
         lines = [_parsed(line) for line in text.splitlines()]
         self._truncated = bool(text) and not text.endswith("\n")
         if self._truncated and len(lines) == 1 and json.dumps(HEADER).startswith(text):  # truncated header
@@ -209,9 +208,8 @@ class Journal:
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as error:
-            raise OutputError(
-                f"{self.path} cannot be written: {error.strerror}.", "Free space and run the batch again."
-            ) from error
+            what = f"{self.path} cannot be written: {error.strerror}."
+            raise OutputError(what, "Free space and run the batch again.") from error
         self._records[step.name] = record
 
 
@@ -271,12 +269,10 @@ def _lock_file(results: Path) -> BinaryIO:
     try:
         results.mkdir(parents=True, exist_ok=True)
         if not (results / "batch.lock").exists() and any(results.iterdir()):
-            raise OutputError(
-                f"{results} contains files that do not belong to a batch.", "Choose an empty folder with -o."
-            )
+            what = f"{results} contains files that do not belong to a batch."
+            raise OutputError(what, "Choose an empty folder with -o.")
         refuse_special(results / "batch.lock", OutputError)
         return (results / "batch.lock").open("ab")
     except OSError as error:
-        raise OutputError(
-            f"{results} cannot be written: {error.strerror or error}.", "Choose another folder with -o."
-        ) from error
+        what = f"{results} cannot be written: {error.strerror or error}."
+        raise OutputError(what, "Choose another folder with -o.") from error

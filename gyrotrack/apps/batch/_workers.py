@@ -42,11 +42,7 @@ class Child:
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
-        """Run one command and return its exit code ``code`` and JSON output ``document``.
-
-        If the process crashed, exceeded the time limit [s] or could not be started, the document is an error with the
-        code "crash", "timeout" or "processes".
-        """
+        """Run one command; return exit code ``code`` and output ``document``, also after crash or timeout [s]."""
         late = threading.Event()
         timer: threading.Timer | None = None
         try:
@@ -229,17 +225,13 @@ class Certificates:
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
             if any(named.values()):
-                raise UsageError(
-                    f"The certificates cannot be used with the address {address[:80]}.",
-                    "Give the scheduler as tls://HOST:PORT.",
-                )
+                what = f"The certificates cannot be used with the address {address[:80]}."
+                raise UsageError(what, "Give the scheduler as tls://HOST:PORT.")
             return None
         for option, path in named.items():
             if path is None:
-                raise UsageError(
-                    "A tls:// address needs a certificate authority, a certificate and a key.",
-                    f"Give {option} FILE.",
-                )
+                what = "A tls:// address needs a certificate authority, a certificate and a key."
+                raise UsageError(what, f"Give {option} FILE.")
             if not path.is_file():
                 raise UsageError(f"There is no file {path}.", f"Check {option}.")
         from distributed import Security
@@ -265,10 +257,8 @@ class ClusterWorkers:
         try:
             from distributed import Client
         except ImportError:
-            raise UsageError(
-                "A cluster needs dask.distributed, which is not installed.",
-                'Install it: pip install "gyrotrack[cluster]"',
-            ) from None
+            what = "A cluster needs dask.distributed, which is not installed."
+            raise UsageError(what, 'Install it: pip install "gyrotrack[cluster]"') from None
         security = (certificates or Certificates()).security(address)
         options: Any = {"timeout": "20s", "set_as_default": False}
         if security is not None:
@@ -276,10 +266,8 @@ class ClusterWorkers:
         try:
             client: Any = Client(address, **options)  # type: ignore[no-untyped-call]
         except (OSError, ValueError, TimeoutError) as error:
-            raise GyrotrackError(
-                f"The scheduler at {address[:80]} does not answer.",
-                "Start it, and check its address and certificates.",
-            ) from error
+            what = f"The scheduler at {address[:80]} does not answer."
+            raise GyrotrackError(what, "Start it, and check its address and certificates.") from error
         self._client = client
         self._executor = client.get_executor(pure=False)
 

@@ -86,10 +86,8 @@ def import_command(
     rotor = rotor or []
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
-        raise UsageError(
-            f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start.",
-            "Give --rotor-start once per file.",
-        )
+        what = f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start."
+        raise UsageError(what, "Give --rotor-start once per file.")
     title = output.stem if label is None else label
     names = {part: read_names(columns or (), part) or None for part in ("casing", "rotor")}
     options = [
@@ -106,9 +104,8 @@ def import_command(
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
         case = replace(case, I_rotor_u=r.u, I_casing_u=c.u)
     else:
-        raise UsageError(
-            "A case needs either --casing and --rotor, or --body and --inertia.", "Give one of these pairs."
-        )
+        what = "A case needs either --casing and --rotor, or --body and --inertia."
+        raise UsageError(what, "Give one of these pairs.")
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:

@@ -102,9 +102,8 @@ def _check_picture(picture: Path | None, *, force: bool) -> None:
     if picture is None:
         return
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise UsageError(
-            f"Unknown picture format: {picture}.", "Use a name that ends in one of: .png, .svg, .pdf."
-        )
+        what = f"Unknown picture format: {picture}."
+        raise UsageError(what, "Use a name that ends in one of: .png, .svg, .pdf.")
     refuse_existing(picture, force=force)
 
 
@@ -227,18 +226,14 @@ def plan_command(
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
     if described and len(recordings) > 1:
-        raise UsageError(
-            "A description of recordings cannot be combined with other files.",
-            "Give one PLAN.toml, or case files.",
-        )
+        what = "A description of recordings cannot be combined with other files."
+        raise UsageError(what, "Give one PLAN.toml, or case files.")
     if described and (start is not None or ledger is not None):
-        raise UsageError(
-            "--from and --ledger need case files; a description of recordings has no fits.", "Omit them."
-        )
+        what = "--from and --ledger need case files; a description of recordings has no fits."
+        raise UsageError(what, "Omit them.")
     if size is not None and not (0 < size < math.inf):
-        raise UsageError(
-            f"--size {size:g} is not a positive torque.", "Give an rms torque in N m: --size 1e-6."
-        )
+        what = f"--size {size:g} is not a positive torque."
+        raise UsageError(what, "Give an rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())
     _check_picture(picture, force=force)
     out = Output(as_json=as_json, quiet=quiet)
@@ -271,14 +266,11 @@ def _bounds(given: Sequence[str]) -> dict[str, Any]:
         except ValueError:
             low, high = math.nan, math.nan
         if key not in _BOUNDED:
-            raise UsageError(
-                f"--bound {text[:40]!r}: unknown quantity.", f"Quantities: {', '.join(_BOUNDED)}."
-            )
+            what = f"--bound {text[:40]!r}: unknown quantity."
+            raise UsageError(what, f"Quantities: {', '.join(_BOUNDED)}.")
         if not -math.inf < low <= high < math.inf:
-            raise UsageError(
-                f"--bound {text[:40]!r} is not a pair of increasing numbers.",
-                "Write --bound omega_casing=-60,60.",
-            )
+            what = f"--bound {text[:40]!r} is not a pair of increasing numbers."
+            raise UsageError(what, "Write --bound omega_casing=-60,60.")
         if key in {"duration", "inertia_casing", "touchpoint"} and low <= 0:
             raise UsageError(f"--bound {text[:40]!r} is not positive.", "Write --bound duration=100,400.")
         found[key] = (low, high)

@@ -168,10 +168,8 @@ def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals:
-            raise UsageError(
-                f"{text[:60]!r} is not an assignment to a parameter.",
-                "Write it as --fix bearing.power.g=0.7.",
-            )
+            what = f"{text[:60]!r} is not an assignment to a parameter."
+            raise UsageError(what, "Write it as --fix bearing.power.g=0.7.")
     return held
 
 
@@ -392,9 +390,8 @@ def ladder_command(
         if text is not None:
             fit_id, equals, content = text.partition("=")
             if not equals:
-                raise UsageError(
-                    f"--{key} {text[:40]} contains no name of a fit.", f"Write it as --{key} f2='text'."
-                )
+                what = f"--{key} {text[:40]} contains no name of a fit."
+                raise UsageError(what, f"Write it as --{key} f2='text'.")
             found = study.entry(fit_id.strip())
             study.ledger.annotate(found.fit_id if found else fit_id, **{key: content})
     if delete is not None:

@@ -93,10 +93,8 @@ def figures_command(
     out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
     if alone := next((d.record.label for d in data if d.record.single), None):
-        raise UsageError(
-            f"The paper's figures need a rotor and a casing; {alone} is a recording of one body.",
-            "Use `gyrotrack report`.",
-        )
+        what = f"The paper's figures need a rotor and a casing; {alone} is a recording of one body."
+        raise UsageError(what, "Use `gyrotrack report`.")
     with out.progress("fitting") as progress:
         found = scan(data, progress=progress)
     with out.progress("drawing") as progress:
@@ -129,9 +127,8 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
     if not force and output.is_dir() and any(output.glob("tables.tex")):
-        raise OutputError(
-            f"{output} already contains figures.", "Use --force to replace them, or -o for another folder."
-        )
+        what = f"{output} already contains figures."
+        raise OutputError(what, "Use --force to replace them, or -o for another folder.")
     return wanted
 
 
@@ -216,11 +213,8 @@ def _require_packages(*, window: bool) -> None:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError:
-        raise UsageError(
-            "The workbench needs two packages that are not installed.", 'Run: pip install "gyrotrack[view]"'
-        ) from None
+        what = "The workbench needs two packages that are not installed."
+        raise UsageError(what, 'Run: pip install "gyrotrack[view]"') from None
     if window and find_spec("webview") is None:
-        raise UsageError(
-            "A separate window needs a package that is not installed.",
-            'Run: pip install "gyrotrack[window]", or omit --window.',
-        )
+        what = "A separate window needs a package that is not installed."
+        raise UsageError(what, 'Run: pip install "gyrotrack[window]", or omit --window.')

@@ -82,9 +82,8 @@ def find(named: Path | None = None) -> tuple[Path | None, bool]:
         return None, True
     if chosen is not None:
         if not chosen.is_file():
-            raise ConfigurationError(
-                f"There is no settings file {chosen}.", "Check --config and $GYROTRACK_CONFIG."
-            )
+            what = f"There is no settings file {chosen}."
+            raise ConfigurationError(what, "Check --config and $GYROTRACK_CONFIG.")
         return chosen, True
     if Path(NAME).is_file():
         return Path(NAME), False

@@ -177,9 +177,8 @@ def reveal_command(
 
     out = Output(as_json=as_json)
     if (case is None) == (answer is None):
-        raise UsageError(
-            "An answer is needed before the file is opened.", "Give the fitted case, or --answer."
-        )
+        what = "An answer is needed before the file is opened."
+        raise UsageError(what, "Give the fitted case, or --answer.")
     named, found = _stated(answer) if case is None else _fitted(case, ledger)
     refuse_special(seal)
     truth = unseal(seal)

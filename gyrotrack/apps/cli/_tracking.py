@@ -49,7 +49,7 @@ def profile_command(
     """
     from gyrotrack._errors import TrackingError
     from gyrotrack.io._atomic import new_file, refuse_existing
-    from gyrotrack.plotting._proposal import write_body_picture, write_picture
+    from gyrotrack.plotting._frames import write_body_picture, write_picture
     from gyrotrack.tracking._any_body import read_excerpt
     from gyrotrack.tracking._profile import to_toml
     from gyrotrack.tracking._proposal import propose
@@ -234,6 +234,7 @@ def extract_command(
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
     from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._records import doubts_of
     from gyrotrack.plotting._frames import (
         check_contact_sheet,
         check_overlay,
@@ -278,7 +279,7 @@ def extract_command(
         raise
     out.result(document)
     out.show(_extraction_lines(document))
-    return NOT_TRUSTED if recording.extra.get("doubts") else DONE
+    return NOT_TRUSTED if doubts_of(recording) else DONE
 
 
 def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
@@ -473,10 +474,8 @@ def spindown_command(
         target = target.with_name(f"{target.stem}_case.h5")
     page = report if report is not None else target.with_suffix(".html")
     if page.resolve() in (target.resolve(), source.resolve()):
-        raise UsageError(
-            f"{page} is the name of both the case and the report.",
-            "Name the case with -o FILE.h5 and the report with --report.",
-        )
+        what = f"{page} is the name of both the case and the report."
+        raise UsageError(what, "Name the case with -o FILE.h5 and the report with --report.")
     for path in (target, page):
         refuse_existing(path, force=force)
     options = SpindownOptions(
@@ -498,10 +497,8 @@ def spindown_command(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )
     if document["case"] is None and (output is not None or report is not None):
-        raise UsageError(
-            f"{source}: light gates show period and decay of a pendulum, but no angle to write.",
-            "Repeat the command without -o and --report.",
-        )
+        what = f"{source}: light gates show period and decay of a pendulum, but no angle to write."
+        raise UsageError(what, "Repeat the command without -o and --report.")
     for warning in document["warnings"]:
         out.warn(warning)
     out.result(document)
@@ -520,9 +517,8 @@ def _position(text: str | None) -> tuple[float, float] | None:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise UsageError(
-            f"--hub {text[:40]!r} is not a position.", "Give two numbers in px, such as 320,240."
-        ) from error
+        what = f"--hub {text[:40]!r} is not a position."
+        raise UsageError(what, "Give two numbers in px, such as 320,240.") from error
     return x, y
 
 

@@ -99,11 +99,7 @@ def report_parts(
     *,
     static: bool,
 ) -> dict[str, Any]:
-    """Return the content of a report.
-
-    `films` are folders that may contain the films, `provenance` are further lines of provenance; with `static` also the
-    charts that scripts draw in the HTML report are drawn.
-    """
+    """Return the content of a report with lines of `provenance`; `static`: also the charts that scripts draw."""
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
@@ -275,11 +271,7 @@ def _added(view: StudyView) -> list[Added]:
 
 
 def pdf(parts: Mapping[str, Any]) -> bytes:
-    """Return the report, a result of `report_parts`, as a PDF file.
-
-    Text is passed to Typst as data and never parsed as markup. An OutputError says that `typst` is not installed, or
-    failed.
-    """
+    """Return the report, a result of `report_parts`, as PDF; text is data for Typst and never parsed as markup."""
     try:
         import typst
     except ImportError:

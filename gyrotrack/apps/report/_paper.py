@@ -322,9 +322,8 @@ def write_figures(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(
-            f"Cannot create the folder {folder}: {error.strerror}.", "Choose another with -o."
-        ) from None
+        what = f"Cannot create the folder {folder}: {error.strerror}."
+        raise OutputError(what, "Choose another with -o.") from None
     for name in documents:
         refuse_existing(folder / name, force=force)
     for name, document in documents.items():

@@ -167,19 +167,13 @@ def profile_text(wanted: Any) -> str:
     return to_toml(parse(allowed, "profile"))
 
 
-CLICK_SIGMA = 1.5
-"""Standard uncertainty of a clicked position [px]."""
-_MIN_RADIUS = 5.0
-"""Smallest distance from the centre of a clicked position [px]."""
+CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
+_MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
 _TURN = 2 * np.pi
 
 
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
-    """Return a recording with a marker corrected, or marked as lost, in one frame.
-
-    `place` is the centre of the marker (x, y) [px]; None marks it as lost, and removes the angle of the body in this
-    frame. A UsageError says that there is no such marker or frame, or the position is too close to the centre.
-    """
+    """Return a recording with the centre of a marker at `place` [px] in one frame, or with it lost there (None)."""
     track = recording.markers.get(marker)
     if track is None or not 0 <= frame < len(recording.time):
         raise UsageError("There is no such marker in this frame.", "Choose a marker and a frame of the film.")
@@ -189,10 +183,8 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
         x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
         radius = float(np.hypot(x, y))
         if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
-            raise UsageError(
-                "This position determines no angle: the centre is unknown or too close.",
-                "Click on the marker itself.",
-            )
+            what = "This position determines no angle: the centre is unknown or too close."
+            raise UsageError(what, "Click on the marker itself.")
         angle = recording.sense * float(np.arctan2(-y, x))  # counter-clockwise in the image; y points down
         sigma = CLICK_SIGMA / radius
     note: dict[str, Any] = {
@@ -251,8 +243,7 @@ def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> Bod
     return replace(body, **kept, omega=omega, omega_sigma=omega_sigma)
 
 
-FRAMES = 500
-"""Number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps."""
+FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
@@ -267,13 +258,11 @@ def copy_excerpt(film: Path, target: Path, frames: int) -> None:
                     packet.stream = out
                     copy.mux(packet)
         except (av.error.FFmpegError, ValueError) as error:
-            raise TrackingError(
-                f"An excerpt of {film.name} cannot be copied ({error}).", "Track the whole film."
-            ) from error
+            what = f"An excerpt of {film.name} cannot be copied ({error})."
+            raise TrackingError(what, "Track the whole film.") from error
     if _orientation(film) != _orientation(target):
-        raise TrackingError(
-            f"An excerpt of {film.name} has another orientation than the film.", "Track the whole film."
-        )
+        what = f"An excerpt of {film.name} has another orientation than the film."
+        raise TrackingError(what, "Track the whole film.")
 
 
 def _orientation(path: Path) -> Any:

@@ -108,9 +108,8 @@ class Jobs:
             old = self._jobs.get(key)
             if old is not None and old.is_active:
                 if not replace:
-                    raise UsageError(
-                        "This step is already running.", "Wait until it has ended, or cancel it."
-                    )
+                    what = "This step is already running."
+                    raise UsageError(what, "Wait until it has ended, or cancel it.")
                 self.cancel(key)
             if self._closed:
                 raise UsageError("The workbench is closing.", "Start it again.")
@@ -276,8 +275,7 @@ class Ranker:
             self._end()
 
 
-_MAX_CANDIDATES = 12
-"""Candidates on the page, whose effect on the residual is predicted."""
+_MAX_CANDIDATES = 12  # candidates on the page, whose effect on the residual is predicted
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:

@@ -36,8 +36,7 @@ from gyrotrack.video._container import probe
 STATE_FILE = "workbench.json"
 TABLES = {".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xls", ".mat", ".parquet", ".json", ".nc", ".trk", ".npz"}
 _DATASETS = {".h5", ".hdf5"}
-LARGEST_UPLOAD = 16 * 2**30
-"""Largest file that a page may upload [bytes]."""
+LARGEST_UPLOAD = 16 * 2**30  # largest file that a page may upload [bytes]
 _MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._films"
 
@@ -104,9 +103,8 @@ class Project:
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
-            raise ConfigurationError(
-                f"There is no folder {folder}.", "Create it, or give another one with --folder."
-            )
+            what = f"There is no folder {folder}."
+            raise ConfigurationError(what, "Create it, or give another one with --folder.")
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
@@ -219,19 +217,16 @@ class Project:
             elif suffix in _DATASETS and read_kind(path) == "recording":
                 self._add_source(path, "recording")
             else:
-                raise UsageError(
-                    f"{path.name} is not a film, table, recording or study.toml.",
-                    "Open a case with `gyrotrack view CASE.h5`.",
-                )
+                what = f"{path.name} is not a film, table, recording or study.toml."
+                raise UsageError(what, "Open a case with `gyrotrack view CASE.h5`.")
             self._save()
 
     def add_samples(self) -> None:
         """Add the sample clips with their study.toml."""
         folder = _sample_clips()
         if folder is None:
-            raise UsageError(
-                "The sample clips are not installed.", "They are part of the source distribution."
-            )
+            what = "The sample clips are not installed."
+            raise UsageError(what, "They are part of the source distribution.")
         self.add(folder / "study.toml")
 
     def _add_source(self, path: Path, kind: Literal["film", "recording", "table"]) -> Source:
@@ -259,10 +254,8 @@ class Project:
         s = self.state
         for clip in study.clips:
             if confined and any(f.parent != self.folder for f in (clip.file, clip.profile) if f is not None):
-                raise UsageError(
-                    f"The study refers to {clip.file.name} outside of the work folder.",
-                    "Put films, profiles and study.toml into one folder.",
-                )
+                what = f"The study refers to {clip.file.name} outside of the work folder."
+                raise UsageError(what, "Put films, profiles and study.toml into one folder.")
             if not clip.file.is_file():
                 continue  # it may be uploaded later
             x = self._add_source(clip.file, "film")
@@ -332,9 +325,8 @@ class Project:
             raise OutputError(what, "Free some space.") from error
         if size != declared:
             part.unlink(missing_ok=True)
-            raise UsageError(
-                f"The size of {target.name} is not as declared ({declared} bytes).", "Upload it again."
-            )
+            what = f"The size of {target.name} is not as declared ({declared} bytes)."
+            raise UsageError(what, "Upload it again.")
         part.replace(target)
         try:
             self.add(target, confined=True)
@@ -346,15 +338,11 @@ class Project:
         safe = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
         suffix = Path(safe).suffix.lower()
         if safe.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or safe == "study.toml"):
-            raise UsageError(
-                f"{safe[:60] or 'The file'} is not a film, table, recording or study.toml.",
-                "Choose another file.",
-            )
+            what = f"{safe[:60] or 'The file'} is not a film, table, recording or study.toml."
+            raise UsageError(what, "Choose another file.")
         if not 0 < declared <= LARGEST_UPLOAD:
-            raise UsageError(
-                f"{safe} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted.",
-                "Copy larger films to the work folder and select them there.",
-            )
+            what = f"{safe} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted."
+            raise UsageError(what, "Copy larger films to the work folder and select them there.")
         if shutil.disk_usage(self.folder).free < 1.1 * declared:
             raise OutputError(f"There is not enough space for {safe} in {self.folder}.", "Free some space.")
         return self.folder / self._unused_name(safe)
@@ -695,10 +683,8 @@ def _read_state(path: Path) -> State:
     try:
         return State.model_validate_json(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise ConfigurationError(
-            f"{path} is not a valid state file of the workbench.",
-            "Move or delete it; films and recordings are not affected.",
-        ) from error
+        what = f"{path} is not a valid state file of the workbench."
+        raise ConfigurationError(what, "Move or delete it; films and recordings are not affected.") from error
 
 
 def _argument(name: str) -> str:

@@ -513,11 +513,7 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
 
 
 def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, window: bool = False) -> None:
-    """Serve the workbench until it is interrupted, or ended from the page.
-
-    The port is one of the loopback interface; 0 selects a free one. `announce` is called with the address of the page
-    when the server listens. With `window` the page is shown in a separate window; the server ends when it is closed.
-    """
+    """Serve on the loopback interface (port 0: any free one) until interrupted, or ended from page or `window`."""
     import uvicorn
 
     # with an explicit protocol asyncio sets TCP_NODELAY, which avoids delays

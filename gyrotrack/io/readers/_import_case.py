@@ -14,15 +14,14 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
-from gyrotrack.io._records import Case, Floats, Series, speed_warnings, windows_of
+from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
 _SMOOTHING = 31
-_MIN_SAMPLES = 3
-"""Smallest number of samples between two gaps; shorter pieces are excluded."""
+_MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces are excluded
 
 
 def is_wrapped(angle: Floats) -> bool:
@@ -50,10 +49,9 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-_JUMP = 20.0
-"""Change of the angle [changes before, after and usual] above which it is not a motion."""
+_JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
+# times above this limit [s] (three years) are seconds since 1970, not since the start of a record
 _DATES = 1e8
-"""Times above this limit [s] (three years) are seconds since 1970, not since the start of a record."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +99,10 @@ def _refuse_jumps(table: MotionTable) -> None:
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
-    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece.
+    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece, with `notes`.
 
-    Without a sigma in the table, it is estimated from the scatter, with the lower limit of the resolution of the file
-    (quantisation step / sqrt(12)). Repairs are added to `notes`.
+    Without a sigma in the table, it is estimated from the scatter, at least the quantisation step of the file /
+    sqrt(12).
     """
     cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
     short = [cut for cut in cuts if cut.stop - cut.start < _MIN_SAMPLES]
@@ -151,20 +149,6 @@ def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
     angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
     share = np.concatenate([[step[0]], step]) * sigma
     return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
-
-
-def series_of(parts: Sequence[Piece], sense: int) -> Series:
-    """Concatenate pieces, each as a window; angles and speeds are multiplied by `sense`."""
-    angle = np.concatenate([sense * part.angle for part in parts])
-    return Series(
-        time=np.concatenate([part.time for part in parts]),
-        angle=angle,
-        sigma=np.concatenate([part.sigma for part in parts]),
-        omega=np.concatenate([sense * part.omega for part in parts]),
-        omega_sigma=np.concatenate([part.omega_sigma for part in parts]),
-        turn=np.floor(angle / TURN).astype(np.int64),
-        window=np.concatenate([np.full(len(part.time), k, dtype=np.int64) for k, part in enumerate(parts)]),
-    )
 
 
 def no_series() -> Series:

@@ -26,15 +26,13 @@ _ORDER = 3
 _NEIGHBOURS = 41
 _FLOOR = 1e-6
 _MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
-_SPIKE = 20.0
-"""Smallest change to and from an erroneous sample [largest usual change between neighbours]."""
+_SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
+# share, and number, of the changes between neighbours that are not usual; the greater applies
 _RARE = (0.01, 4.0)
-"""Share, and number, of the changes between neighbours that are not usual; the greater applies."""
-_TICKS = 2**32
-"""Ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)."""
+_TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)
 
+# quantity and unit ("" if it is in the header) by column (header or number, case-folded)
 Names = Mapping[str, tuple[str, str]]
-"""Quantity and unit ("" if it is in the header) by column (header or number, case-folded)."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +84,7 @@ class MotionTable:
 COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
 _DAY = 86400.0
-_STEADY = 100.0
-"""Ratio of squared mean and variance of a speed from which on it is constant."""
+_STEADY = 100.0  # ratio of squared mean and variance of a speed from which on it is constant
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
@@ -291,11 +288,7 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
 
 
 def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle or the angular velocity in a table.
-
-    A DatasetError says that a column is missing, ambiguous or of unknown unit, a cell is not a number, the clock
-    restarts, or there are too few samples.
-    """
+    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong."""
     columns, units, unused = find_columns(raw, options)
     quantity = "angle" if "angle" in columns else "omega"
     if quantity not in columns and ("t" in columns or "frame" in columns or options.fps):

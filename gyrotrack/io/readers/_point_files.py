@@ -22,7 +22,7 @@ from gyrotrack.io._records import Floats
 from gyrotrack.io._tables import check_storage, check_tree, load
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
-from gyrotrack.io.readers._tables import table_of_arrays
+from gyrotrack.io.readers._tables import grouped_points, table_of_arrays
 
 _MARK = object()
 _MAX_OPCODES = 10_000
@@ -93,29 +93,29 @@ def _gather(stack: list[Any], name: str) -> None:
 _FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of movement, and cases."
 
 
-def read_hdf5(path: Path, sha256: str, body: str = "") -> Points | RawTable:
+def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
     """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file, without links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             check_tree(file)
             if str(file.attrs.get("format", "")) == "gyrotrack":
-                return _case_body(path, sha256, file, body)
+                return _case_body(path, file, body)
             if "position" in file and "keypoints" in file:
-                return _movement(path, sha256, file)
+                return _movement(path, file)
             if {"tracks", "node_names"} <= set(file.keys()):
-                return _sleap(path, sha256, file)
+                return _sleap(path, file)
             table = file.get("df_with_missing/table")
             if isinstance(table, h5py.Dataset):
-                return _deeplabcut(path, sha256, table)
+                return _deeplabcut(path, table)
             frame = file.get("df_with_missing")
             if isinstance(frame, h5py.Group) and "block0_values" in frame:
-                return _pandas_fixed(path, sha256, frame)
+                return _pandas_fixed(path, frame)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
     raise DatasetError(f"{path} is an HDF5 file without points in a supported format.", _FOREIGN)
 
 
-def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
+def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
     """Return the vectors, or the columns of a matrix, in a MATLAB 7.3 file: HDF5 with arrays in column order."""
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -127,37 +127,32 @@ def read_matlab_hdf5(path: Path, sha256: str) -> RawTable:
                     held |= {} if name.startswith("#") else dict(value.items())
             arrays = {}
             for name, value in held.items():
-                if (
-                    isinstance(value, h5py.Dataset)
-                    and value.dtype.kind in "iuf"
-                    and "MATLAB_empty" not in value.attrs
-                ):
+                numeric = isinstance(value, h5py.Dataset) and value.dtype.kind in "iuf"
+                if numeric and "MATLAB_empty" not in value.attrs:
                     check_storage(value)
                     arrays[name] = np.asarray(load(value)).T
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise DatasetError(
-            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
-        ) from error
-    return table_of_arrays(path, sha256, arrays)
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
+    return table_of_arrays(path, arrays)
 
 
-def _case_body(path: Path, sha256: str, file: Any, body: str) -> RawTable:
+def _case_body(path: Path, file: Any, body: str) -> RawTable:
     """Return a body of a case, from `sync`, `import` or `export` (netCDF)."""
     name = body or "casing"
     if name not in file or "time" not in file[name]:
-        raise DatasetError(
-            f"{path} has no series '{name}'.", "Give a case; use `gyrotrack sync` for recordings."
-        )
+        what = f"{path} has no series '{name}'."
+        raise DatasetError(what, "Give a case; use `gyrotrack sync` for recordings.")
     group = file[name]
     wanted = {"time": "t", "angle": "angle", "sigma": "sigma"}
     if str(file.attrs.get("quantity", "angle")) == "omega":
         wanted = {"time": "t", "omega": "omega", "omega_sigma": "sigma"}
     for column in wanted:
         check_storage(group[column])
-    return table_of(path, sha256, list(wanted.values()), [load(group[column]) for column in wanted])
+    return table_of(path, list(wanted.values()), [load(group[column]) for column in wanted])
 
 
-def _movement(path: Path, sha256: str, file: Any) -> Points:
+def _movement(path: Path, file: Any) -> Points:
     """Return the keypoints in a netCDF of `movement`: position (time, space, keypoints, individuals)."""
     position, names, times = file["position"], file["keypoints"], file["time"]
     for dataset in (position, times):
@@ -167,48 +162,38 @@ def _movement(path: Path, sha256: str, file: Any) -> Points:
     elif position.ndim == 4:
         values = load(position)
     else:
-        raise DatasetError(
-            f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints).", _FOREIGN
-        )
+        what = f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints)."
+        raise DatasetError(what, _FOREIGN)
     if values.shape[3] != 1 or values.shape[1] < 2 or values.shape[2] != names.shape[0]:
-        raise DatasetError(
-            f"{path} contains {values.shape[3]} tracked individuals.", "Export one individual."
-        )
-    points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
+        what = f"{path} contains {values.shape[3]} tracked individuals."
+        raise DatasetError(what, "Export one individual.")
+    points = _texts(names)
     confidence_of = {}
     if "confidence" in file and file["confidence"].shape[:2] == (values.shape[0], len(points)):
         check_storage(file["confidence"])
-        confidence = np.asarray(load(file["confidence"]), dtype=float).reshape(
-            values.shape[0], len(points), -1
-        )[..., 0]
+        confidence = np.asarray(load(file["confidence"]), dtype=float)
+        confidence = confidence.reshape(values.shape[0], len(points), -1)[..., 0]
         confidence_of = dict(zip(points, confidence.T, strict=True))
     unit = file.attrs.get("time_unit", times.attrs.get("units", "frames"))
     unit = unit.decode() if isinstance(unit, bytes) else str(unit)
     places = {name: np.asarray(values[:, :2, i, 0], dtype=float) for i, name in enumerate(points)}
-    return Points(
-        path,
-        sha256,
-        np.asarray(load(times), dtype=float),
-        places,
-        confidence_of,
-        y_down=True,
-        counted=not unit.startswith("s"),
-    )
+    frames, counted = np.asarray(load(times), dtype=float), not unit.startswith("s")
+    return Points(path, frames, places, confidence_of, y_down=True, counted=counted)
 
 
-def _sleap(path: Path, sha256: str, file: Any) -> Points:
+def _texts(dataset: Any) -> list[str]:
+    return [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in dataset[()].tolist()]
+
+
+def _sleap(path: Path, file: Any) -> Points:
     tracks, names = file["tracks"], file["node_names"]
     check_storage(tracks)
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != names.shape[0] or names.shape[0] > 1000:
-        raise DatasetError(
-            f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames).", _FOREIGN
-        )
+        what = f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames)."
+        raise DatasetError(what, _FOREIGN)
     if tracks.shape[0] != 1:
-        raise DatasetError(
-            f"{path} contains {tracks.shape[0]} tracked instances.",
-            "Export one instance.",
-        )
-    points = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names[()].tolist()]
+        raise DatasetError(f"{path} contains {tracks.shape[0]} tracked instances.", "Export one instance.")
+    points = _texts(names)
     values = np.asarray(load(tracks)[0], dtype=float)
     confidence_of: dict[str, Any] = {}
     if "point_scores" in file and file["point_scores"].shape == (1, len(points), tracks.shape[3]):
@@ -217,10 +202,10 @@ def _sleap(path: Path, sha256: str, file: Any) -> Points:
         confidence_of = dict(zip(points, scores, strict=True))
     places = {name: values[:, i].T.copy() for i, name in enumerate(points)}
     frames = np.arange(tracks.shape[3], dtype=float)
-    return Points(path, sha256, frames, places, confidence_of, y_down=True, counted=True)
+    return Points(path, frames, places, confidence_of, y_down=True, counted=True)
 
 
-def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
+def _deeplabcut(path: Path, table: Any) -> Points:
     fields = set(table.dtype.names or ())
     blocks = sorted(n for n in fields if n.startswith("values_block_"))
     if table.ndim != 1 or "index" not in fields or blocks != ["values_block_0"]:
@@ -229,10 +214,10 @@ def _deeplabcut(path: Path, sha256: str, table: Any) -> Points:
         raise DatasetError(f"{path} declares {table.nbytes:,} bytes.", "The file is damaged or malicious.")
     names = listed_names(bytes(np.asarray(table.attrs["values_block_0_kind"])[()]))
     rows = table[()]
-    return _points(path, sha256, names, rows["values_block_0"], rows["index"])
+    return _points(path, names, rows["values_block_0"], rows["index"])
 
 
-def _pandas_fixed(path: Path, sha256: str, frame: Any) -> Points:
+def _pandas_fixed(path: Path, frame: Any) -> Points:
     """Read a pandas table in the "fixed" format of older versions of DeepLabCut and of `movement`."""
     values, index = frame["block0_values"], frame["axis1"]
     for dataset in (values, index):
@@ -246,51 +231,33 @@ def _pandas_fixed(path: Path, sha256: str, frame: Any) -> Points:
             raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
         known = [w.decode("utf-8", "replace") for w in words[()].tolist()]
         levels.append([known[i] for i in labels[()].tolist()])
-    return _points(path, sha256, list(zip(*levels, strict=True)), load(values), load(index))
+    return _points(path, list(zip(*levels, strict=True)), load(values), load(index))
 
 
-def _points(path: Path, sha256: str, names: list[tuple[str, ...]], columns: Any, index: Any) -> Points:
+def _points(path: Path, names: list[tuple[str, ...]], columns: Any, index: Any) -> Points:
     values = np.asarray(columns, dtype=float)
     if values.ndim != 2 or len(names) != values.shape[1]:
         raise DatasetError(f"{path}: {len(names)} names for {values.shape[1:]} columns.", "Export it as CSV.")
-    points: dict[str, dict[str, Any]] = {}
     individuals = {name[1] for name in names if len(name) == 4}
     first = 2 if len(individuals) == 1 else 1
-    for i, name in enumerate(names):
-        points.setdefault(".".join(name[first:-1]), {})[name[-1]] = values[:, i]
-    whole = {n: p for n, p in points.items() if {"x", "y"} <= set(p)}
-    return Points(
-        path,
-        sha256,
-        np.asarray(index, dtype=float),
-        {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()},
-        {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p},
-        y_down=True,
-        counted=True,
-    )
+    parts = [(".".join(n[first:-1]), n[-1], column) for n, column in zip(names, values.T, strict=True)]
+    return grouped_points(path, np.asarray(index, dtype=float), parts)
 
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 
 
-def read_project(path: Path, sha256: str, content: bytes) -> Points:
+def read_project(path: Path, content: bytes, _options: object) -> Points:
     """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
-        raise DatasetError(
-            f"{path} declares XML entities.", "A Tracker project contains none; export it again."
-        )
+        what = f"{path} declares XML entities."
+        raise DatasetError(what, "A Tracker project contains none; export it again.")
     try:
         root = ET.fromstring(content)  # noqa: S314 - entities are refused above
-    except (ET.ParseError, ValueError) as error:
-        raise DatasetError(
-            f"{path} is not a complete Tracker project: {error}.", "Save it again in Tracker."
-        ) from error
-    try:
-        return _project_points(path, sha256, root)
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DatasetError(
-            f"{path} is not a complete Tracker project: {error}.", "Save it again in Tracker."
-        ) from error
+        return _project_points(path, root)
+    except (ET.ParseError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = f"{path} is not a complete Tracker project: {error}."
+        raise DatasetError(what, "Save it again in Tracker.") from error
 
 
 def _property(node: ET.Element | None, name: str) -> ET.Element | None:
@@ -309,7 +276,7 @@ def _value(node: ET.Element | None, name: str, default: float) -> float:
     return default if found is None or not found.text else float(found.text)
 
 
-def _project_points(path: Path, sha256: str, root: ET.Element) -> Points:
+def _project_points(path: Path, root: ET.Element) -> Points:
     clip = _object(root, "videoclip")
     control = _object(root, "clipcontrol")
     first, step = int(_value(clip, "startframe", 0)), int(_value(clip, "stepsize", 1))
@@ -333,18 +300,17 @@ def _project_points(path: Path, sha256: str, root: ET.Element) -> Points:
     unit = _property(root, "length_unit")
     metres = _METRES.get((unit.text or "").strip(), 1.0) if unit is not None else 1.0
     places = {name: np.full((len(frames), 2), np.nan) for name in tracks}
+    rows = {frame: row for row, frame in enumerate(frames)}
     for name, marked in tracks.items():
-        for row, frame in enumerate(frames):
-            places[name][row] = (
-                _world_position(root, frame, marked[frame], metres) if frame in marked else np.nan
-            )
+        for frame, place in marked.items():
+            places[name][rows[frame]] = _world_position(root, frame, place, metres)
     places["origin"] = np.zeros((len(frames), 2))
     index = np.array(frames, dtype=float)
     if math.isfinite(frame_duration) and frame_duration > 0:
         time, counted = begin + (index - first) * frame_duration, False
     else:
         time, counted = (index - first) / max(step, 1), True
-    return Points(path, sha256, time, places, {}, y_down=False, counted=counted)
+    return Points(path, time, places, {}, y_down=False, counted=counted)
 
 
 def _world_position(root: ET.Element, frame: int, place: tuple[float, float], metres: float) -> Floats:

@@ -23,7 +23,6 @@ class Points:
     """Named points in every frame."""
 
     path: Path  # the file
-    sha256: str
     time: Floats  # shape (n,); times [s], or frame numbers if `counted`
     # shape (n, 2); x and y of each point; NaN in frames in which it was not tracked
     places: Mapping[str, Floats]
@@ -32,6 +31,7 @@ class Points:
     y_down: bool  # whether y points downwards, as in images
     counted: bool  # whether `time` contains frame numbers
     notes: tuple[str, ...] = ()  # repairs made while reading
+    sha256: str = ""  # hash of the file
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,7 @@ class PointAngle:
 
 
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
-    """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards.
-
-    A UsageError asks for marker or frame rate; a DatasetError says that the marker is too close to the centre, or
-    tracked in too few frames, or its path is not a circle about the fitted centre.
-    """
+    """Return the angle of the marker about the centre: atan2(y - y0, x - x0), with y upwards."""
     time = points.time.astype(float)
     if points.counted:
         time = time / frame_rate(points.path, options)
@@ -67,10 +63,8 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
         )
     for axis, values in zip("xy", place.T, strict=True):
         if np.nanmin(values) == np.nanmax(values):
-            raise DatasetError(
-                f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames.",
-                "Check the columns.",
-            )
+            what = f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames."
+            raise DatasetError(what, "Check the columns.")
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     notes = (f"{points.path.name}: angle of '{name}' about {where}",)
     return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)
@@ -106,9 +100,8 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
 
 def _existing(points: Points, name: str) -> str:
     if name not in points.places:
-        raise UsageError(
-            f"{points.path} has no point '{name[:40]}'.", f"Points: {_list(list(points.places))}."
-        )
+        what = f"{points.path} has no point '{name[:40]}'."
+        raise UsageError(what, f"Points: {_list(list(points.places))}.")
     return name
 
 

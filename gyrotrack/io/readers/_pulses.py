@@ -33,32 +33,23 @@ from gyrotrack.io.readers._raw_table import TURN, RawTable
 from gyrotrack.io.readers._sampled_signal import is_regular, is_sampled, rising_edges, signal_columns
 
 _MAX_MISSED = 20
-_END = 3
-"""Number of intervals at each end that have too few neighbours on one side."""
-_LINE = 4
-"""Number of intervals whose speed is continued to the ends."""
-_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
+_END = 3  # number of intervals at each end that have too few neighbours on one side
+_LINE = 4  # number of intervals whose speed is continued to the ends
+_NORMAL = 0.6745  # median of the absolute value of a standard normal variable
+# relative scatter of the intervals up to which a single interval shows a missed or a double pulse (five of them)
 _REGULAR = 0.13
-"""Relative scatter of the intervals up to which a single interval shows a missed or a double pulse (five of them)."""
-_SIGNIFICANT_STEP = 3.5
-"""Smallest step of the counts in standard errors."""
-_STRETCH = 60
-"""Number of pulses between the knots of the spline through the counts."""
-_PART = 3000
-"""Number of intervals in which steps of the counts are found together ..."""
-_OVERLAP = 300
-"""... with so many before and after them."""
+_SIGNIFICANT_STEP = 3.5  # smallest step of the counts in standard errors
+_STRETCH = 60  # number of pulses between the knots of the spline through the counts
+_PART = 3000  # number of intervals in which steps of the counts are found together
+_OVERLAP = 300  # ... with so many before and after them
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
+# smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
 _ALTERNATING = 0.9
-"""Smallest share of passages in the opposite order of the gates to the previous one, for a pendulum."""
+# smallest rise of ln (duration / time between passages) from the first to the last quarter, for a pendulum
 _DURATION_CHANGE = 0.1
-"""Smallest rise of ln (duration / time between passages) from the first to the last quarter, for a pendulum."""
-_SIGNIFICANT_CHANGE = 5.0
-"""The same in standard errors."""
-_FLICKER = 0.1
-"""Largest duration of a flicker of a light gate [median duration]."""
+_SIGNIFICANT_CHANGE = 5.0  # the same in standard errors
+_FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration]
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -456,8 +447,7 @@ def read_counter(
 ) -> MotionTable:
     """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
-    Rows are written at events of several sensors, and some loggers write the count one row late. Of both
-    interpretations, the one with the more regular intervals is used.
+    Some loggers write the count one row late: of both interpretations, that with the more regular intervals is used.
     """
     notes = list(raw.notes)
     ticks = raw.numbers(time_column, "t", times=True)

@@ -24,23 +24,19 @@ from gyrotrack.io._records import Floats, Integers
 MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
+# a comment after the last number of a line
 _COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
-"""A comment after the last number of a line."""
 
 Lines = Sequence[tuple[int, str]]
-_MOST_SETTINGS = 10
-"""Largest number of lines of settings between header and samples."""
-_FEW_ROWS = 5
-"""Largest number of rows of a transposed table, which has five times as many columns at least."""
+_MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
+_FEW_ROWS = 5  # largest number of rows of a transposed table, which has five times as many columns at least
 
 
 @dataclass(frozen=True)
 class RawTable:
     """The columns of a file."""
 
-    # the file and its hash
-    path: Path
-    sha256: str
+    path: Path  # the file
     # header of each column, and its unit if in a separate line; names are empty without a header
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -50,6 +46,7 @@ class RawTable:
     header_line: int = 0  # line of the header; 0 in files without lines
     decimal_comma: bool = False
     notes: tuple[str, ...] = field(default=())  # repairs made while reading
+    sha256: str = ""  # hash of the file
 
     @property
     def headed(self) -> bool:
@@ -186,7 +183,7 @@ def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
 
 
-def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
+def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
     """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
     delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
     comma = delimiter != ","
@@ -233,7 +230,6 @@ def read_text(path: Path, sha256: str, lines: Lines, notes: tuple[str, ...] = ()
     )
     return RawTable(
         path,
-        sha256,
         tuple(names) if names else ("",) * width,
         tuple(units) if units else ("",) * width,
         tuple([row[i] for row in rows] for i in range(width)),
@@ -292,16 +288,17 @@ def _checked_rows(
     return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
 
 
-def table_of(path: Path, sha256: str, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
+def table_of(path: Path, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
     """Return a table of numeric columns of equal length."""
     made = tuple(np.asarray(c, dtype=float).ravel() for c in columns)
     rows = len(made[0]) if made else 0
     line = np.arange(1, rows + 1, dtype=np.int64)
-    return RawTable(path, sha256, tuple(names), ("",) * len(made), made, line)
+    return RawTable(path, tuple(names), ("",) * len(made), made, line)
 
 
 TURN = 2 * math.pi
 
+# factor of each unit to SI, by quantity
 UNITS: dict[str, dict[str, float]] = {
     "t": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "milliseconds": 1e-3,
           "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
@@ -314,8 +311,8 @@ UNITS: dict[str, dict[str, float]] = {
               "rpm": TURN / 60, "1/min": TURN / 60, "min-1": TURN / 60, "u/min": TURN / 60, "rev/min": TURN / 60,
               "rev/s": TURN, "rps": TURN, "turns/s": TURN, "hz": TURN},
 }  # fmt: skip
-"""Factor of each unit to SI, by quantity."""
 
+# words in a header for each quantity; the first match is used
 _HEADER_WORDS = {
     "t": {"t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "timestamps", "clock", "elapsed",
           "millis", "micros", "datetime", "epoch", "unixtime"},
@@ -327,15 +324,13 @@ _HEADER_WORDS = {
     "frame": {"frame", "frames", "step", "frameidx"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
-"""Words in a header for each quantity; the first match is used."""
 
+# units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
-"""Units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else."""
 
-_TICKS = {"millis": "ms", "micros": "us"}
-"""Functions of microcontrollers that give times, and their units."""
+_TICKS = {"millis": "ms", "micros": "us"}  # functions of microcontrollers that give times, and their units
 
 ROLES = tuple(_HEADER_WORDS)
 

@@ -51,54 +51,51 @@ Content = RawTable | Points
 
 @dataclass(frozen=True)
 class Format:
-    """One format: name, test of the bytes of a file, and reader (path, SHA-256, bytes, options)."""
+    """One format: name, test of the bytes of a file, and reader (path, bytes, options)."""
 
     name: str
     matches: Callable[[bytes], bool]
-    read: Callable[[Path, str, bytes, ReadOptions], Content]
+    read: Callable[[Path, bytes, ReadOptions], Content]
 
 
-def _text(path: Path, sha256: str, content: bytes, options: ReadOptions) -> Content:
+def _text(path: Path, content: bytes, options: ReadOptions) -> Content:
     lines, notes = content_lines(path, content)
     if not lines:
         raise DatasetError(f"{path} is empty.", EXPECTED)
-    points = read_point_table(path, sha256, lines) if not options.names else None
-    return read_text(path, sha256, lines, notes) if points is None else replace(points, notes=notes)
+    points = read_point_table(path, lines) if not options.names else None
+    return read_text(path, lines, notes) if points is None else replace(points, notes=notes)
 
 
-def _is_project(content: bytes) -> bool:
-    return content.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and b"cabrillo.tracker" in content[:5000]
+def _begins(start: bytes) -> Callable[[bytes], bool]:
+    return lambda content: content.startswith(start)
+
+
+_BLANK = b"\xef\xbb\xbf \r\n\t"
 
 
 FORMATS: tuple[Format, ...] = (
     Format(
         "HDF5 (SLEAP, DeepLabCut, movement, gyrotrack)",
-        lambda c: c.startswith(b"\x89HDF"),
-        lambda p, h, _, o: read_hdf5(p, h, o.body),
+        _begins(b"\x89HDF"),
+        lambda path, _, options: read_hdf5(path, options.body),
     ),
-    Format("Tracker project", _is_project, lambda p, h, c, _: read_project(p, h, c)),
-    Format("Excel or zipped CSV", lambda c: c.startswith(b"PK"), lambda p, h, c, _: read_zip(p, h, c)),
     Format(
-        "Excel 97", lambda c: c.startswith(b"\xd0\xcf\x11\xe0"), lambda p, h, c, _: read_excel_97(p, h, c)
+        "Tracker project",
+        lambda c: c.lstrip(_BLANK)[:1] == b"<" and b"cabrillo.tracker" in c[:5000],
+        read_project,
     ),
-    Format("MATLAB 7.3", lambda c: c.startswith(b"MATLAB 7.3"), lambda p, h, *_: read_matlab_hdf5(p, h)),
-    Format("MATLAB", lambda c: c.startswith(b"MATLAB 5.0"), lambda p, h, c, _: read_matlab(p, h, c)),
-    Format("Parquet", lambda c: c.startswith(b"PAR1"), lambda p, h, c, _: read_parquet(p, h, c)),
-    Format(
-        "JSON",
-        lambda c: c.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] in {b"{", b"["},
-        lambda p, h, c, _: read_json(p, h, c),
-    ),
-    Format("text", lambda c: True, _text),  # noqa: ARG005 - the fallback
+    Format("Excel or zipped CSV", _begins(b"PK"), read_zip),
+    Format("Excel 97", _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
+    Format("MATLAB 7.3", _begins(b"MATLAB 7.3"), read_matlab_hdf5),
+    Format("MATLAB", _begins(b"MATLAB 5.0"), read_matlab),
+    Format("Parquet", _begins(b"PAR1"), read_parquet),
+    Format("JSON", lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
+    Format("text", _begins(b""), _text),  # the fallback
 )
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
-    """Read the motion of one body from a file of any supported format.
-
-    These are angles, angular velocities, pulses, a counter, or points that another program tracked. A DatasetError
-    contains file and line; a UsageError asks for marker, frame rate, or pulses per turn.
-    """
+    """Read the motion of one body from any supported file; errors name file and line, or the missing option."""
     options = options or ReadOptions()
     found = _content(Path(path), options)
     return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
@@ -112,8 +109,8 @@ def read_passages(path: Path, options: ReadOptions) -> Passages | None:
 
 def _content(path: Path, options: ReadOptions) -> Content:
     content = read_bytes(path)
-    sha256 = hashlib.sha256(content).hexdigest()
-    return next(f for f in FORMATS if f.matches(content)).read(path, sha256, content, options)
+    found = next(f for f in FORMATS if f.matches(content)).read(path, content, options)
+    return replace(found, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
@@ -130,17 +127,9 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
         if set(COORDINATES) <= set(columns):
             place = np.stack([raw.numbers(columns[axis], axis) for axis in COORDINATES], axis=1)
             time = times_of(raw, columns, units, replace(options, start=0.0))
-            points = Points(
-                raw.path,
-                raw.sha256,
-                time,
-                {raw.path.stem: place},
-                {},
-                y_down=False,
-                counted=False,
-                notes=raw.notes,
-            )
-            return _from_points(points, options)
+            places = {raw.path.stem: place}
+            points = Points(raw.path, time, places, {}, y_down=False, counted=False, notes=raw.notes)
+            return _from_points(replace(points, sha256=raw.sha256), options)
         if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
             return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
         refuse_passages(raw, options)
@@ -148,10 +137,8 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
         counters = counters_of(raw)
         if len(counters) > 1:
             numbers = ", ".join(str(i + 1) for i in counters)
-            raise DatasetError(
-                f"{raw.path}: the columns {numbers} count revolutions.",
-                f"Choose one: --column revolutions={counters[0] + 1}.",
-            )
+            what = f"{raw.path}: the columns {numbers} count revolutions."
+            raise DatasetError(what, f"Choose one: --column revolutions={counters[0] + 1}.")
         if counters:
             return read_counter(raw, counters[0], options)
     return read_pulses(raw, options) if options.pulses_per_turn else interpret(raw, options)
@@ -159,20 +146,16 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     """Return the rows of one body, if a table contains several (such as those of `export`)."""
-    place = next(
-        (i for i, n in enumerate(raw.names) if n.casefold() == "body" and isinstance(raw.columns[i], list)),
-        None,
-    )
-    if place is None:
+    labels = (c for n, c in zip(raw.names, raw.columns, strict=True) if n.casefold() == "body")
+    names = next((c for c in labels if isinstance(c, list)), None)
+    if names is None:
         return raw
-    words = np.array([str(w) for w in raw.columns[place]])
+    words = np.array([str(w) for w in names])
     bodies = sorted(set(words))
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
-        raise DatasetError(
-            f"{raw.path} contains the bodies {', '.join(bodies)[:80]}.",
-            "Import it with --casing and --rotor.",
-        )
+        what = f"{raw.path} contains the bodies {', '.join(bodies)[:80]}."
+        raise DatasetError(what, "Import it with --casing and --rotor.")
     rows = np.flatnonzero(words == body)
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
     return replace(raw, columns=columns, line=raw.line[rows])
@@ -190,7 +173,5 @@ def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
     rows = np.flatnonzero(valid)
-    made = MotionTable(
-        points.path, points.sha256, "angle", found.time[rows], found.angle[rows], None, rows + 1, ()
-    )
-    return replace(in_order(made, notes), notes=tuple(notes))
+    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], None)
+    return replace(in_order(MotionTable(*origin, *values, rows + 1, ()), notes), notes=tuple(notes))

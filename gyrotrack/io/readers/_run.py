@@ -26,16 +26,11 @@ from gyrotrack.io.readers._motion_table import MIN_SAMPLES, MotionTable, scatter
 
 _BLOCKS = 400
 _MIN_BLOCK = 4
-_BRAKE_RATIO = 3.0
-"""Smallest ratio of the decelerations during and before a brake."""
-_SIGNIFICANT = 6.0
-"""Smallest difference of the slopes before and after the end of a drive [standard errors]."""
-_MIN_CROSSINGS = 12
-"""Smallest number of zero crossings for the detection of irregular periods."""
-_IRREGULAR = np.array([0.01, 0.05])
-"""Smallest relative deviations of an irregular period and amplitude."""
-_MIN_STEPS = 2
-"""Smallest deflection for which quantisation errors are independent [steps of the resolution]."""
+_BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a brake
+_SIGNIFICANT = 6.0  # smallest difference of the slopes before and after the end of a drive [standard errors]
+_MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
+_IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
+_MIN_STEPS = 2  # smallest deflection for which quantisation errors are independent [steps of the resolution]
 
 
 @dataclass(frozen=True)
@@ -93,11 +88,7 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
-    """Return the samples of the free motion and their unwrapped values, without drive, brake and rest.
-
-    `value` are unwrapped angles [rad], or angular velocities [rad/s]. Each excluded part has a note; with `keep_all`
-    nothing is excluded.
-    """
+    """Return samples of the free motion and unwrapped values [rad] or [rad/s], without drive, brake and rest."""
     if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
     time, speed, error = speeds(table, value)

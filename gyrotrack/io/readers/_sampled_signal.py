@@ -16,20 +16,16 @@ from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._raw_table import RawTable
 
+# largest relative deviation of 90 % of the intervals between samples from their median, for a clocked sampler
 _CLOCKED = 0.01
-"""Largest relative deviation of 90 % of the intervals between samples from their median, for a clocked sampler."""
-_REGULAR = 0.3
-"""Largest relative change (median) between intervals of pulses; noise has 0.7."""
-_LEVELS = 8
-"""Least number of distinct values of a signal; states of a light gate have two."""
-_PULSES_PER_PART = 6
-"""Number of the longest typical periods in which the extremes are taken."""
-_EXTREMES = (2.0, 98.0)
-"""Percentiles of the low and the high level."""
+_REGULAR = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
+_LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
+_PULSES_PER_PART = 6  # number of the longest typical periods in which the extremes are taken
+_EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
+# least amplitude of a signal relative to its typical one; below it the body is at rest or gone
 _PRESENT = 0.25
-"""Least amplitude of a signal relative to its typical one; below it the body is at rest or gone."""
+# least number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed
 _LEAST_SAMPLES = 4.0
-"""Least number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed."""
 _NEIGHBOURS = 9
 _LEAST_PART = 16
 

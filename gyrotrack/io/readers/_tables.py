@@ -34,17 +34,17 @@ from gyrotrack.io.readers._raw_table import (
 )
 
 
-def read_point_table(path: Path, sha256: str, lines: Lines) -> Points | None:
+def read_point_table(path: Path, lines: Lines) -> Points | None:
     """Read points from the lines of a file; None if it is not a table of points."""
     first = split(lines[0][1], delimiter_of(lines[0][1]))
     if first[0].casefold() == "scorer":
-        return _deeplabcut(path, sha256, lines)
+        return _deeplabcut(path, lines)
     if "frame_idx" in first:
-        return _sleap(path, sha256, lines)
-    return _tracker(path, sha256, lines)
+        return _sleap(path, lines)
+    return _tracker(path, lines)
 
 
-def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
+def _tracker(path: Path, lines: Lines) -> Points | None:
     """Read an export of OSP Tracker: a line with the names of the tracks, then t, x, y."""
     for above in range(min(3, len(lines))):
         head = lines[above][1]
@@ -65,10 +65,8 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
     roles = [role_of(header_of(n)[0]) for n in names]
     time = [i for i, r in enumerate(roles) if r == "t"] or [i for i, r in enumerate(roles) if r == "frame"]
     if not time:
-        raise DatasetError(
-            f"{path}, line {lines[above][0]}: there is no column for the time.",
-            "Export t together with x and y.",
-        )
+        what = f"{path}, line {lines[above][0]}: there is no column for the time."
+        raise DatasetError(what, "Export t together with x and y.")
     unit = header_of(names[time[0]])[1] if roles[time[0]] == "t" else ""
     if (scale := factor("t", unit) if unit else 1.0) is None:
         raise DatasetError(f"{path}, line {lines[above][0]}: unknown unit '{unit[:30]}' of the time.")
@@ -78,7 +76,7 @@ def _tracker(path: Path, sha256: str, lines: Lines) -> Points | None:
     )
     places = {name: np.stack([table[x], table[y]], axis=1) for name, (x, y) in columns.items()}
     counted = roles[time[0]] == "frame"
-    return Points(path, sha256, scale * table[time[0]], places, {}, y_down=False, counted=counted)
+    return Points(path, scale * table[time[0]], places, {}, y_down=False, counted=counted)
 
 
 def _axis(name: str) -> tuple[str, str]:
@@ -96,8 +94,8 @@ def _axis(name: str) -> tuple[str, str]:
     return ("", "") if sensor else (axis, track)
 
 
+# vectors of the sensors of a phone or an inertial unit, other than the angular velocity
 _SENSOR = re.compile(r"(lin(ear)?[_ ]?)?(acc|accel\w*|mag|magnet\w*|gravity|grav)$", re.IGNORECASE)
-"""Vectors of the sensors of a phone or an inertial unit, other than the angular velocity."""
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:
@@ -117,7 +115,7 @@ def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[
     return {name: (axes["x"], axes["y"]) for name, axes in seen.items() if {"x", "y"} <= set(axes)}
 
 
-def _deeplabcut(path: Path, sha256: str, lines: Lines) -> Points:
+def _deeplabcut(path: Path, lines: Lines) -> Points:
     """Read CSV of DeepLabCut: rows scorer, (individuals,) bodyparts, coords; then frame and x, y, likelihood."""
     heads: dict[str, list[str]] = {}
     rows = 0
@@ -128,66 +126,44 @@ def _deeplabcut(path: Path, sha256: str, lines: Lines) -> Points:
         heads[cells[0].casefold()] = cells
         rows += 1
     if not {"bodyparts", "coords"} <= set(heads):
-        raise DatasetError(
-            f"{path} looks like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'.",
-            "Export it again from DeepLabCut.",
-        )
+        what = f"{path} looks like a file of DeepLabCut but has no rows 'bodyparts' and 'coords'."
+        raise DatasetError(what, "Export it again from DeepLabCut.")
     width = len(heads["coords"])
     table = _numbers(path, lines[rows:], ",", width, range(width))
     single = len(set(heads.get("individuals", ["", ""])[1:])) < 2
-    return _grouped(
-        path,
-        sha256,
-        table[0],
-        [
-            (
-                heads["bodyparts"][i] if single else f"{heads['individuals'][i]}.{heads['bodyparts'][i]}",
-                heads["coords"][i],
-                table[i],
-            )
-            for i in range(1, width)
-        ],
-    )
+    columns = []
+    for i in range(1, width):
+        part = heads["bodyparts"][i] if single else f"{heads['individuals'][i]}.{heads['bodyparts'][i]}"
+        columns.append((part, heads["coords"][i], table[i]))
+    return grouped_points(path, table[0], columns)
 
 
-def _sleap(path: Path, sha256: str, lines: Lines) -> Points:
+def _sleap(path: Path, lines: Lines) -> Points:
     """Read CSV of SLEAP: track, frame_idx, instance.score, then node.x, node.y, node.score."""
     delimiter = delimiter_of(lines[0][1])
     heads = split(lines[0][1], delimiter)
-    tracks = [
-        split(line, delimiter)[heads.index("track")] if "track" in heads else "" for _, line in lines[1:]
-    ]
-    if len(set(tracks)) > 1:
-        raise DatasetError(
-            f"{path} contains {len(set(tracks))} tracked instances.",
-            "Export one instance.",
-        )
-    wanted = [
-        i for i, h in enumerate(heads) if h == "frame_idx" or h.rpartition(".")[2] in {"x", "y", "score"}
-    ]
+    track = heads.index("track") if "track" in heads else None
+    tracks = {split(line, delimiter)[track] for _, line in lines[1:]} if track is not None else {""}
+    if len(tracks) > 1:
+        raise DatasetError(f"{path} contains {len(tracks)} tracked instances.", "Export one instance.")
+    split_heads = [h.rpartition(".") for h in heads]
+    wanted = [i for i, (_, _, what) in enumerate(split_heads) if what in {"frame_idx", "x", "y", "score"}]
     table = _numbers(path, lines[1:], delimiter, len(heads), wanted)
-    parts = [
-        (h.rpartition(".")[0], h.rpartition(".")[2], table[i]) for i, h in enumerate(heads) if i in table
-    ]
-    return _grouped(
-        path, sha256, table[heads.index("frame_idx")], [p for p in parts if p[0] and p[0] != "instance"]
+    parts = [(split_heads[i][0], split_heads[i][2], values) for i, values in table.items()]
+    return grouped_points(
+        path, table[heads.index("frame_idx")], [p for p in parts if p[0] and p[0] != "instance"]
     )
 
 
-def _grouped(path: Path, sha256: str, frame: Floats, columns: list[tuple[str, str, Floats]]) -> Points:
+def grouped_points(path: Path, frame: Floats, columns: list[tuple[str, str, Floats]]) -> Points:
+    """Return points in an image from columns of (name of the point, x or y or likelihood or score, values)."""
     points: dict[str, dict[str, Floats]] = {}
     for name, what, values in columns:
         points.setdefault(name, {})["likelihood" if what in {"likelihood", "score"} else what] = values
     whole = {n: p for n, p in points.items() if {"x", "y"} <= set(p)}
-    return Points(
-        path,
-        sha256,
-        frame,
-        {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()},
-        {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p},
-        y_down=True,
-        counted=True,
-    )
+    places = {n: np.stack([p["x"], p["y"]], axis=1) for n, p in whole.items()}
+    likelihood = {n: p["likelihood"] for n, p in whole.items() if "likelihood" in p}
+    return Points(path, frame, places, likelihood, y_down=True, counted=True)
 
 
 def _numbers(
@@ -211,42 +187,34 @@ def _numbers(
 def _number(path: Path, line: int, cell: str, *, decimal: bool) -> float:
     value = number_of(cell, decimal_comma=decimal)
     if value is None:
-        raise DatasetError(
-            f"{path}, line {line}: '{cell[:30]}' is not a number.",
-            "Use an empty cell for a missing value.",
-        )
+        what = f"{path}, line {line}: '{cell[:30]}' is not a number."
+        raise DatasetError(what, "Use an empty cell for a missing value.")
     return value
 
 
-def read_zip(path: Path, sha256: str, content: bytes) -> RawTable:
+def read_zip(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the table of an Excel workbook, or of the only CSV file in an archive (except ``meta/`` of phyphox)."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(i.file_size for i in archive.infolist()) > MAX_BYTES:
-                raise DatasetError(
-                    f"{path} is larger than 1 GiB when unpacked.", "Unpack it and give the table."
-                )
+                what = f"{path} is larger than 1 GiB when unpacked."
+                raise DatasetError(what, "Unpack it and give the table.")
             names = [n for n in archive.namelist() if not n.endswith("/")]
             if "[Content_Types].xml" in names:
-                return _workbook(path, sha256, content)
-            tables = [
-                n
-                for n in names
-                if n.lower().endswith((".csv", ".txt", ".tsv")) and not n.lower().startswith("meta/")
-            ]
+                return _workbook(path, content)
+            texts = [n for n in names if n.lower().endswith((".csv", ".txt", ".tsv"))]
+            tables = [n for n in texts if not n.lower().startswith("meta/")]
             if len(tables) != 1:
-                raise DatasetError(
-                    f"{path} contains {len(tables)} tables of text{': ' + ', '.join(tables)[:100] if tables else ''}.",
-                    "Unpack it and give one of them.",
-                )
-            return read_text(path, sha256, *content_lines(path, archive.read(tables[0])))
+                which = f": {', '.join(tables)[:100]}" if tables else ""
+                what = f"{path} contains {len(tables)} tables of text{which}."
+                raise DatasetError(what, "Unpack it and give one of them.")
+            return read_text(path, *content_lines(path, archive.read(tables[0])))
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
-        raise DatasetError(
-            f"{path} is a damaged archive: {error}.", "Download or export it again."
-        ) from error
+        what = f"{path} is a damaged archive: {error}."
+        raise DatasetError(what, "Download or export it again.") from error
 
 
-def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
+def _workbook(path: Path, content: bytes) -> RawTable:
     """Return the first sheet with numbers of an Excel workbook (.xlsx)."""
     try:
         import openpyxl
@@ -257,10 +225,10 @@ def _workbook(path: Path, sha256: str, content: bytes) -> RawTable:
         sheets = [[list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets]
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
-    return _first_sheet(path, sha256, sheets)
+    return _first_sheet(path, sheets)
 
 
-def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
+def read_excel_97(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the first sheet with numbers of an Excel 97 workbook (.xls), a format of phyphox and older loggers."""
     try:
         import xlrd
@@ -277,7 +245,7 @@ def read_excel_97(path: Path, sha256: str, content: bytes) -> RawTable:
         sheets = [[[value(c) for c in row] for row in sheet.get_rows()] for sheet in book.sheets()]
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
-    return _first_sheet(path, sha256, sheets)
+    return _first_sheet(path, sheets)
 
 
 def _missing_library(what: str) -> UsageError:
@@ -286,100 +254,81 @@ def _missing_library(what: str) -> UsageError:
     )
 
 
-def _first_sheet(path: Path, sha256: str, sheets: list[list[list[Any]]]) -> RawTable:
+def _first_sheet(path: Path, sheets: list[list[list[Any]]]) -> RawTable:
     """Return the first sheet with a row of mostly numbers."""
     for rows in sheets:
-        first = next(
-            (
-                i
-                for i, r in enumerate(rows)
-                if sum(isinstance(c, int | float) for c in r) >= max(1, sum(c is not None for c in r) / 2)
-            ),
-            None,
-        )
-        if first is not None:
-            return _table_of_cells(path, sha256, rows, first)
+        for first, row in enumerate(rows):
+            if sum(isinstance(c, int | float) for c in row) >= max(1, sum(c is not None for c in row) / 2):
+                return _table_of_cells(path, rows, first)
     raise DatasetError(f"{path} has no sheet with numbers.", "Give the sheet as CSV.")
 
 
-def _table_of_cells(path: Path, sha256: str, rows: list[list[Any]], first: int) -> RawTable:
+def _table_of_cells(path: Path, rows: list[list[Any]], first: int) -> RawTable:
     width = max(len(r) for r in rows[first:])
     head = rows[first - 1] if first else []
     names = tuple(str(head[i]) if i < len(head) and head[i] is not None else "" for i in range(width))
+    filled = {i: r for i, r in enumerate(rows[first:], first + 1) if any(c is not None for c in r)}
     cells = tuple(
-        [
-            "" if i >= len(r) or r[i] is None else str(r[i])
-            for r in rows[first:]
-            if any(c is not None for c in r)
-        ]
-        for i in range(width)
+        ["" if i >= len(r) or r[i] is None else str(r[i]) for r in filled.values()] for i in range(width)
     )
-    line = np.array(
-        [i + 1 for i, r in enumerate(rows) if i >= first and any(c is not None for c in r)], dtype=np.int64
-    )
-    return RawTable(path, sha256, names, ("",) * width, cells, line, max(first, 1))
+    line = np.array(list(filled), dtype=np.int64)
+    return RawTable(path, names, ("",) * width, cells, line, max(first, 1))
 
 
-def read_matlab(path: Path, sha256: str, content: bytes) -> RawTable:
+def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3)."""
     from scipy.io import loadmat
 
     try:
         held = loadmat(io.BytesIO(content))  # type: ignore[arg-type]
     except Exception as error:
-        raise DatasetError(
-            f"{path} is not a readable MATLAB file: {str(error)[:100]}.", "Save it with -v7."
-        ) from error
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
     arrays = {k: v for k, v in held.items() if not k.startswith("__") and isinstance(v, np.ndarray)}
     for name, value in list(arrays.items()):  # the fields of a struct
         if value.dtype.names and value.size == 1:
             arrays |= {n: np.asarray(value[n].ravel()[0]) for n in value.dtype.names}
             del arrays[name]
-    return table_of_arrays(path, sha256, arrays)
+    return table_of_arrays(path, arrays)
 
 
-def table_of_arrays(path: Path, sha256: str, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
+def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
     """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays."""
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
     if vectors:
         longest = max(len(v) for v in vectors.values())
         vectors = {k: v for k, v in vectors.items() if len(v) == longest}
-        return table_of(path, sha256, list(vectors), list(vectors.values()))
+        return table_of(path, list(vectors), list(vectors.values()))
     matrices = [v for v in plain.values() if v.ndim == 2]
     if len(matrices) == 1:
         matrix = matrices[0]
-        return table_of(path, sha256, [""] * matrix.shape[1], list(matrix.T))
-    raise DatasetError(
-        f"{path} contains neither vectors of equal length nor a single matrix.",
-        "Save time and angle as vectors.",
-    )
+        return table_of(path, [""] * matrix.shape[1], list(matrix.T))
+    what = f"{path} contains neither vectors of equal length nor a single matrix."
+    raise DatasetError(what, "Save time and angle as vectors.")
 
 
-def read_parquet(path: Path, sha256: str, content: bytes) -> RawTable:
+def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the numeric columns of a Parquet file, with the units of their metadata."""
     try:
         import pyarrow.parquet as pq
     except ImportError:
-        raise UsageError(
-            "Parquet needs pyarrow, which is not installed.", 'Run: pip install "gyrotrack[notebook]"'
-        ) from None
+        what = "Parquet needs pyarrow, which is not installed."
+        raise UsageError(what, 'Run: pip install "gyrotrack[notebook]"') from None
     try:
         table = pq.read_table(io.BytesIO(content))
     except Exception as error:
-        raise DatasetError(
-            f"{path} is a damaged Parquet file: {str(error)[:100]}.", "Export it again."
-        ) from error
+        what = f"{path} is a damaged Parquet file: {str(error)[:100]}."
+        raise DatasetError(what, "Export it again.") from error
     names, units, columns = [], [], []
     for field, column in zip(table.schema, table.columns, strict=True):
-        values = column.to_pylist()
         names.append(field.name)
         units.append(((field.metadata or {}).get(b"units", b"")).decode("utf-8", "replace"))
-        columns.append(values)
-    return _table_of_lists(path, sha256, names, units, columns)
+        columns.append(column.to_pylist())
+    return _table_of_lists(path, names, units, columns)
 
 
-def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
+def read_json(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` next to it."""
     try:
         document = json.loads(content.decode("utf-8-sig"))
@@ -393,14 +342,11 @@ def read_json(path: Path, sha256: str, content: bytes) -> RawTable:
     except (ValueError, RecursionError, AttributeError, LookupError, TypeError) as error:
         raise DatasetError(f"{path} is not a JSON table.", 'Write {"t": [...], "angle": [...]}.') from error
     columns = {k: v for k, v in columns.items() if len(v) == longest}
-    return _table_of_lists(
-        path, sha256, list(columns), [str(units.get(k, "")) for k in columns], list(columns.values())
-    )
+    named = [str(units.get(k, "")) for k in columns]
+    return _table_of_lists(path, list(columns), named, list(columns.values()))
 
 
-def _table_of_lists(
-    path: Path, sha256: str, names: list[str], units: list[str], columns: list[list[Any]]
-) -> RawTable:
+def _table_of_lists(path: Path, names: list[str], units: list[str], columns: list[list[Any]]) -> RawTable:
     """Return a table of columns of numbers or text."""
     made: list[Any] = []
     for values in columns:
@@ -409,6 +355,4 @@ def _table_of_lists(
         else:
             made.append(["" if v is None else str(v) for v in values])
     rows = len(made[0]) if made else 0
-    return RawTable(
-        path, sha256, tuple(names), tuple(units), tuple(made), np.arange(1, rows + 1, dtype=np.int64)
-    )
+    return RawTable(path, tuple(names), tuple(units), tuple(made), np.arange(1, rows + 1, dtype=np.int64))

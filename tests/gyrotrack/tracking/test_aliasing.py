@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._aliasing import doubtful, symmetries, unaliased
+from gyrotrack.tracking._aliasing import doubtful, slowing, symmetries, unaliased
 from gyrotrack.tracking._registration import Ring, explained, learn
 
 RING = Ring.about((100.0, 100.0), 30.0, 80.0, finest=0.02)
@@ -65,12 +65,23 @@ def test_a_motion_without_alternative_is_kept(angle):
     assert warning is None
 
 
-def test_markers_that_seem_to_speed_up_are_doubtful_if_a_turn_per_frame_less_slows_down():
+@pytest.mark.parametrize("speed", [20, 50, 100])
+def test_of_two_steady_rotations_of_a_symmetric_body_the_slower_one_is_taken_with_a_warning(speed):
+    """Up to a quarter period per frame the alternative is at least three times as fast: no warning."""
+    angle = -np.radians(min(speed, 120 - speed) * FRAMES)
+    (found, warning), _ = taken(angle, polars(angle))
+    assert found is angle
+    assert (warning is None) == (speed != 50)
+
+
+def test_markers_that_seem_to_speed_up_may_slow_down_with_a_turn_per_frame_less():
     slows = 2 * np.pi * (0.8 * FRAMES - 0.2 * FRAMES**2 / (2 * FRAMES[-1]))  # 0.8 to 0.6 turns per frame
-    told = doubtful(2 * np.pi * FRAMES - slows, FRAMES)
+    seen = 2 * np.pi * FRAMES - slows
+    np.testing.assert_allclose(slowing(seen, FRAMES), -slows, atol=1e-9)
+    told = doubtful(seen, -slows, FRAMES)
     assert "a rotation of +" in told
     assert "as well as one of -2" in told
-    assert doubtful(slows, FRAMES) is None
-    assert doubtful(0.3 * slows, FRAMES) is None
+    assert slowing(slows, FRAMES) is None
+    assert slowing(0.3 * slows, FRAMES) is None
     # a casing that the rotor accelerates, slowly enough for the camera
-    assert doubtful(0.05 * FRAMES + 1e-3 * FRAMES**2, FRAMES) is None
+    assert slowing(0.05 * FRAMES + 1e-3 * FRAMES**2, FRAMES) is None
