@@ -42,37 +42,29 @@ class Criteria:
         If a value is not a finite number in its range.
     """
 
-    significance: float = _criterion(
-        0.03, "family-wise p-value below which a candidate is significant", _NULL
-    )
+    # fmt: off
+    significance: float = _criterion(0.03, "family-wise p-value below which a candidate is significant", _NULL)
     evidence: float = _criterion(2.0, "fall of BIC that an added effect needs", _KASS)
     evidence_periodic: float = _criterion(10.0, "the same for periodic laws on tracked film", _KASS)
     equivalence_width: float = _criterion(10.0, "BIC difference of indistinguishable candidates", _KASS)
     collinearity: float = _criterion(0.9999, "cosine of responses that no data separates")
     measurement_penalty: float = _criterion(3.2, "BIC added to measurement effects", "prior odds 1:5, 2 ln 5")
     shape_evidence: float = _criterion(10.0, "fall of BIC that frees a shape constant of a law", _KASS)
-    essential_sigma: float = _criterion(
-        3.3, "strength below which an added effect is tried without", "p = 0.001"
-    )
+    essential_sigma: float = _criterion(3.3, "strength below which an added effect is tried without", "p = 0.001")
     crowded: int = _criterion(3, "added effects from which on each is tried without")
     max_steps: int = _criterion(5, "effects that `improve` adds at most")
     follow_up: int = _criterion(1, "further effects that `diagnose` adds at most")
     explained: float = _criterion(0.95, "share of unmodelled torque that an approximate answer explains")
     lack_of_fit: float = _criterion(1e-5, "p-value of slow torques below which a fit fails", "Draper 1998")
     reduced_chi2: float = _criterion(1.4, "reduced chi2 of the fitted rows above which a fit fails")
-    undetermined: float = _criterion(
-        100.0, "standard uncertainty over value above which a parameter is undetermined"
-    )
+    undetermined: float = _criterion(100.0, "standard uncertainty over value above which a parameter is undetermined")
     correlated_noise: float = _criterion(8.0, "deviance that correlated angle noise needs", "chi2, 2 dof")
-    excess_noise: float = _criterion(
-        4.0, "process noise of a fit above that of the recording that voids its form [sigma]"
-    )
+    excess_noise: float = _criterion(4.0,
+        "process noise of a fit above that of the recording that voids its form [sigma]")
     spectral_line: float = _criterion(0.001, "p-value of a sinusoid that is not noise", "Baluev 2008")
     periodic_torque: float = _criterion(0.001, "p-value of a torque of the angle that is not noise")
     doubt_named: float = _criterion(0.01, "smooth-test p-value that contradicts a named effect", "Hart 1997")
-    doubt_adequate: float = _criterion(
-        0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008"
-    )
+    doubt_adequate: float = _criterion(0.001, "p-value of a test that contradicts an adequate fit", "Baluev 2008")
     inertia_sigma: float = _criterion(2.0, "error of an inertia that its uncertainty allows [sigma]")
     inertia_largest: float = _criterion(0.05, "relative error of an inertia whose uncertainty is not stated")
     failure_sigma: float = _criterion(4.0, "peak of a reported stretch of unmodelled torque [sigma]")
@@ -87,19 +79,13 @@ class Criteria:
     refit_shortfall: float = _criterion(10.0, "deviance by which a refit may fall short of its score", _KASS)
     own_phase: float = _criterion(10.0, "deviance per case that justifies a separate phase", _KASS)
     changepoint_score: float = _criterion(25.0, "score that moves a changepoint far away", "5 sigma")
-    equation_error: float = _criterion(
-        3.0, "error of the equations, over the least, up to which a spring is fitted"
-    )
-    refit_reversals: int = _criterion(
-        500, "reversals that all refits of a step integrate", "15 s of one core"
-    )
-    refit_oscillation_p: float = _criterion(
-        0.1, "family-wise p-value above which candidates of an oscillation are not refitted"
-    )
-    gross_misfit: float = _criterion(
-        0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]"
-    )
+    equation_error: float = _criterion(3.0, "error of the equations, over the least, up to which a spring is fitted")
+    refit_reversals: int = _criterion(500, "reversals that all refits of a step integrate", "15 s of one core")
+    refit_oscillation_p: float = _criterion(0.1,
+        "family-wise p-value above which candidates of an oscillation are not refitted")
+    gross_misfit: float = _criterion(0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]")
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
+    # fmt: on
 
     def refits_through(self, reversals: int) -> int:
         """Return the number of candidates that are refitted at any score for an oscillation of so many reversals.

@@ -60,9 +60,6 @@ class OscillatorLaws:
     restoring_classes: tuple[Names, ...]
     damping_classes: tuple[Names, ...]
     parameters: dict[str, Strength]  # strengths of the chosen set
-    # rms residuals [rad]
-    phase_error: float
-    amplitude_error: float
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
@@ -108,17 +105,12 @@ def oscillator_laws(data: CaseData) -> OscillatorLaws | None:
     found.sort(key=lambda f: f[0])
     close = [f for f in found if f[0] - found[0][0] < DEFAULT.equivalence_width]
     _, restoring, damping, best = min(close, key=lambda f: len(f[1]) + len(f[2]))
-    count = len(general.scales[0]) // 2
-    relative = general.scales[0][count:].min() / general.scales[0][count:]
-    rest = best.rows[0][2] * general.scales[0]
     return OscillatorLaws(
         restoring,
         damping,
         tuple(dict.fromkeys(f[1] for f in close)),
         tuple(dict.fromkeys(f[2] for f in close)),
         _strengths(best, shares, data),
-        float(np.sqrt(np.mean((relative * rest[count:]) ** 2))),
-        float(np.sqrt(np.mean(rest[:count] ** 2))),
     )
 
 

@@ -40,7 +40,7 @@ from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistributi
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import deviance_at_noise_of, fit_like
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -249,9 +249,15 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         width = screened.columns // len(base.problem.layout.records)
         p = np.minimum(p, np.minimum(1.0, 2 * null.of(base.deviance - common.deviance, width)))
     p_value = family(p, null.weights)
+    excess = base.deviance - deviance_at_noise_of(base, found) if p_value < criteria.significance else 0.0
+    if excess > 0:  # a part of the improvement is that of the noise
+        delta_bic, p_value = (
+            delta_bic + excess,
+            family(null(base.deviance - excess - found.deviance), null.weights),
+        )
     return replace(
         candidate,
-        score=base.deviance - found.deviance,
+        score=base.deviance - excess - found.deviance,
         delta_bic=delta_bic,
         p_value=p_value,
         significant=p_value < criteria.significance,
@@ -426,7 +432,6 @@ class Selection(NamedTuple):
     named: Fit  # the refined fit with this effect alone; the base if there is none
     # the refined fit with all that was added, a free shape constant or a second effect; the base if nothing was
     final: Fit
-    history: History  # steps of the forward selection; empty where one effect was enough
 
 
 def select(
@@ -445,7 +450,7 @@ def select(
     ranked = list(candidates)
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
-        return Selection(ranked, None, base, base, History())
+        return Selection(ranked, None, base, base)
     end = _refined(chosen.fit, criteria)
     # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
@@ -454,14 +459,11 @@ def select(
         now_best = best(ranked, criteria)
         if now_best is not None and now_best.fit is not None:
             chosen, end = now_best, now_best.fit
-    history = History()
     if less_noise or end.fails(criteria):
         most = 1 + criteria.follow_up
-        history = (
-            History(known[: 1 + most])
-            if len(known) > 1 and known[1].change == f"+{chosen.effect.name}"
-            else improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
-        )
+        history = known[: 1 + most]
+        if len(known) < 2 or known[1].change != f"+{chosen.effect.name}":
+            history = improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
         named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
     else:
         named = end
@@ -475,7 +477,7 @@ def select(
         now_best = best(separated, criteria)
         if now_best is not None and now_best.effect.name == chosen.effect.name:
             ranked, chosen = separated, now_best
-    return Selection(ranked, chosen, named, end, history)
+    return Selection(ranked, chosen, named, end)
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:

@@ -83,9 +83,7 @@ class AngleNoise:
     # standard deviation a and its standard uncertainty [rad]; 0 if it is not significant
     sigma: float = 0.0
     sigma_u: float = 0.0
-    # correlation time T and its standard uncertainty [s]
-    time: float = 0.0
-    time_u: float = 0.0
+    time: float = 0.0  # correlation time T [s]
     # standard deviation b of the part periodic in the angle, and its standard uncertainty [rad]; 0 if not
     # significant
     turn_sigma: float = 0.0
@@ -109,14 +107,12 @@ class AngleNoise:
 
         The mean covariance contains the uncertainty of level and time (law of total variance).
         """
-        log_time, log_time_u = _moments(np.log(times), weights)
         roots, inverses = zip(*map(_roots, covariances), strict=True)
         sigma = float(np.sqrt(weights @ levels**2))
         return cls(
             sigma,
             _moments(levels, weights)[1],
-            math.exp(log_time),
-            math.exp(log_time) * log_time_u,
+            math.exp(weights @ np.log(times)),
             gain=gain,
             root=block_diagonal(roots),
             inverse=block_diagonal(inverses),

@@ -152,6 +152,21 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
     return float(r @ r) + sum(n.whitener.log_determinant for n in noise)
 
 
+def deviance_at_noise_of(base: Fit, other: Fit) -> float:
+    """Return the deviance of a fit, or that with the process noise of another fit if this is lower.
+
+    The levels are those of restricted likelihoods. Where one is flat, the deviance may still decrease by tens towards a
+    lower level, and a second fit that ends there would seem to describe the data better.
+    """
+    if all(o.level >= n.level for n, o in zip(base.noise, other.noise, strict=True)):
+        return base.deviance
+    noise = [n.at(min(n.level, o.level)) for n, o in zip(base.noise, other.noise, strict=True)]
+    problem = base.problem.with_noise(noise)
+    with suppress(FittingError):
+        return min(base.deviance, _deviance(problem, search(problem, base.theta).theta, noise))
+    return base.deviance
+
+
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
     """Yield other initial values: those of the program if some were given, and other exponents of power laws."""
     usual = initial_values(problem, None) if given else theta

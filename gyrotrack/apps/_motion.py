@@ -80,9 +80,8 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     amplitude and decay rate are those at the middle of the record.
     """
     if len(time) < _MIN_SAMPLES:
-        raise DatasetError(
-            f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed.", "Give a longer record."
-        )
+        what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Give a longer record.")
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
     omega, mean, alpha = _rotation(t, angle, sigma)
@@ -110,10 +109,8 @@ def motion_of_passages(passages: Passages) -> BodyMotion:
     first = np.arange(0, len(t) - 1, 2)
     first = first[np.diff(number)[first] == 1]
     if len(first) < _MIN_SAMPLES:
-        raise DatasetError(
-            f"{passages.path} contains {len(first)} pairs of passages; {_MIN_SAMPLES} are needed.",
-            "Give a longer recording.",
-        )
+        what = f"{passages.path} contains {len(first)} pairs of passages; {_MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Give a longer recording.")
     when, size = (0.5 * (v[first] + v[first + 1]) for v in (t, -np.log(duration)))
     count = number[first] + 0.5
     x = 2 * (count - count[0]) / (count[-1] - count[0]) - 1

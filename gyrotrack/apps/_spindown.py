@@ -26,11 +26,11 @@ from gyrotrack.apps._motion import (
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of
+from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, read_names
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_passages
-from gyrotrack.io.readers._run import Limits, within
+from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import extract
@@ -87,10 +87,8 @@ def read_source(
     body = None
     is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
     if is_film and (options.columns or options.marker or options.centre):
-        raise UsageError(
-            "--column, --marker and --centre apply to tables and tracked points, not to a film.",
-            "Give the centre of rotation in a film by --hub X,Y.",
-        )
+        what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
+        raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
     if is_film:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
@@ -159,15 +157,9 @@ def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
 
 def _within(series: Series, limits: Limits, warnings: list[str]) -> Series:
     """Return the samples of a film within the limits of the user, and add their number to the warnings."""
-    keep = within(series.time, limits)
+    keep = enough_within(series.time, limits)
     if keep.all():
         return series
-    if keep.sum() < MIN_SAMPLES:
-        raise UsageError(
-            f"{keep.sum()} samples remain within the limits; the times are {series.time[0]:.6g} to "
-            f"{series.time[-1]:.6g} s.",
-            "Choose --from, --to and --cut within these times.",
-        )
     warnings.append(f"{int((~keep).sum())} samples are excluded by --from, --to or --cut.")
     return _rows(series, keep)
 
@@ -296,9 +288,8 @@ def film_recording(
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
     """Make a case of one body of a recording, by default the one with most samples, in the role of the casing."""
     if name is not None and name not in recording.bodies:
-        raise DatasetError(
-            f"{recording.source} does not contain the {name}.", f"It contains: {', '.join(recording.bodies)}."
-        )
+        what = f"{recording.source} does not contain the {name}."
+        raise DatasetError(what, f"It contains: {', '.join(recording.bodies)}.")
     if not recording.bodies:
         raise DatasetError(f"{recording.source} contains no body.", "Track the film again.")
     count = {key: len(body.time) for key, body in recording.bodies.items()}
@@ -312,21 +303,12 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
-    series = Series(
-        body.time,
-        body.angle,
-        body.sigma,
-        body.omega,
-        body.omega_sigma,
-        np.floor(body.angle / TURN).astype(np.int64),
-        sigma_source="measured",
-    )
     return Case(
         I_rotor=inertia,
         I_casing=inertia,
         label="",
         surface="",
-        casing=series,
+        casing=replace(series_of([body]), window=None),
         rotor=no_series(),
         recordings={"casing": recording},
         placements={

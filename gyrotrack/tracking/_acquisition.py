@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +33,7 @@ from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
 
-REACH = 1.2
-"""Half width of the region cut out about a marker [rad]."""
+REACH = 1.2  # half width of the region cut out about a marker [rad]
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,10 @@ def _fall(curve: Floats, level: float) -> float:
     return k + float(np.clip((curve[k] - level) / max(float(curve[k] - curve[k + 1]), 1e-9), 0.0, 1.0))
 
 
-LEAST_CONTRAST = 6.0
-"""Grey levels by which a marker must differ from its surroundings."""
-CLEAREST = 5.0
-"""Smallest height of a white marker in standard deviations of its ring."""
+LEAST_CONTRAST = 6.0  # grey levels by which a marker must differ from its surroundings
+CLEAREST = 5.0  # smallest height of a white marker in standard deviations of its ring
+# largest share of samples with a marker at one angle for which their median is used as the background
 LONGEST_DWELL = 0.3
-"""Largest share of samples with a marker at one angle for which their median is used as the background."""
 
 
 @dataclass(frozen=True)
@@ -185,18 +183,14 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
     angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
-    marker = Marker(
-        name=wanted.name,
-        body=wanted.body,
-        colour=wanted.colour,
-        inner=extent.inner,
-        outer=extent.outer,
-        half_width=extent.half_width,
-        contrast=(u, v),
-        foot=extent.foot,
-        dwell=_dwell(angle, 1.3 * extent.half_width),
-    )
+    marker = _marker(wanted, extent, (u, v), dwell=_dwell(angle, 1.3 * extent.half_width))
     return SampledMarker(marker, angle, clear)
+
+
+def _marker(wanted: MarkerProfile, extent: Extent, contrast: tuple[float, float], **place: Any) -> Marker:
+    named: dict[str, Any] = {key: getattr(wanted, key) for key in ("name", "body", "colour")}
+    sized: dict[str, Any] = {key: getattr(extent, key) for key in ("inner", "outer", "half_width", "foot")}
+    return Marker(**named, **sized, contrast=contrast, **place)
 
 
 def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
@@ -237,10 +231,9 @@ def find_white(
     others: list[SampledMarker],
     least: float = LEAST_CONTRAST,
 ) -> Marker | None:
-    """Find a white marker by means of the coloured markers of the same body, `others`, in the samples `frames`.
+    """Find a white marker by the coloured markers of the same body, `others`, in the samples `frames`.
 
-    The median background is subtracted from every frame, which is then rotated back by the angle of the body; the
-    median of the rotated frames contains neither table, lamps nor bar.
+    Frames less their median are rotated back by the angle of the body: their median has no table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
@@ -292,25 +285,13 @@ def _brightest_place(
     scatter = spread(mean[0][apart > 2.0 * half_width])  # robust against the remains of other markers
     if contrast < least or mean[0, column[0]] < CLEAREST * scatter:
         return None
-    return Marker(
-        name=wanted.name,
-        body=wanted.body,
-        colour=wanted.colour,
-        inner=extent.inner,
-        outer=extent.outer,
-        half_width=extent.half_width,
-        contrast=(contrast, 0.0),
-        foot=extent.foot,
-        mount=float((column[0] + extent.lean) * ring.step),
-    )
+    mount = float((column[0] + extent.lean) * ring.step)
+    return _marker(wanted, extent, (contrast, 0.0), mount=mount)
 
 
-FAINTEST = 0.12
-"""Smallest contrast of a marker, relative to that of the strongest marker."""
-LEAST_SIZE = 4.5
-"""Smallest side of a marker in px."""
-WIDEST = 0.8
-"""Largest half width [rad] of a marker that can be tracked despite motion blur."""
+FAINTEST = 0.12  # smallest contrast of a marker, relative to that of the strongest marker
+LEAST_SIZE = 4.5  # smallest side of a marker in px
+WIDEST = 0.8  # largest half width [rad] of a marker that can be tracked despite motion blur
 
 
 def find_markers(
@@ -368,21 +349,15 @@ def _hue_of(marker: Marker) -> str:
 
 
 def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMarker]:
-    return {
-        wanted.name: seen
-        for wanted in profile.of(body)
-        if wanted.colour != "white"
-        and (seen := find_coloured(rings, wanted)) is not None
-        and is_marker_sized(seen.marker)
-    }
+    coloured = [wanted for wanted in profile.of(body) if wanted.colour != "white"]
+    found = ((wanted.name, find_coloured(rings, wanted)) for wanted in coloured)
+    return {name: seen for name, seen in found if seen is not None and is_marker_sized(seen.marker)}
 
 
+# angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured
 LEAST_COVERED = 4.0
-"""Angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured."""
-LEAST_TURNED = 0.5
-"""Angle [rad] that the samples of a marker must cover to tell which markers turn with it."""
-LEAST_OFFSET = 1.0
-"""Offset [px] below which rings about the hub are used."""
+LEAST_TURNED = 0.5  # angle [rad] that the samples of a marker must cover to tell which markers turn with it
+LEAST_OFFSET = 1.0  # offset [px] below which rings about the hub are used
 
 
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
@@ -461,8 +436,8 @@ def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
     return {name: seen for name, seen in observations.items() if contrast[name] >= least}
 
 
+# smallest share of the samples in which two markers on one body have the same angular distance
 LEAST_TOGETHER = 0.75
-"""Smallest share of the samples in which two markers on one body have the same angular distance."""
 _LEAST_COMMON = 8
 _NEAR = 0.2
 
@@ -532,8 +507,8 @@ def _circular_mode(angle: Floats) -> float:
     return float(np.angle(np.mean(turn[near[:, best]])))
 
 
+# share of the blobs, and of the samples, that must be inliers of an orbit; of random blobs a quarter are
 LEAST_AGREEMENT = 1.0 / 3.0
-"""Share of the blobs, and of the samples, that must be inliers of an orbit; of random blobs a quarter are."""
 _NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 
@@ -552,10 +527,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     markers, offsets, doubts = find_markers(samples, profile, centre, disc, radius, where)
     if not markers:
         names = ", ".join(wanted.name for wanted in profile.marker)
-        raise TrackingError(
-            f"No markers found in {where}: none of {names} is visible about the centre.",
-            "Check the colours of the profile (--profile).",
-        )
+        what = f"No markers found in {where}: none of {names} is visible about the centre."
+        raise TrackingError(what, "Check the colours of the profile (--profile).")
     missing = tuple(wanted.name for wanted in profile.marker if wanted.name not in markers)
     sought = profile.centre == "circle" and profile.hub is None
     warnings = (_NO_DISC,) if disc is None and sought else ()
@@ -566,25 +539,29 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
 def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
-    points: list[tuple[float, float]] = []
-    group: list[int] = []
     colours = {chroma_direction(m.colour, m.hue): m.colour for m in profile.marker if m.colour != "white"}
-    for label, direction in enumerate(sorted(colours, key=colours.__getitem__)):
+    found = []
+    for direction in sorted(colours, key=colours.__getitem__):
         scores = [hue_score(u - still[0], v - still[1], direction) for u, v in zip(*chroma, strict=True)]
-        for blobs in _blobs_in(scores, most=2):
-            points += [samples.to_luma(b.x, b.y) for b in blobs]
-            group += [label] * len(blobs)
-    if not points:
+        found.append(_blobs_in(scores, most=2))
+    place, label_of = places_of(samples, found)
+    if not len(place):
         return None
-    place, label_of = np.array(points), np.array(group, dtype=np.int64)
     if profile.hub is not None:
         return orbits_about(place, label_of, profile.hub)
     orbit = common_centre(place, label_of)
-    enough = LEAST_AGREEMENT * max(len(points), chroma.shape[1])
+    enough = LEAST_AGREEMENT * max(len(place), chroma.shape[1])
     if orbit is None or orbit.inliers <= enough:
         return None
     _refuse_second_body(orbit, place, label_of, chroma.shape[1], where)
     return orbit
+
+
+def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return the positions of blobs in the luma plane, (n, 2) [px], and the number of their colour in `found`."""
+    group = [k for k, frames in enumerate(found) for blobs in frames for _ in blobs]
+    points = [samples.to_luma(b.x, b.y) for frames in found for blobs in frames for b in blobs]
+    return np.array(points, dtype=np.float64), np.array(group, dtype=np.int64)
 
 
 def _refuse_second_body(

@@ -19,16 +19,13 @@ from gyrotrack.tracking._registration import TURN, Template, rolled
 
 Floats = npt.NDArray[np.float64]
 
-_MOST_FOLD = 48
-"""Largest order of symmetry that is considered."""
+_MOST_FOLD = 48  # largest order of symmetry that is considered
+# correlation of the body's picture with itself after a period from which the other rotation is tried
 _ALIKE = 0.5
-"""Correlation of the body's picture with itself after a period from which the other rotation is tried."""
+# turn per frame, in periods, from which it is tried: slower motions leave only implausibly fast alternatives
 _FAST = 0.25
-"""Turn per frame, in periods, from which it is tried: slower motions leave only implausibly fast alternatives."""
-_EQUAL = 0.02
-"""Difference of the explained shares from which the pictures themselves decide."""
-_STEADY = 0.02
-"""Relative change of the speed that counts as speeding up or slowing down."""
+_EQUAL = 0.02  # difference of the explained shares from which the pictures themselves decide
+_STEADY = 0.02  # relative change of the speed that counts as speeding up or slowing down
 
 
 class Alias(NamedTuple):

@@ -47,25 +47,21 @@ _LEARNT = 300  # frames from which the template is learnt
 _HUB_FRAMES = 100  # frames from which the motion of the hub is measured
 _COARSE = 48.0
 _FINE = 200.0
-_EXPLAINED = 0.4
-"""Share of the change of brightness that the rotation must explain."""
+_EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
+# the same for a hub outside the picture that is not given, for which rotation resembles translation
 _OUTSIDE = 0.85
-"""The same for a hub outside the picture that is not given, for which rotation resembles translation."""
+# error of the angles due to the centre of rotation, relative to their standard deviation, from which they are
+# refused. Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say
+# nothing about each other
 _UNDETERMINED = 0.25
-"""Error of the angles due to the centre of rotation, relative to their standard deviation, from which they are refused.
-
-Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say nothing about
-each other."""
+# explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
 _AS_GOOD = 0.8
-"""Explained share of a second body, relative to that of the best candidate, from which the film is ambiguous."""
+# moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
-"""Moving area outside the best ring, relative to that within it, from which a second body is searched for."""
-_STRETCH_SPAN = 3.0
-"""Range of the angle [rad] from which the ellipse due to a tilted camera is fitted."""
-_STATIC_SPAN = 1.0
-"""Range of the angle [rad] from which a fixed picture is always part of the model ..."""
+_STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
+_STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is always part of the model
+# ... and the share by which it must explain more for smaller ranges, such as a pendulum before a wall
 _CLEARLY_BETTER = 0.02
-"""... and the share by which it must explain more for smaller ranges, such as a pendulum before a wall."""
 
 
 class NothingMovesError(TrackingError):
@@ -155,9 +151,8 @@ def _track(
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None:
         if not all(math.isfinite(v) for v in hub):
-            raise UsageError(
-                "The coordinates of the hub are not finite numbers.", "Give the hub as --hub X,Y in px."
-            )
+            what = "The coordinates of the hub are not finite numbers."
+            raise UsageError(what, "Give the hub as --hub X,Y in px.")
         proposals = [Proposal(hub, "given")]
     elif (loose := track_by_features(film, usable, motion, progress)) is not None:
         return loose
@@ -166,10 +161,8 @@ def _track(
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     if not trials or trials[0].score < 0.02:
-        raise TrackingError(
-            f"No body that turns about a hub is found in {film.path.name}.",
-            "Give the centre of rotation with --hub X,Y.",
-        )
+        what = f"No body that turns about a hub is found in {film.path.name}."
+        raise TrackingError(what, "Give the centre of rotation with --hub X,Y.")
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
         key=lambda t: t.score,

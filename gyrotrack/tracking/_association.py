@@ -18,15 +18,12 @@ from gyrotrack._smoothing import median_of
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-MEMORY = 128
-"""Number of recent angles in the fit."""
+MEMORY = 128  # number of recent angles in the fit
 FEWEST = 16
-LONGEST_USE = 130
-"""Frames after which the fit is repeated."""
-LEAST_SCATTER = 1.5e-3
-"""Lower limit of the scatter of a coarse angle [rad]."""
+LONGEST_USE = 130  # frames after which the fit is repeated
+LEAST_SCATTER = 1.5e-3  # lower limit of the scatter of a coarse angle [rad]
+# prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes
 VIEW_ERROR = 0.05
-"""Prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes."""
 
 
 class Prediction:
@@ -101,8 +98,7 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
 
 LOCK_FRAMES = 24
 LONGEST_COAST = 40
-REACH = 0.35
-"""Half width of the search window about a prediction [rad]."""
+REACH = 0.35  # half width of the search window about a prediction [rad]
 
 
 @dataclass(frozen=True)
@@ -219,8 +215,8 @@ SENSE_TURN = 0.5
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
 
-    The casing determines the sense, since it never turns by half a turn between frames; if it hardly moves, the rotor.
-    If neither moves, the bodies are assumed to turn clockwise as seen, as in the paper.
+    The casing determines it, which never turns by half a turn between frames, else the rotor, else clockwise as in the
+    paper.
     """
     if given is not None:
         return given

@@ -24,7 +24,7 @@ from gyrotrack.tracking._hub import (
     refine_centre,
     wandering_centre,
 )
-from gyrotrack.tracking._observations import Candidate, MarkerObservations, candidate, plausible, spread_out
+from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
@@ -113,15 +113,14 @@ def view(
     return BodyView(markers, observations, inside, whole)
 
 
+# systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
+# rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]
 BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
-"""Systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
-rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]."""
 
 
+# reduction of the mean square of the radii in standard errors from which a path of the hub is preferred
 _BETTER = 4.0
-"""Reduction of the mean square of the radii in standard errors from which a path of the hub is preferred."""
-_TOGETHER = 16
-"""Frames over which the errors of radii count as correlated."""
+_TOGETHER = 16  # frames over which the errors of radii count as correlated
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
@@ -228,10 +227,9 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
     return 0.5 * float(np.angle(total))
 
 
+# standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre
 HEIGHT = 0.03
-"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre."""
-DEPTH = 0.5
-"""The same for the rotor's markers, which may be at any depth below."""
+DEPTH = 0.5  # the same for the rotor's markers, which may be at any depth below
 
 
 def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
@@ -322,8 +320,8 @@ def separate_perspective(
     return replace(own.moved(np.array(mean) - shift), offset_covariance=dict.fromkeys(own.offset, covariance))
 
 
+# radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm
 PERSPECTIVE = 0.05
-"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -334,8 +332,7 @@ def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Fl
 
 Integers = npt.NDArray[np.int64]
 
-_FAR = 0.05
-"""Smallest range of a moving centre, relative to the radius of the orbit."""
+_FAR = 0.05  # smallest range of a moving centre, relative to the radius of the orbit
 
 
 @dataclass(frozen=True)
@@ -351,11 +348,7 @@ class TrackedBodies:
 
 
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
-    """Find the centre's path, and join the markers of each body about it.
-
-    Missing frames are inserted without data, so that the frames are equally spaced; the result contains only the
-    frames of the film. A frame that repeats the previous one has no angle.
-    """
+    """Find the centre's path, and join the markers of each body about it; repeated frames have no angle."""
     if seen.times.again is None:
         return _join_fresh(seen, scene, profile, fps)
     fresh, count = np.flatnonzero(~seen.times.again), len(seen.times.again)
@@ -406,13 +399,7 @@ def _with_gaps(seen: FilmObservations, index: Integers) -> FilmObservations:
     count = int(index[-1]) + 1 if len(index) else 0
     if count == len(index):
         return seen
-    bodies = {
-        name: BodyObservations(
-            spread_out(body.coarse, index, count),
-            {m: s.spread_out(index, count) for m, s in body.markers.items()},
-        )
-        for name, body in seen.bodies.items()
-    }
+    bodies = {name: body.spread_out(index, count) for name, body in seen.bodies.items()}
     disc = None if seen.disc is None else spread_out(seen.disc, index, count)
     return replace(seen, bodies=bodies, disc=disc)
 
@@ -559,8 +546,8 @@ def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
     return replace(body, angle=body.angle - shift, markers=markers)
 
 
+# ranges of the angle [rad] up to which a body is at rest, and from which the other one turns
 _REST, _TURNS = 0.05, 1.0
-"""Ranges of the angle [rad] up to which a body is at rest, and from which the other one turns."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:

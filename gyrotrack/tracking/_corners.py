@@ -34,8 +34,7 @@ from gyrotrack.tracking._polar import Windows
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0
-"""The factors of the paper's formula."""
+FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0  # the factors of the paper's formula
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,7 @@ class PaperAngle:
 def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
     """Compute angle (counter-clockwise as seen, in (-pi, pi]) and uncertainty from the near corners as the paper does.
 
-    `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; `centre` (n, 2) [px]; `use` are
-    the frames that enter the averages.
+    `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; averages are over frames `use`.
     """
     found = PaperAngle(**new_columns(len(corner), {f.name: ((), "f8") for f in fields(PaperAngle)}))
     for part in row_blocks(len(corner)):
@@ -106,8 +104,8 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
     return np.asarray(np.sqrt((FACTOR_R * u_r) ** 2 + (FACTOR_1 * u_1) ** 2 + (FACTOR_2 * u_2) ** 2))
 
 
+# number of bands into which the rows of a side, and the columns of the near edge, are averaged
 SIDE_BANDS, NEAR_BANDS = 4, 5
-"""Number of bands into which the rows of a side, and the columns of the near edge, are averaged."""
 _LEAST_FALL = 1e-9
 
 

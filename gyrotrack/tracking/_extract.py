@@ -32,7 +32,7 @@ from gyrotrack.tracking._film_tracker import (
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles, wrapped
-from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
 from gyrotrack.video._container import ClipInfo, file_sha256, probe
@@ -68,14 +68,7 @@ def marker_track(
         body=marker.body,
         mount_angle=float(np.angle(np.exp(1j * sense * found.mount))),
         corner=own["corner"] if sense > 0 else own["corner"][:, ::-1],
-        delta=measured.delta,
-        rho=measured.rho,
-        beta=measured.beta,
-        angle=measured.angle,
-        sigma=measured.sigma,
-        u_r=measured.u_r,
-        u_1=measured.u_1,
-        u_2=measured.u_2,
+        **vars(measured),
         status=own["status"],
         angle_fine=own["angle_fine"],
         sigma_calibrated=found.sigma,
@@ -134,8 +127,7 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-LEAST_TURN = 0.5
-"""Smallest range of an angle [rad] for which a body counts as turning."""
+LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
 
 
 def extract(
@@ -160,10 +152,8 @@ def extract(
     with `run_facts`, stores intermediate results, so that a killed run can be resumed.
     """
     if body not in BODIES:
-        raise UsageError(
-            f"Unknown body {body!r}; use casing, rotor or both.",
-            "Omit the body to track all that are visible.",
-        )
+        what = f"Unknown body {body!r}; use casing, rotor or both."
+        raise UsageError(what, "Omit the body to track all that are visible.")
     video = Path(video)
     info = probe(video)
     rate = capture_rate(info, capture_fps, profile.capture_fps)
@@ -173,10 +163,8 @@ def extract(
     scene, seen, shake = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
     if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
-        raise VideoError(
-            f"Only {len(seen.pts_time)} frames of {video} can be decoded.",
-            "Copy the film from the camera again.",
-        )
+        what = f"Only {len(seen.pts_time)} frames of {video} can be decoded."
+        raise VideoError(what, "Copy the film from the camera again.")
     if shake is not None:
         seen = _without_roll(seen, shake)
     found = judge_repeats(seen, scene)
@@ -221,14 +209,10 @@ def _without_roll(seen: FilmObservations, shake: Shake) -> FilmObservations:
     a few px from the hub, which changes an angle by this fraction of its radius times the roll.
     """
     # the roll is clockwise in the picture, angles are counter-clockwise
-    bodies = {
-        name: replace(
-            body,
-            coarse=body.coarse + shake.roll,
-            markers={m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()},
-        )
-        for name, body in seen.bodies.items()
-    }
+    bodies = {}
+    for name, body in seen.bodies.items():
+        markers = {m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()}
+        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and rolls by {1e3 * shake.roll.std():.2g} mrad rms; "
         f"{shake.features} features of the background are used to subtract the roll. "
@@ -251,16 +235,12 @@ def _recording(
 ) -> Recording:
     """Build the recording of a film."""
     time = seen.times.seconds(rate.fps)
-    markers = {
-        marker.name: marker_track(
-            marker, seen.bodies[name].markers[marker.name], found, joint.centre.centre, joint.sense, seen.size
-        )
-        for name, found in joint.bodies.items()
-        for marker in scene.of(name)
-    }
-    bodies = {
-        name: body_track(name, found, markers, time, joint.sense) for name, found in joint.bodies.items()
-    }
+    markers, bodies = {}, {}
+    for name, found in joint.bodies.items():
+        for m in scene.of(name):
+            own = seen.bodies[name].markers[m.name]
+            markers[m.name] = marker_track(m, own, found, joint.centre.centre, joint.sense, seen.size)
+        bodies[name] = body_track(name, found, markers, time, joint.sense)
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
@@ -303,18 +283,15 @@ def _recording(
     )
 
 
-_BODY = 1.5
-"""Radius of the bodies, such as the ring of the casing, relative to the outer end of the markers."""
-LEAST_TRACKED = 0.8
-"""Smallest share of frames with an angle for a recording without a doubt."""
+_BODY = 1.5  # radius of the bodies, such as the ring of the casing, relative to the outer end of the markers
+LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
 _STEPS = 12
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
-    """Return reasons to inspect a recording: lost frames, gaps with an undetermined number of turns, missing markers.
+    """Return reasons to inspect a recording: lost frames, missing markers, gaps with an undetermined number of turns.
 
-    The number of turns in a gap follows from the angular rates before and after it. It is not determined if these
-    predict angles that differ by more than half a turn.
+    The angular rates before and after such a gap predict angles that differ by more than half a turn.
     """
     found, count = list(scene.doubts), len(time)
     for name, track in bodies.items():
@@ -385,15 +362,11 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
     wanted = ("casing", "rotor") if body == "both" else (body,) if body else ()
     for name in wanted:
         if name not in joint.bodies:
-            raise TrackingError(
-                f"The {name} is not visible in {video}.",
-                "Check the colours of the profile (--profile), or omit --body.",
-            )
+            what = f"The {name} is not visible in {video}."
+            raise TrackingError(what, "Check the colours of the profile (--profile), or omit --body.")
     if not joint.bodies:
-        raise TrackingError(
-            f"No body can be tracked in {video}: its markers do not move steadily about a centre.",
-            "Check the colours of the profile (--profile) and inspect the film.",
-        )
+        what = f"No body can be tracked in {video}: its markers do not move steadily about a centre."
+        raise TrackingError(what, "Check the colours of the profile (--profile) and inspect the film.")
 
 
 def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
@@ -410,13 +383,11 @@ def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
     """Return a warning if no marker of the first frame is where the motion predicts it, as after a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
-    first = [
-        m.status[0] == STATUS["lost"] and np.any(m.status[1:6] == STATUS["ok"]) for m in markers.values()
-    ]
+    status = [m.status for m in markers.values()]
+    if not all(s[0] == STATUS["lost"] and np.any(s[1:6] == STATUS["ok"]) for s in status):
+        return ()
     return (
-        ("Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",)
-        if all(first)
-        else ()
+        "Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",
     )
 
 
@@ -433,12 +404,8 @@ def _extra(scene: Scene, joint: TrackedBodies, rate_source: str, times: FrameTim
             for name, flat in joint.flattening.items()
         },
         "papers": {
-            p.name: {
-                "inner": p.inner,
-                "outer": p.outer,
-                "half_width": p.half_width,
-                "contrast": list(p.contrast),
-            }
+            p.name: {k: getattr(p, k) for k in ("inner", "outer", "half_width")}
+            | {"contrast": list(p.contrast)}
             for p in scene.markers
         },
     }
@@ -464,13 +431,8 @@ class ExtractionJob:
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that determine the result, as stored in the file."""
-        return {
-            "video": self.video,
-            "capture_fps": self.capture_fps,
-            "body": self.body,
-            "times": self.times,
-            "profile": self.profile.model_dump(mode="json"),
-        }
+        own = {key: getattr(self, key) for key in ("video", "capture_fps", "body", "times")}
+        return own | {"profile": self.profile.model_dump(mode="json")}
 
     def earlier(self) -> Recording | None:
         """Return the existing output if it is of this film and these settings, else None."""
@@ -510,16 +472,8 @@ class ExtractionJob:
             start = perf_counter()
             try:
                 with bar() as progress:
-                    recording = extract(
-                        self.video,
-                        self.profile,
-                        capture_fps=self.capture_fps,
-                        body=self.body,
-                        times=self.times,
-                        workers=self.workers,
-                        progress=progress,
-                        journal=journal,
-                    )
+                    own = {k: getattr(self, k) for k in ("capture_fps", "body", "times", "workers")}
+                    recording = extract(self.video, self.profile, **own, progress=progress, journal=journal)
             except KeyboardInterrupt:
                 if kept := frames_done(journal):
                     tell(f"{kept} frames are stored. Continue with the same command and --resume.")

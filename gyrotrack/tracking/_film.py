@@ -24,25 +24,18 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _MOST = 400
-_FEWEST = 6
-"""Smallest number of inliers; fewer features may belong to a small body."""
-_ALIKE = 0.7
-"""Largest residual [px] of a feature of the background from the motion of the picture."""
-_STILL = 0.35
-"""Largest displacement [px] of a feature of the background for a camera at rest."""
-_OFTEN = 0.8
-"""Smallest share of frames in which a feature of the background is an inlier."""
-_MOST_ROLL = 0.05
-"""Largest roll of the camera [rad]; a body that turns farther is not the background."""
+_FEWEST = 6  # smallest number of inliers; fewer features may belong to a small body
+_ALIKE = 0.7  # largest residual [px] of a feature of the background from the motion of the picture
+_STILL = 0.35  # largest displacement [px] of a feature of the background for a camera at rest
+_OFTEN = 0.8  # smallest share of frames in which a feature of the background is an inlier
+_MOST_ROLL = 0.05  # largest roll of the camera [rad]; a body that turns farther is not the background
+# smallest distance of two features that determine the roll, relative to the size of the picture
 _APART = 0.15
-"""Smallest distance of two features that determine the roll, relative to the size of the picture."""
 _TRIES = 300
+# smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less
 _WIDEST_BODY = 0.05
-"""Smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less."""
-_CLEAR = 5.0
-"""Smallest significant motion of the camera in standard uncertainties."""
-_LEAST = 0.15
-"""Rms displacement [px] below which a camera counts as at rest, the size of tracking errors."""
+_CLEAR = 5.0  # smallest significant motion of the camera in standard uncertainties
+_LEAST = 0.15  # rms displacement [px] below which a camera counts as at rest, the size of tracking errors
 
 
 @dataclass(frozen=True)
@@ -170,13 +163,17 @@ def camera_shake(
     if len(places) < _FEWEST:
         return None
     few = np.unique(np.linspace(0, len(samples) - 1, 40).astype(int))
-    moved = np.stack([tracked(reference, places, samples[i]) for i in few])
+    found = []
+    for i in few:
+        found.append(tracked(reference, places, samples[i]))
+        release_pages()
+    moved = np.stack(found)
     use = background(places, moved, reference.shape)
     if not use.any():
         return None
     places = places[use]
-    found = _rigid(places, moved[:, use])
-    if found is None or not found.significant:
+    shake = _rigid(places, moved[:, use])
+    if shake is None or not shake.significant:
         return None
     return _rigid(places, (tracked(reference, places, frame) for frame in frames))
 
@@ -222,12 +219,9 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     )
 
 
-_HELD = 600_000_000
-"""Largest size of the decoded pictures that are kept in temporary files [bytes] ..."""
-_FILE = 32_000_000
-"""... of this size ..."""
-_RELEASES = 2
-"""... each of which is read in so many parts."""
+_HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
+_FILE = 32_000_000  # ... of this size
+_RELEASES = 2  # ... each of which is read in so many parts
 
 
 class Film:

@@ -41,8 +41,8 @@ from gyrotrack.tracking._film_tracker import (
     Progress,
     Rows,
 )
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
-from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import Frame, Packets, probe, read_packets
@@ -52,14 +52,11 @@ from gyrotrack.video._time_base import Timing
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-PART = 2500
-"""Largest number of frames of a part, up to the distance of key frames."""
-LEAST_PART = 400
-"""Smallest number of frames of a part, from which illumination and templates can be learnt."""
-OVERLAP = 64
-"""Frames that two neighbouring parts share."""
+PART = 2500  # largest number of frames of a part, up to the distance of key frames
+LEAST_PART = 400  # smallest number of frames of a part, from which illumination and templates can be learnt
+OVERLAP = 64  # frames that two neighbouring parts share
+# frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked
 LEARNT = 256
-"""Frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked."""
 _RATE = 24
 _STAMPS = "stamps"
 
@@ -70,10 +67,9 @@ def available_cores() -> int:
 
 
 def split(packets: Packets) -> tuple[Part, ...]:
-    """Return the parts of a film, in order; one part if it is short or its timestamps are not those of the frames.
+    """Return the parts of a film in order, an even number (as of cores); one if it is short or has no timestamps.
 
-    Their number is even, like most numbers of cores. Each part ends `OVERLAP` frames after the key frame of the next
-    one.
+    Each part ends `OVERLAP` frames after the key frame of the next one.
     """
     stamps, count = packets.stamps, len(packets.stamps)
     number = 2 * -(-count // (2 * PART))
@@ -332,10 +328,8 @@ def track_film(
     if progress is not None:
         progress(kept.frames, total)
     if not kept.frames:
-        raise VideoError(
-            f"No frame of {path} could be decoded.",
-            "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).",
-        )
+        what = f"No frame of {path} could be decoded."
+        raise VideoError(what, "Check the limits of threads and memory (`ulimit -u`, `ulimit -v`).")
     rows = kept.rows(scene)
     stamps = np.asarray(rows.pop(_STAMPS))
     tick = float(info.time_base)
@@ -349,15 +343,8 @@ def track_film(
             for marker in scene.of(name)
         }
         bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers)
-    return FilmObservations(
-        bodies,
-        rows.get("disc"),
-        seconds,
-        timing.of(seconds, tick),
-        film_warnings(info, seconds, *kept.damage),
-        work.size,
-        rows["again"],
-    )
+    times, warnings = timing.of(seconds, tick), film_warnings(info, seconds, *kept.damage)
+    return FilmObservations(bodies, rows.get("disc"), seconds, times, warnings, work.size, rows["again"])
 
 
 class _PartResults:
@@ -379,13 +366,9 @@ class _PartResults:
 
     def add(self, index: int, found: PartRows) -> None:
         """Store the rows of a part."""
-        facts = {
-            "part": index,
-            "parts": len(self._parts),
-            "frames": int(self._own(index, found.stamps).sum()),
-            "bad_packets": found.bad_packets,
-            "corrupt": found.corrupt,
-        }
+        frames = int(self._own(index, found.stamps).sum())
+        facts = {"part": index, "parts": len(self._parts), "frames": frames}
+        facts |= {"bad_packets": found.bad_packets, "corrupt": found.corrupt}
         self._facts[index] = facts
         if self._journal is None:
             self._memory[index] = found

@@ -23,9 +23,8 @@ from gyrotrack.tracking._association import (
     follow,
 )
 from gyrotrack.tracking._hub import DiscWindow
-from gyrotrack.tracking._marker_tracker import MarkerTracker
+from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker, spread_out
 from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, MarkerWindow, Occlusion, common_columns
-from gyrotrack.tracking._observations import MarkerObservations
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples, Scene
 from gyrotrack.video._container import Frame
@@ -35,14 +34,11 @@ from gyrotrack.video._time_base import FrameTimes
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+# smallest score of an angle at which the body counts as seen, relative to the height of one marker
 LEAST_SCORE = 0.4
-"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker."""
-MARGIN = 0.05
-"""Largest distance of a marker from its prediction [rad]."""
-CHECK_EVERY = 2
-"""Every n-th frame is used to check the prediction."""
-COVERAGE_FACTOR = 3.0
-"""Factor on the standard uncertainty of a prediction, which must be within the margin."""
+MARGIN = 0.05  # largest distance of a marker from its prediction [rad]
+CHECK_EVERY = 2  # every n-th frame is used to check the prediction
+COVERAGE_FACTOR = 3.0  # factor on the standard uncertainty of a prediction, which must be within the margin
 
 
 class BodyTracker:
@@ -144,10 +140,9 @@ class BodyTracker:
     def measure_batch(
         self, count: int, casing: Floats | None
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
-        """Measure the markers in the first `count` frames of the batch.
+        """Measure `count` frames of the batch; `casing` is the angle as seen of the body that occludes markers [rad].
 
-        `casing` is the angle as seen of the other body, whose bar may occlude markers [rad]. Returned are the unwrapped
-        coarse angles (count,) [rad], NaN where the body is lost, and the observations by marker.
+        Returned are the unwrapped coarse angles (count,) [rad], NaN where the body is lost, and the observations.
         """
         coarse = self._coarse[:count].copy()
         windows = {
@@ -245,13 +240,10 @@ Rows = dict[str, npt.NDArray[Any]]
 Progress = Callable[[int, int | None], None]
 
 BATCH = 512
-HOLD = 64
-"""Frames in memory at a time, in which a body that is not found at its prediction is searched."""
+HOLD = 64  # frames in memory at a time, in which a body that is not found at its prediction is searched
 HELD_BYTES = 64_000_000
-SLOW = 3.0 * LEAST_SCATTER
-"""Smallest step of the fastest body [rad] for which equal frames count as repeated."""
-_MOVE = 0.6
-"""Distance of the disc from the centre of the rings [px] beyond which the rings are moved."""
+SLOW = 3.0 * LEAST_SCATTER  # smallest step of the fastest body [rad] for which equal frames count as repeated
+_MOVE = 0.6  # distance of the disc from the centre of the rings [px] beyond which the rings are moved
 
 
 @dataclass(frozen=True)
@@ -260,6 +252,11 @@ class BodyObservations:
 
     coarse: Floats
     markers: dict[str, MarkerObservations]
+
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
+        """Place the frames at `index` of `count` frames; the others are NaN or False."""
+        markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
+        return BodyObservations(spread_out(self.coarse, index, count), markers)
 
 
 @dataclass(frozen=True)

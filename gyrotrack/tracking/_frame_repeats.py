@@ -18,7 +18,7 @@ from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._association import net_turn
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
 from gyrotrack.tracking._fusion import wrapped
-from gyrotrack.tracking._observations import plausible, spread_out
+from gyrotrack.tracking._marker_tracker import plausible
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
 from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
@@ -26,11 +26,10 @@ from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-AROUND = 20
-"""Frames to each side from which the typical step of a body is determined."""
+AROUND = 20  # frames to each side from which the typical step of a body is determined
+# smallest step of a body, in standard deviations of its steps, for which a repetition can be detected: half a step,
+# below which the body counts as unmoved, is then three standard deviations
 CLEAR = 6.0
-"""Smallest step of a body, in standard deviations of its steps, for which a repetition can be detected: half a step,
-below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
 
 
@@ -136,13 +135,10 @@ def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
     if times.again is None:
         return replace(seen, times=times)
     fresh, count = np.flatnonzero(~times.again), len(times.again)
-    bodies = {
-        name: BodyObservations(
-            spread_out(body.coarse[fresh], fresh, count),
-            {m: s.picked(fresh).spread_out(fresh, count) for m, s in body.markers.items()},
-        )
-        for name, body in seen.bodies.items()
-    }
+    bodies = {}
+    for name, body in seen.bodies.items():
+        own = BodyObservations(body.coarse[fresh], {m: s.picked(fresh) for m, s in body.markers.items()})
+        bodies[name] = own.spread_out(fresh, count)
     return replace(seen, bodies=bodies, times=times)
 
 

@@ -45,15 +45,15 @@ from gyrotrack._smoothing import (
     tail_factor,
     whole_turns,
 )
-from gyrotrack.tracking._observations import Candidate, spread_out, variance_inflation
+from gyrotrack.tracking._marker_tracker import Candidate, spread_out, variance_inflation
 from gyrotrack.tracking._orbit import CELL
 
 Floats = npt.NDArray[np.float64]
 
 TURN = 2.0 * np.pi
 ALL = slice(None)
+# angular rate [rad/s] at which an amplitude of the acceleration of 10 rad/s^2 (large unbalance) is 2 mrad
 FAST = 70.0
-"""Angular rate [rad/s] at which an amplitude of the acceleration of 10 rad/s^2 (large unbalance) is 2 mrad."""
 _LEFT = 0.2
 
 
@@ -77,19 +77,12 @@ class Residuals:
         self.place_size: dict[str, float] = {}
         self.common_kept = True
         nothing = np.zeros(len(path))
-        own = {
-            name: in_file({
-                "weak": c.weak,
-                "place": nothing,
-                "neighbour": nothing,
-                "absorbed": nothing,
-                "use": c.good & np.isfinite(path) & np.isfinite(c.angle),
-            })
-            for name, c in candidates.items()
-        }  # fmt: skip
+        kinds, own = ("weak", "place", "neighbour", "absorbed", "use"), {}
+        for name, c in candidates.items():
+            use = c.good & np.isfinite(path) & np.isfinite(c.angle)
+            own[name] = in_file(dict(zip(kinds, (c.weak, nothing, nothing, nothing, use), strict=True)))
         self.weak, self.by_place, self.by_neighbour, self.absorbed, self.use = (
-            {name: columns[what] for name, columns in own.items()}
-            for what in ("weak", "place", "neighbour", "absorbed", "use")
+            {name: columns[kind] for name, columns in own.items()} for kind in kinds
         )
 
     def speed(self, path: Floats) -> Floats:
@@ -317,17 +310,14 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
 def once_a_turn(curve: Floats) -> complex:
     """Return the displacement of the axis that a curve corresponds to, (x + i y) over the radius.
 
-    About an axis assumed at 0, a marker at v = e + r (cos a, sin a), y up, has the angle
-    a + (e_y cos a - e_x sin a) / r.
+    About an axis at 0, a marker at v = e + r (cos a, sin a), y up, has the angle a + (e_y cos a - e_x sin a) / r.
     """
     first = complex(np.fft.rfft(curve)[1]) * 2.0 / KNOTS
     return complex(first.imag, first.real)
 
 
-LEAST_TURNING = 0.5
-"""Smallest share of frames within whole turns for which errors by place are known."""
-LEAST_FAST = 0.2
-"""Smallest share of fast frames for which curves are learnt from these alone."""
+LEAST_TURNING = 0.5  # smallest share of frames within whole turns for which errors by place are known
+LEAST_FAST = 0.2  # smallest share of fast frames for which curves are learnt from these alone
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:
@@ -392,8 +382,7 @@ def places_passed(state: Residuals) -> float:
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
 
-PLACE_ORDERS = range(1, 7)
-"""Orders of the harmonics of errors by place, of about equal size (see `CELL`)."""
+PLACE_ORDERS = range(1, 7)  # orders of the harmonics of errors by place, of about equal size (see `CELL`)
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
@@ -439,8 +428,8 @@ def _curve(
     return closed_curve(over, off, weight)
 
 
+# turns from which the uncertainty of the curves is neglected: it decreases with the number of turns
 MOST_TURNS = 30.0
-"""Turns from which the uncertainty of the curves is neglected: it decreases with the number of turns."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
@@ -542,13 +531,8 @@ class BodyAngles:
         markers = {
             name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
         }
-        return replace(
-            self,
-            angle=self.angle[index],
-            sigma=self.sigma[index],
-            count=self.count[index],
-            markers=markers,
-        )
+        own = {key: getattr(self, key)[index] for key in ("angle", "sigma", "count")}
+        return replace(self, **own, markers=markers)
 
 
 def join(
@@ -585,14 +569,13 @@ def join(
     return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 
+# uncertainty of a frame, relative to the median of its neighbours, from which it has no angle. Such a frame shows a
+# small part of one marker. It carries 1/100 of the information of a typical frame, and its errors, those of the edge
+# of the object that hides the marker, are not normally distributed
 WEAKEST_BODY = 10.0
-"""Uncertainty of a frame, relative to the median of its neighbours, from which it has no angle.
-
-Such a frame shows a small part of one marker. It carries 1/100 of the information of a typical frame, and its errors,
-those of the edge of the object that hides the marker, are not normally distributed."""
 _NEIGHBOURS = 101
+# leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough
 UNCONFIRMED = 0.9
-"""Leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough."""
 
 
 def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:

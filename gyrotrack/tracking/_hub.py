@@ -32,8 +32,7 @@ from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
 
-_TOGETHER = 64
-"""Frames measured at a time, whose windows fit into the cache of the processor."""
+_TOGETHER = 64  # frames measured at a time, whose windows fit into the cache of the processor
 
 
 class DiscWindow:
@@ -74,17 +73,15 @@ class DiscWindow:
 
 Complexes = npt.NDArray[np.complex128]
 
-HOLE = 8
-"""Correlation length of the errors of a compressed film [frames]."""
+HOLE = 8  # correlation length of the errors of a compressed film [frames]
 _HALVES = (24, 48, 96, 192)
+# half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`
 _SHORT_HALVES = (2, 6, 12)
-"""Half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`."""
-_PARTIAL_STEP = 6.0
-"""Displacement of a partly covered disc over the typical one from frame to frame."""
+_PARTIAL_STEP = 6.0  # displacement of a partly covered disc over the typical one from frame to frame
 _LINE_POWER = 7.0
 _PIECES = 64
+# lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture
 LEAST_SIGMA = 0.05
-"""Lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture."""
 
 
 @dataclass(frozen=True)
@@ -347,10 +344,9 @@ def _rows(
             yield part, at, np.stack([*two, *shape], axis=1)
 
 
+# half width [frames] of the window in which the error of the centre is assumed to be constant
 _REFINED_HALF = 18
-"""Half width [frames] of the window in which the error of the centre is assumed to be constant."""
-EXPECTED_ERROR = 0.1
-"""Standard deviation [px] of the prior of the error of the centre."""
+EXPECTED_ERROR = 0.1  # standard deviation [px] of the prior of the error of the centre
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
-from gyrotrack.tracking._scene import Marker, Samples
+from gyrotrack.tracking._scene import Marker, Samples, in_turn
 from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
-CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5
-"""Spacing of the samples [luma px]."""
+CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5  # spacing of the samples [luma px]
 
 
 def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> int:
@@ -145,7 +144,7 @@ class MarkerStrip:
 
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
-        seen = np.stack([self.grid.around(frame, slice(None)) for frame in frames], axis=-1)
+        seen = np.stack([self.grid.around(frame, slice(None)) for frame in in_turn(frames)], axis=-1)
         ranks = (len(frames) - 1) // 2, len(frames) // 2
         seen.partition(ranks, axis=-1)
         ground = 0.5 * (seen[..., ranks[0]] + seen[..., ranks[1]])
@@ -154,8 +153,7 @@ class MarkerStrip:
         return ground
 
 
-LAYERS = 3
-"""Parts of the radius for which the occlusion is measured separately."""
+LAYERS = 3  # parts of the radius for which the occlusion is measured separately
 
 
 class MarkerWindow:
@@ -242,8 +240,7 @@ class AngleMap:
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.
 
-        `blur` is the half width of the moving average in columns, `prior` the weight of a height of 1, in full
-        passages.
+        `blur` is the half width of the moving average, `prior` the weight of a height of 1, in full passages.
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
@@ -255,10 +252,9 @@ class AngleMap:
         return height
 
 
+# relative heights below which a marker counts as occluded, and above which as free of shadows
 HIDDEN, CLEAR = 0.55, 0.95
-"""Relative heights below which a marker counts as occluded, and above which as free of shadows."""
-WIDEST_EDGE = 8
-"""Largest width of the blurred edge or the shadow of an occluding object, in columns."""
+WIDEST_EDGE = 8  # largest width of the blurred edge or the shadow of an occluding object, in columns
 
 
 def even_light(light: AngleMap, reach: int) -> Floats:
@@ -278,15 +274,13 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
-FEWEST_PLACES = 64
-"""Frames from which the gaps between random angles are not wider than a marker."""
+FEWEST_PLACES = 64  # frames from which the gaps between random angles are not wider than a marker
 
 
 def places_apart(column: Integers, columns: int) -> int:
-    """Return the distance in columns between the angles of a marker that is seen at the same few angles.
+    """Return the distance [columns] between the few angles of a marker, 0 without such: the second largest gap.
 
-    This is the second largest gap, as the largest may be the range that a slow body does not reach; 0 for few frames,
-    whose gaps are random.
+    The largest gap may be the range that a slow body does not reach; the gaps of few frames are random.
     """
     if len(column) < FEWEST_PLACES:
         return 0
@@ -302,10 +296,9 @@ def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
 
 
 def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
-    """Return at which angles the marker is unoccluded in all layers; unknown angles count as open.
+    """Return at which angles the marker is unoccluded in all layers, or unknown; occluded ones grow by one column.
 
-    Occluded regions are dilated by one column because of their blurred edges. With `shadows` they are extended over
-    adjacent columns with a height below `CLEAR`.
+    With `shadows` they are extended over adjacent columns with a height below `CLEAR`.
     """
     height = np.nan_to_num(cover.heights(1), nan=1.0)
     hidden, dim = (np.asarray((height < limit).any(axis=0)) for limit in (HIDDEN, CLEAR))

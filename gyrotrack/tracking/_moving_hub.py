@@ -38,8 +38,7 @@ Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
 Progress = Callable[[int, int | None], None]
 
-_EXPLAINED = 0.4
-"""Share of the change of brightness about the path that the rotation must explain."""
+_EXPLAINED = 0.4  # share of the change of brightness about the path that the rotation must explain
 _COARSE, _MIDDLE = 48.0, 100.0  # samples of a radius, at most: for rough angles, and for the final ones
 _LEARNT = 150  # frames from which the template is learnt
 _ROUNDS = 10  # largest number of iterations between template and poses ...
@@ -65,10 +64,10 @@ _TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest 
 _STEADY = 9  # frames of which most show the motion
 _WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
 _BODIES = 4  # paths of which the rotation is measured, at most
+# largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense
 _FASTEST = 0.25 * TURN
-"""Largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense."""
+# smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle
 _TURNS = 5.0
-"""Smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle."""
 
 
 def track_by_features(
@@ -122,23 +121,21 @@ def track_by_features(
         apart[followed == first] -= apart[followed == first].mean()
     correlated = float(apart.std())
     repeated = len(film) - len(usable)
-    warnings = [
-        *film.warnings,
-        *tracked.warnings,
+    notes = [
         (
             f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
             f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
-        ),
+        )
     ]
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
-    return replace(
-        tracked,
-        sigma=np.hypot(tracked.sigma, correlated),
-        correlated=correlated,
-        way="features",
-        warnings=tuple(warnings),
-    )
+        notes.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
+    return _completed(film, tracked, correlated, "features", notes)
+
+
+def _completed(film: Film, tracked: Tracked, correlated: float, way: str, notes: list[str]) -> Tracked:
+    """Return a motion with the correlated uncertainty [rad] of its angles, the way to its hub, and all warnings."""
+    sigma, warnings = np.hypot(tracked.sigma, correlated), (*film.warnings, *tracked.warnings, *notes)
+    return replace(tracked, sigma=sigma, correlated=correlated, way=way, warnings=warnings)
 
 
 def track_free_body(
@@ -165,28 +162,18 @@ def track_free_body(
             continue
         apart = tracked.halves[0] - tracked.halves[1]
         correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))
-        warnings = [
-            *film.warnings,
-            *tracked.warnings,
+        notes = [
             (
                 f"The body moves across the picture by {np.hypot(*np.ptp(path.place, axis=0)):.0f} px; the centroid of "
                 f"its outline, complete in {len(path.frame)} of {len(film)} frames, is the centre of rotation."
-            ),
+            )
         ]
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
-            warnings.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
-        return replace(
-            tracked,
-            sigma=np.hypot(tracked.sigma, correlated),
-            correlated=correlated,
-            way="outline",
-            warnings=tuple(warnings),
-        )
-    raise TrackingError(
-        f"No body that turns while it moves across the picture is found in {film.path.name}.",
-        "Give the centre of rotation, or a point that the body passes, with --hub X,Y.",
-    )
+            notes.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
+        return _completed(film, tracked, correlated, "outline", notes)
+    what = f"No body that turns while it moves across the picture is found in {film.path.name}."
+    raise TrackingError(what, "Give the centre of rotation, or a point that the body passes, with --hub X,Y.")
 
 
 @dataclass(frozen=True)
@@ -228,8 +215,7 @@ class _Link:
 def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
-    The background is the median of frames between which the picture changes equally, so that a body which comes to
-    rest does not become a part of it.
+    The background is the median of frames between which the picture changes equally, without bodies that come to rest.
     """
     moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
     steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])

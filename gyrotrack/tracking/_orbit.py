@@ -155,11 +155,10 @@ def _mode(values: Floats) -> float:
 
 MOST_OBSERVATIONS = 2000
 LEAST_OBSERVATIONS = 30
+# correlation length of errors by place [rad]; their sixth harmonic is as large as the first
 CELL = np.pi / 6.0
-"""Correlation length of errors by place [rad]; their sixth harmonic is as large as the first."""
 LEAST_COVER = 5.0
-_ROUNDS = 6
-"""Smallest angle [rad] covered by the observations for which the orbit of a marker is fitted."""
+_ROUNDS = 6  # smallest angle [rad] covered by the observations for which the orbit of a marker is fitted
 
 
 @dataclass(frozen=True)

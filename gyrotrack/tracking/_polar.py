@@ -20,8 +20,8 @@ from gyrotrack.video._container import Frame, Plane
 
 Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
+# position of the first chroma sample in luma px (x, y): on the left column, between two rows
 CHROMA_SHIFT = (0.0, 0.5)
-"""Position of the first chroma sample in luma px (x, y): on the left column, between two rows."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.f
 
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
+# left, right, top and bottom edge in px of a plane; right and bottom are one beyond
 Box = npt.NDArray[np.int32]
-"""Left, right, top and bottom edge in px of a plane; right and bottom are one beyond."""
 
 
 class Score:

@@ -84,11 +84,7 @@ def nearest_colour(hue: float) -> Hue:
 
 
 def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
-    """Return the score of a hue for chroma differences.
-
-    The score is p - |q|, with p the part of (du, dv) along the direction and q the part across it; it is
-    positive within 45 degrees of the direction, and 0 outside.
-    """
+    """Return p - |q| for chroma differences with parts p along and q across the direction; 0 beyond 45 degrees."""
     u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
     along = direction[0] * u + direction[1] * v
     across = direction[0] * v - direction[1] * u
@@ -218,6 +214,7 @@ class Profile(BaseModel):
         return tuple(marker for marker in self.marker if marker.body == body)
 
 
+# the gyroscope of the paper: red disc at the centre, red on the casing, three colours on the rotor
 PAPER = Profile(
     name="paper",
     centre="circle",
@@ -228,7 +225,6 @@ PAPER = Profile(
         MarkerProfile(name="green", colour="green", body="rotor"),
     ),
 )
-"""The gyroscope of the paper: red disc at the centre, red on the casing, three colours on the rotor."""
 
 
 def load(path: Path) -> Profile:

@@ -25,6 +25,7 @@ from gyrotrack.tracking._acquisition import (
     find_white,
     is_marker_sized,
     placed,
+    places_of,
     search_ring,
     share_together,
 )
@@ -48,13 +49,10 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-APART = np.deg2rad(24.0)
-"""Smallest difference between two hues that count as different [rad]."""
+APART = np.deg2rad(24.0)  # smallest difference between two hues that count as different [rad]
 SECTOR = np.deg2rad(45.0)
-LEAST_CHANGE = 6.0
-"""Smallest change of chroma of a moving colour [grey levels]."""
-LEAST_SHARE = 0.004
-"""Smallest share of a hue in the total change of chroma."""
+LEAST_CHANGE = 6.0  # smallest change of chroma of a moving colour [grey levels]
+LEAST_SHARE = 0.004  # smallest share of a hue in the total change of chroma
 MOST = 8
 
 
@@ -81,8 +79,7 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    A marker causes a change towards its hue. At a place that it covers in most of the samples, the other samples have
-    the opposite change, which decreases the saturation and is excluded.
+    At a place that a marker covers in most samples the others have the opposite change, of less saturation: excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
@@ -125,34 +122,25 @@ def apart(a: float, b: float) -> float:
     return float(abs(np.angle(np.exp(1j * (a - b)))))
 
 
+# random triples of points for a centre; more than for a known profile, as most points may be outliers
 TRIALS = 1500
-"""Random triples of points for a centre; more than for a known profile, as most points may be outliers."""
+# smallest contrast times share of samples of a second patch of a hue, relative to the first one
 _AMBIGUOUS = 0.35
-"""Smallest contrast times share of samples of a second patch of a hue, relative to the first one."""
 _SAME_HUE = 18.0
 _DISC_HUES = range(0, 360, 30)
+# smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly
 _LEAST_DISC = 14.0
-"""Smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly."""
-_OFF_CENTRE = 0.3
-"""Largest distance of a disc from the centre of the orbits, relative to the smallest radius."""
+_OFF_CENTRE = 0.3  # largest distance of a disc from the centre of the orbits, relative to the smallest radius
 
 
 def find_orbit(
     samples: Samples, moving: MovingColour, hub: tuple[float, float] | None = None
 ) -> Orbit | None:
     """Find the common centre of the circles of coloured blobs, or their circles about a given hub."""
-    points: list[tuple[float, float]] = []
-    group: list[int] = []
-    for label, hue in enumerate(moving.hues):
-        for blobs in _blobs(moving, hue):
-            points += [samples.to_luma(b.x, b.y) for b in blobs]
-            group += [label] * len(blobs)
-    if not points:
+    place, label_of = places_of(samples, [_blobs(moving, hue) for hue in moving.hues])
+    if not len(place):
         return None
-    place, label_of = np.array(points), np.array(group, dtype=np.int64)
-    return (
-        common_centre(place, label_of, trials=TRIALS) if hub is None else orbits_about(place, label_of, hub)
-    )
+    return orbits_about(place, label_of, hub) if hub else common_centre(place, label_of, trials=TRIALS)
 
 
 def _blobs(moving: MovingColour, hue: float) -> list[list[Blob]]:
@@ -254,8 +242,7 @@ def _without(rings: Rings, seen: SampledMarker) -> Rings:
 
 Mask = npt.NDArray[np.bool_]
 
-EVEN = 0.6
-"""Smallest share of the observations that are in phase with a steady rotation."""
+EVEN = 0.6  # smallest share of the observations that are in phase with a steady rotation
 _REST_STEP, _MOVED = 2e-3, 0.25
 _FEWEST = 8
 
@@ -314,9 +301,8 @@ def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], l
             continue
         group = next((g for g in groups if share_together(one.sampled, g[0].sampled) > LEAST_TOGETHER), None)
         if group is None:
-            groups.append([one])
-        else:
-            group.append(one)
+            groups.append(group := [])
+        group.append(one)
     made = [Group(tuple(g), max((rotations[id(c)] for c in g), key=lambda p: p.share)) for g in groups]
     return sorted(made, key=lambda g: -g.weight), uneven
 
@@ -376,11 +362,9 @@ def name_bodies(
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
         # Markers on the casing are never occluded; its bar passes over those on the rotor.
-        open_share = [min(float(c.sampled.clear.mean()) for c in g.members) for g in (slow, fast)]
-        if len(fast.members) < len(slow.members) or (
-            len(fast.members) == len(slow.members) and open_share[1] > open_share[0]
-        ):
-            slow, fast = fast, slow
+        slow, fast = sorted(
+            (slow, fast), key=lambda g: (len(g.members), -min(c.sampled.clear.mean() for c in g.members))
+        )
         notes.append("Both bodies turn about equally fast; which of them is the rotor is uncertain.")
     return {"casing": slow, "rotor": fast}, notes
 
@@ -428,8 +412,7 @@ def left_out(candidate: Candidate) -> str:
 
 # contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
 _FAINT = 0.3
-SPREAD = 24
-"""Frames from the whole film in addition to its first ones, for bodies at rest at the start."""
+SPREAD = 24  # frames from the whole film in addition to its first ones, for bodies at rest at the start
 
 
 @dataclass(frozen=True)
@@ -502,10 +485,8 @@ def propose(
     groups, uneven = group_bodies(candidates, samples.head)
     groups, resting_groups = [g for g in groups if not g.is_at_rest], [g for g in groups if g.is_at_rest]
     if not groups:
-        raise TrackingError(
-            f"No markers found in {video}: no coloured patch turns steadily about a centre.",
-            "Write a profile by hand; see --profile of `gyrotrack extract`.",
-        )
+        what = f"No markers found in {video}: no coloured patch turns steadily about a centre."
+        raise TrackingError(what, "Write a profile by hand; see --profile of `gyrotrack extract`.")
     named, notes = name_bodies(groups, resting_casing(resting_groups, groups, circle), circle)
     notes += [left_out(c) for c in uneven]
     markers = name_markers(named, notes)
@@ -562,9 +543,8 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
             return marker
         if alike:
             first = others[0]  # the white marker itself is found in the median of the frames only
-            return ProposedMarker(
-                proposed, marker, first.angle + marker.mount, first.clear, group.rotation.step
-            )
+            angle, step = first.angle + marker.mount, group.rotation.step
+            return ProposedMarker(proposed, marker, angle, first.clear, step)
     return None
 
 
@@ -578,18 +558,12 @@ def _confirmed(video: Path, profile: Profile, markers: list[ProposedMarker], not
     again = {marker.name: marker for marker in scene.markers}
     sound = True
     for proposed in markers:
-        marker = again.get(proposed.profile.name)
+        name, old = proposed.profile.name, proposed.marker
+        marker = again.get(name)
         if marker is None:
-            notes.append(
-                f"`gyrotrack extract` does not find the {proposed.profile.name} marker with this profile."
-            )
-        elif (
-            abs(marker.radius - proposed.marker.radius)
-            > 0.5 * (proposed.marker.outer - proposed.marker.inner) + 2.0
-        ):
-            notes.append(
-                f"`gyrotrack extract` finds the {proposed.profile.name} marker at another radius with this profile."
-            )
+            notes.append(f"`gyrotrack extract` does not find the {name} marker with this profile.")
+        elif abs(marker.radius - old.radius) > 0.5 * (old.outer - old.inner) + 2.0:
+            notes.append(f"`gyrotrack extract` finds the {name} marker at another radius with this profile.")
         else:
             continue
         sound = False

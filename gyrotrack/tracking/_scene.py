@@ -82,14 +82,12 @@ class Scene:
         return tuple(body for body in ("casing", "rotor") if self.of(body))
 
 
-HEAD = 48
-"""Number of consecutive first frames; at 0.2 rad per frame they cover more than a turn."""
+HEAD = 48  # number of consecutive first frames; at 0.2 rad per frame they cover more than a turn
+# number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest
 KEYS = 20
-"""Number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest."""
-LATER = 32
-"""Number of samples from the rest of a film with fewer key frames."""
+LATER = 32  # number of samples from the rest of a film with fewer key frames
+# largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller
 DECODED = 240
-"""Largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller."""
 FEWEST = 8
 _BLOB_WIDTH = 400
 
@@ -118,7 +116,7 @@ class FrameStore:
         return replace(frame, **kept)
 
 
-def _in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
+def in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
     """Yield stored frames; their memory is released after every few of them."""
     for count, frame in enumerate(frames, start=1):
         yield frame
@@ -149,7 +147,7 @@ class Samples:
         """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
         kept = np.ascontiguousarray if self.scale == 2 else _halved
-        return np.stack([(kept(f.u), kept(f.v)) for f in _in_turn(chosen)], axis=1)
+        return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
     def spread(self) -> tuple[int, ...]:
@@ -171,12 +169,12 @@ class Samples:
         """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
         maps = ring.chroma_maps
         some = [self.frames[k] for k in frames]
-        return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in _in_turn(some)], axis=1)
+        return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in in_turn(some)], axis=1)
 
     def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the luma of some frames, shape (n, rows, columns)."""
         some = [self.frames[k] for k in frames]
-        return np.stack([unroll(f.y, ring.luma_maps) for f in _in_turn(some)])
+        return np.stack([unroll(f.y, ring.luma_maps) for f in in_turn(some)])
 
 
 def take_samples(path: Path) -> Samples:
@@ -191,10 +189,8 @@ def take_samples(path: Path) -> Samples:
     if not head:
         raise VideoError(f"No frame of {path} can be decoded.", "Copy the film from the camera again.")
     if len(head) < FEWEST:
-        raise VideoError(
-            f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion.",
-            "Give a longer film.",
-        )
+        what = f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion."
+        raise VideoError(what, "Give a longer film.")
     later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
     return Samples((*head, *later), len(head))
 

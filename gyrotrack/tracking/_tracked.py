@@ -11,8 +11,7 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 
 Floats = npt.NDArray[np.float64]
 
-_MANY_TURNS = 3.0
-"""Number of turns from which an error once per turn is distinguishable from a motion."""
+_MANY_TURNS = 3.0  # number of turns from which an error once per turn is distinguishable from a motion
 
 
 @dataclass(frozen=True)

@@ -1,34 +1,6 @@
 """Experiments of a batch, read from a manifest or a folder.
 
-A folder with ``study.toml`` is one study. Otherwise ``casing*`` and ``rotor*`` in one folder form a case with the name
-of the folder, ``NAME_casing*`` and ``NAME_rotor*`` form the case NAME, and any other film is only tracked. The name of
-a film may contain its capture rate, as in ``rotor_1_1000fps.mp4``.
-
-::
-
-    [defaults]                      # for every case and film without its own values
-    casing_fps = 260
-    rotor_fps = 1000
-
-    [[case]]
-    label = "pvc 1"
-    casing = "pvc1/casing.mp4"
-    rotor = ["pvc1/rotor_1.mp4", "pvc1/rotor_2.mp4"]
-    surface = "PVC"
-
-    [[case]]
-    study = "paper/study.toml"      # an experimenter's study file, with the films
-
-    [[case]]
-    data = "old/case7.h5"           # an existing case
-
-    [[clip]]                        # a single film: only tracked
-    file = "wheel.mp4"
-    capture_fps = 300
-    profile = "wheel.toml"
-
-A CSV manifest has one row per film, with the columns ``case, body, file`` and, optionally, ``capture_fps, profile,
-surface, inertia_rotor, inertia_casing``. Paths are relative to the manifest's folder.
+docs/how-to/batch.md describes the names of films in a folder, and the manifests in TOML and CSV.
 """
 
 from __future__ import annotations

@@ -126,10 +126,8 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
         below = clean(raw.units[index])
         named_by_unit = clean(base).casefold() == unit
         if below and unit and not named_by_unit and clean(unit).casefold() != below.casefold():
-            raise DatasetError(
-                f"{raw.header_place}: the unit of '{name}' is '{below}' in the next line.",
-                "Correct one of them.",
-            )
+            what = f"{raw.header_place}: the unit of '{name}' is '{below}' in the next line."
+            raise DatasetError(what, "Correct one of them.")
         units[index] = below or clean(unit)
         role = role_of(base) if name and not options.names else None
         if options.names:
@@ -205,10 +203,8 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     if axes and len(stems) == 1:
         values = [without_spikes(raw.numbers(i), "", []) for i in axes]
         return axes[int(np.argmax([float(np.nanmean(np.square(v))) for v in values]))]
-    raise DatasetError(
-        f"{raw.header_place}: {len(places)} columns for '{role}': {', '.join(map(repr, names))[:120]}.",
-        f"Choose one, for example --column '{role}={names[0]}'.",
-    )
+    what = f"{raw.header_place}: {len(places)} columns for '{role}': {', '.join(map(repr, names))[:120]}."
+    raise DatasetError(what, f"Choose one, for example --column '{role}={names[0]}'.")
 
 
 def _words(name: str) -> list[str]:
@@ -267,10 +263,8 @@ def _unit_since_1970(raw: RawTable, column: int) -> str:
 def frame_rate(path: Path, options: ReadOptions) -> float:
     """Return the frame rate given by the user; a UsageError says that it is not given or not positive."""
     if not (options.fps and options.fps > 0):
-        raise UsageError(
-            f"{path} contains frame numbers but not the capture rate.",
-            "Give the rate with --casing-fps or --rotor-fps.",
-        )
+        what = f"{path} contains frame numbers but not the capture rate."
+        raise UsageError(what, "Give the rate with --casing-fps or --rotor-fps.")
     return options.fps
 
 
@@ -280,10 +274,8 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
         return 1.0
     scale = factor(role, unit)
     if scale is None:
-        raise DatasetError(
-            f"{raw.header_place}: unknown unit '{unit[:30]}'.",
-            f"Use one of {', '.join(UNITS[role])}.",
-        )
+        what = f"{raw.header_place}: unknown unit '{unit[:30]}'."
+        raise DatasetError(what, f"Use one of {', '.join(UNITS[role])}.")
     return scale
 
 
@@ -420,14 +412,11 @@ def checked(
         first = line[~valid & ~absent][0]
         notes.append(f"{name}: {lost} rows without a value were excluded (first: line {first})")
     if valid.sum() < MIN_SAMPLES:
-        raise DatasetError(
-            f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed.",
-            "Give a longer recording.",
-        )
+        what = f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Give a longer recording.")
     if quantity == "angle" and np.ptp(value[valid]) == 0:
-        raise DatasetError(
-            f"{raw.path}: all {valid.sum()} angles are {value[valid][0]:g} rad.", "Check the column."
-        )
+        what = f"{raw.path}: all {valid.sum()} angles are {value[valid][0]:g} rad."
+        raise DatasetError(what, "Check the column.")
     made = MotionTable(
         raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
         (), least_sigma,
@@ -495,10 +484,8 @@ def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) 
     # every restart begins at the first time of the file again
     from_first = np.abs(time[far + 1] - time[0]) < 5 * usual
     if several or (len(far) and from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
-        raise DatasetError(
-            f"{path}: times are not strictly increasing (line {line[far[0] + 1]}): the clock restarts.",
-            f"Split the file at this line: it contains {len(far) + 1} recordings.",
-        )
+        what = f"{path}: times are not strictly increasing (line {line[far[0] + 1]}): the clock restarts."
+        raise DatasetError(what, f"Split the file at this line: it contains {len(far) + 1} recordings.")
     return time
 
 

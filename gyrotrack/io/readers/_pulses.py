@@ -61,9 +61,8 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
-        raise UsageError(
-            "The number of pulses per turn is not positive.", "Give a positive --pulses-per-turn."
-        )
+        what = "The number of pulses per turn is not positive."
+        raise UsageError(what, "Give a positive --pulses-per-turn.")
     notes = list(raw.notes)
     if raw.headed or options.names:
         columns, units, _ = find_columns(raw, options)
@@ -121,10 +120,8 @@ def _signal(raw: RawTable, place: int, time: Floats, options: ReadOptions) -> in
         found = [i for i in found if options.marker.casefold() in raw.names[i].casefold()]
     if len(found) > 1:
         names = [raw.names[i] or str(i + 1) for i in found]
-        raise UsageError(
-            f"{raw.path}: {len(found)} columns may contain the pulses: {', '.join(map(repr, names))}.",
-            f"Choose one, for example --marker '{names[0]}'.",
-        )
+        what = f"{raw.path}: {len(found)} columns may contain the pulses: {', '.join(map(repr, names))}."
+        raise UsageError(what, f"Choose one, for example --marker '{names[0]}'.")
     return next(iter(found), None)
 
 
@@ -233,10 +230,8 @@ def from_events(
 ) -> MotionTable:
     """Return the angle of a body at its pulses, with missed pulses added and double ones excluded."""
     if len(time) < MIN_SAMPLES:
-        raise DatasetError(
-            f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed.",
-            "Give a longer recording.",
-        )
+        what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Give a longer recording.")
     single = np.append(True, np.diff(time) > 0)
     steps = _steps_of_jittering_counts(time[single])
     single[single] = _not_double(time[single]) if steps is None else steps >= 0
@@ -247,10 +242,8 @@ def from_events(
         )
     time, line = time[single], line[single]
     if len(time) < MIN_SAMPLES:
-        raise DatasetError(
-            f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed.",
-            "Check the column of the times.",
-        )
+        what = f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Check the column of the times.")
     count = np.arange(len(time), dtype=float)
     if steps is None:
         count = _with_missed_pulses(raw, time, count, line, notes)
@@ -487,10 +480,8 @@ def read_counter(
             "columns by --column revolutions=N and --column t=N.",
         )
     if len(at) < MIN_SAMPLES:
-        raise DatasetError(
-            f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed.",
-            "Check the column.",
-        )
+        what = f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Check the column.")
     total = np.cumsum(step)[at - 1]
     choices = [(0, at), (1, at - 1)]
     rough = [_roughness(time[rows], total) for _, rows in choices]

@@ -121,9 +121,8 @@ def read_bytes(path: Path) -> bytes:
     except FileNotFoundError as error:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from error
     except OSError as error:
-        raise DatasetError(
-            f"{path} cannot be read: {error.strerror}.", "Give the name of a CSV file."
-        ) from error
+        what = f"{path} cannot be read: {error.strerror}."
+        raise DatasetError(what, "Give the name of a CSV file.") from error
 
 
 def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
@@ -134,9 +133,8 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
         halves = content[1:4000:2], content[0:4000:2]
         zeros = [half.count(0) > 0.9 * max(len(half), 1) and len(half) > 8 for half in halves]
         if not any(zeros):
-            raise DatasetError(
-                f"{path} is not a table of text.", "Give a CSV file; use `gyrotrack extract` for films."
-            )
+            what = f"{path} is not a table of text."
+            raise DatasetError(what, "Give a CSV file; use `gyrotrack extract` for films.")
         text = content.decode("utf-16-le" if zeros[0] else "utf-16-be", errors="replace").lstrip("\ufeff")
     else:
         try:

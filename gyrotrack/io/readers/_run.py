@@ -70,21 +70,23 @@ def within(time: Floats, limits: Limits) -> np.ndarray[tuple[int, ...], np.dtype
     return keep
 
 
+def enough_within(
+    time: Floats, limits: Limits, where: str = ""
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which times are within the limits as `within`; too few are a UsageError, which begins with `where`."""
+    keep = within(time, limits)
+    if not keep.all() and keep.sum() < MIN_SAMPLES:
+        span = f"{time[0]:.6g} to {time[-1]:.6g} s"
+        what = f"{where}{keep.sum()} samples remain within the limits; the times are {span}."
+        raise UsageError(what, "Choose --from, --to and --cut within these times.")
+    return keep
+
+
 def limited(table: MotionTable, limits: Limits) -> MotionTable:
-    """Return the samples within the limits and outside of the excluded intervals; too few are a UsageError."""
-    keep = within(table.time, limits)
-    if keep.all():
-        return table
-    if keep.sum() < MIN_SAMPLES:
-        raise UsageError(
-            f"{table.path}: {keep.sum()} samples remain within the limits; its times are "
-            f"{table.time[0]:.6g} to {table.time[-1]:.6g} s.",
-            "Choose --from, --to and --cut within these times.",
-        )
-    return table.only(
-        keep,
-        f"{table.path.name}: {int((~keep).sum())} samples were excluded by --from, --to or --cut",
-    )
+    """Return the samples within the limits and outside of the excluded intervals."""
+    keep = enough_within(table.time, limits, f"{table.path}: ")
+    note = f"{table.path.name}: {int((~keep).sum())} samples were excluded by --from, --to or --cut"
+    return table if keep.all() else table.only(keep, note)
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:

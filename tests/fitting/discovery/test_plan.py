@@ -145,6 +145,11 @@ class TestLimits:
         assert 25 <= large.runs_needed <= 40
         assert small.power < large.power < 0.5
 
+    def test_no_number_of_runs_finds_an_effect_whose_power_never_reaches_90_percent(self):
+        flat = np.stack([np.linspace(0.0, 14.0, 20), np.full(20, 0.3)], axis=1)
+        assert delta_of_power(flat) == math.inf
+        assert search()._runs(DRAG, 3.0, math.inf) == math.inf
+
     def test_absorbed_effects_have_no_limit(self):
         constant = search().limits(LIBRARY["external.constant"])
         assert constant.absorbed

@@ -472,7 +472,7 @@ def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
     spring, cubic = ("casing.spring.linear",), ("casing.spring.linear", "casing.spring.cubic")
     strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
     laws = _oscillator.OscillatorLaws(
-        spring, (), (spring, cubic), ((),), {"casing.spring.linear.k": strength}, 0.0, 0.0
+        spring, (), (spring, cubic), ((),), {"casing.spring.linear.k": strength}
     )
     exact = SimpleNamespace(value=12.01, stderr=0.002, unit="rad/s2")
     same, nothing = laws.with_fit(

@@ -6,7 +6,7 @@ import numpy as np
 
 from gyrotrack._column_store import in_file
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
-from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._scene import Disc, Marker, Scene
 from gyrotrack.video._time_base import FrameTimes
 

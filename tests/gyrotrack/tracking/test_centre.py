@@ -3,7 +3,7 @@ import pytest
 
 from gyrotrack.tracking._body_angles import followed_path, view
 from gyrotrack.tracking._hub import marked_paths, smooth_path
-from gyrotrack.tracking._observations import MarkerObservations
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._scene import Marker
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking._fusion import _mostly_hidden, join, variance_left, wrapped
-from gyrotrack.tracking._observations import Candidate
+from gyrotrack.tracking._marker_tracker import Candidate
 
 N = 1500
 MOUNTS = {"blue": 0.0, "white": 2.1, "green": -2.0}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._smoothing import core_scatter, excess, share_of_floor, tail_factor
-from gyrotrack.tracking._observations import excess_misfit, variance_inflation
+from gyrotrack.tracking._marker_tracker import excess_misfit, variance_inflation
 
 
 def test_excess_is_the_root_mean_square():
