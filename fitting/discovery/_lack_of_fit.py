@@ -27,13 +27,15 @@ the subject of the test against slow torques.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
+from fitting._errors import FittingError
 from fitting._numbers import TORQUE
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
@@ -44,6 +46,7 @@ from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
+from fitting.inference._fit import fit_like
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear
 from fitting.inference._metrics import FewRows
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
@@ -299,6 +302,9 @@ class _Periodogram:
 
 
 _ORDERS = (3, 4, 5, 6)
+_HARMONIC_AMPLITUDE = "harmonic.k"
+# initial amplitude as a share of the largest torque; amplitude of a determined harmonic in standard errors
+_FIRST_SHARE, _DETERMINED = 0.01, 2.0
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 
@@ -307,33 +313,36 @@ class HarmonicTest:
     """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly."""
 
     order: int  # periods per turn
-    torque: float  # its amplitude in the case where it is largest [N m]
     p_value: float  # probability that noise has as clear a harmonic (Bonferroni bound over the orders)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
+    fit: Fit | None = None  # with the harmonic as an effect; None if its amplitude is not determined
 
     @property
     def words(self) -> str:
         """What the residual torque depends on."""
-        return (
-            f"contains harmonic {self.order} of psi_c, amplitude {format_torque(self.torque, unit=self.unit)}"
-        )
+        size = "of undetermined amplitude"
+        if self.fit is not None:
+            k = self.fit.estimates[_HARMONIC_AMPLITUDE]
+            size = f"amplitude {format_torque(abs(k.value), k.stderr, self.unit)}"
+        return f"contains harmonic {self.order} of psi_c, {size}"
 
 
-def harmonic_test(fit: Fit) -> HarmonicTest:
+def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
     """Return the most significant harmonic of the casing's angle that no law of the library describes.
 
     chi2 = r'S (S'S)^-1 S'r with 2 degrees of freedom per case, S the whitened responses to sin(n psi), cos(n psi)
-    orthogonal to the free columns.
+    orthogonal to the free columns. In slow turns the motion is not linear in these torques, and the amplitude of this
+    regression is wrong: that of a significant harmonic is fitted.
     """
-    found = HarmonicTest(0, 0.0, 1.0)
+    found, start = HarmonicTest(0, 1.0), {}
     others = [np.abs(CaseColumns(fit, i).typical_torque).max() for i in range(len(fit.problem.cases))]
     for e in fit.model.effects:
         if e.depends_on_angle and e.amplitude is not None:
             key = f"{e.name}.{e.amplitude.symbol}"
             others += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
     for order in _ORDERS:
-        law = Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
-        chi2, torque, count, shares = 0.0, 0.0, 0, []
+        law = _harmonic_law(order)
+        chi2, torque, phase, count, shares = 0.0, 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
             if data.measured_angle is None:
                 shares.append(0.0)
@@ -348,13 +357,27 @@ def harmonic_test(fit: Fit) -> HarmonicTest:
             shares.append(project.whitener.share(orthonormal(s, _RANK)))
             gamma = np.linalg.pinv(s.T @ s, hermitian=True) @ (s.T @ r)
             chi2, count = chi2 + float(gamma @ (s.T @ r)), count + 2
-            torque = max(torque, float(np.hypot(*gamma)))
+            if np.hypot(*gamma) > torque:
+                torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
         single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
         p_value = min(1.0, len(_ORDERS) * single)
         # a high order hardly moves the body: to account for an error of the motion it would exceed all other torques
         if p_value < found.p_value and torque <= max(others):
-            found = HarmonicTest(order, torque, p_value, fit.torque_unit)
+            found = HarmonicTest(order, p_value, fit.torque_unit)
+            start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}
+    if found.p_value >= criteria.doubt_adequate:
+        return found
+    with suppress(FittingError):
+        model = fit.model.with_effect(_harmonic_law(found.order))
+        fitted = fit_like(fit, model, start=fit.values | start, noise=fit.noise, quick=True)
+        k = fitted.estimates[_HARMONIC_AMPLITUDE]
+        if _DETERMINED * k.stderr < abs(k.value) <= max(others):
+            return replace(found, fit=fitted)
     return found
+
+
+def _harmonic_law(order: int) -> Effect:
+    return Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
 
 
 # rivals that are no effects of the library
@@ -371,7 +394,7 @@ def contradiction(
     if peak is not None:
         return peak
     if chosen is not None and chosen.effect.depends_on_angle:
-        harmonic = harmonic_test(end)
+        harmonic = harmonic_test(end, criteria)
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
     # with an equivalence class, or without an effect, no law is named

@@ -315,17 +315,19 @@ def grade(
     significant = misfit or doubt is not None
     others = [n for n in end.model.names if n not in selection.named.model.names]
     if doubt is None and significant and chosen.effect.depends_on_angle:
-        harmonic = harmonic_test(selection.named)
-        if harmonic.p_value < criteria.doubt_adequate:
+        test = harmonic_test(selection.named, criteria)
+        if test.p_value < criteria.doubt_adequate:
             # a residual periodic in the angle is not described by a second effect of the speeds
-            doubt, end, others = harmonic, selection.named, []
+            doubt, end, others = test, selection.named, []
     free = [e for e in end.model.effects if _is_freed(e.name, selection)]
     tested = None
     if chosen.physical and chosen.effect.mechanical and not chosen.effect.depends_on_angle:
         tested = form_test(selection.named, chosen.effect, criteria)
     if not significant and not others and not free:
         return _complete(base, selection, chosen, tested, criteria)
-    torques = Torques(base, end, residual=significant)
+    harmonic = doubt.fit if isinstance(doubt, HarmonicTest) else None
+    sized = harmonic is not None or not isinstance(doubt, HarmonicTest)
+    torques = Torques(base, harmonic or end, residual=significant and harmonic is None)
     share, rms = torques.remaining(selection.named)
     for e in free if not others else []:
         # the fit of a law of the wrong shape may be in another minimum: then the law is closer than its fit
@@ -334,15 +336,15 @@ def grade(
     parts += [f"second effect {', '.join(others)}"] if others else []
     p = _likelihood_ratio(selection.named, end)
     if significant:
-        test = doubt if doubt is not None else smooth_test(end)
-        p = min(p, end.lack_of_fit.p_value, test.p_value)
+        found = doubt if doubt is not None else smooth_test(end)
+        p = min(p, end.lack_of_fit.p_value, found.p_value)
         parts.append(
-            f"it {test.words}" if test.p_value < criteria.doubt_named else "a lack of fit of unknown form"
+            f"it {found.words}" if found.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
     # a contradicting test alone, such as a sinusoid, states its own size
     size = (
         f" {format_torque(rms, unit=base.torque_unit)} rms, {percentage(share)} of the mean square unmodelled torque"
-        if share > _NO_TORQUE
+        if share > _NO_TORQUE and sized
         else ""
     )
     words = f"Remainder{size}: {'; '.join(parts)}."
