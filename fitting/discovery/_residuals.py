@@ -104,8 +104,10 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     cross = {name: _times_covariance(w, response, time) for name, w in responses.items()}
     for name, w in responses.items():
         covariance = covariance + level**2 * cross[name] @ w.T
-    inverse = _inverse_without_nuisance(covariance, data.nuisance[smooth])
-    weighted = inverse @ residual[smooth]
+    nuisance = data.nuisance[smooth]
+    inverse = _inverse_without_nuisance(covariance, nuisance)
+    # angles of thousands of turns: without their constant first, the projection leaves rounding of the size of a torque
+    weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
     for body in ("casing",) if data.record.single else ("casing", "rotor"):

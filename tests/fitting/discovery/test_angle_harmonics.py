@@ -10,6 +10,7 @@ from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
+from fitting.inference._simulation import Experiment, simulate
 
 AMPLITUDE, PHASE = 4e-6, 0.9
 
@@ -54,3 +55,34 @@ def test_a_lack_of_fit_elsewhere_is_no_harmonic(centre, width):
     kinds = [f.kind for f in find_failures(found, residual_torques(found), angle_harmonics(found))]
     assert kinds
     assert "ripple" not in kinds
+
+
+@pytest.mark.slow
+def test_a_strong_unbalance_leaves_no_torque_on_the_rotor():
+    """Angles of 4,000 turns: rounding of their constant was a torque of 3,300 uN m on the rotor, 370 on the casing."""
+    strength = 3.6e-5
+    truth = {
+        "rotor.air.quadratic.a2": 1e-10,
+        "touchpoint.constant.b1": 2.9e-6,
+        "casing.air.linear.b2": 8.3e-7,
+        "bearing.linear.d": 1.6e-7,
+        "bearing.power.f": 1.3e-8,
+        "bearing.power.g": 1.3,
+        "casing.unbalance.k": strength,
+        "casing.unbalance.phi": 0.0,
+    }
+    record = simulate(
+        Model.of([*REDUCED, "casing.unbalance"]),
+        truth,
+        Experiment(),
+        inertia_rotor=twobody.I_ROTOR,
+        inertia_casing=twobody.I_CASING,
+        seed=2,
+    )
+    found = fit(Model.of(REDUCED), [record])
+    casing, rotor = residual_torques(found)
+    assert np.abs(rotor.torque).max() < 0.1 * strength
+    assert np.abs(casing.torque).max() < 1.6 * strength
+    (first, *_) = find_failures(found, [casing, rotor], angle_harmonics(found))
+    assert first.where == "once a turn"
+    assert first.residual_torque_Nm == pytest.approx(strength, abs=4 * first.torque_sigma_Nm)
