@@ -91,14 +91,11 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
         notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
         time, line = time[rising], line[rising]
-    elif (signal := _signal(raw, place, time, options)) is not None:
-        values = raw.numbers(signal)[known][order]
-        there = np.isfinite(values)
-        edges, after = rising_edges(time[there], values[there], raw.path.name, notes)
-        if is_regular(edges):
-            name = raw.names[signal] or str(signal + 1)
-            notes.append(f"{raw.path.name}: pulses are the rising edges of the sampled signal '{name}'")
-            time, line = edges, line[there][after]
+    elif is_sampled(time) and (signals := _signals(raw, place, options)):
+        rows = np.flatnonzero(known)[order]
+        pulses = _pulses_of_signal(raw, signals, time, rows, notes)
+        if pulses is not None:
+            time, line = pulses
     return from_events(raw, time, line, per_turn, notes)
 
 
@@ -113,16 +110,48 @@ def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
     return next(iter(named or found), None)
 
 
-def _signal(raw: RawTable, place: int, time: Floats, options: ReadOptions) -> int | None:
-    """Return the column of a sampled signal; the option `marker` selects one of several."""
-    found = signal_columns(raw, place) if is_sampled(time) else []
-    if options.marker is not None:
-        found = [i for i in found if options.marker.casefold() in raw.names[i].casefold()]
+def _signals(raw: RawTable, place: int, options: ReadOptions) -> list[int]:
+    """Return the columns that may be a sampled signal; the option `marker` selects among them."""
+    wanted = (options.marker or "").casefold()
+    return [i for i in signal_columns(raw, place) if wanted in raw.names[i].casefold()]
+
+
+def _pulses_of_signal(
+    raw: RawTable, columns: list[int], time: Floats, rows: Integers, notes: list[str]
+) -> tuple[Floats, Integers] | None:
+    """Return times and lines of the rising edges of the one signal that has regular ones; None if none has.
+
+    Raises
+    ------
+    UsageError, DatasetError
+        Several signals have regular edges, or the only ones have too few samples per pulse.
+    """
+    found, fault = {}, None
+    for column in columns:
+        values = raw.numbers(column)[rows]
+        there = np.isfinite(values)
+        name = raw.names[column] or str(column + 1)
+        said: list[str] = []
+        try:
+            edges, after = rising_edges(time[there], values[there], raw.path.name, said)
+        except DatasetError as error:
+            fault = error
+            continue
+        if is_regular(edges):
+            said.append(f"{raw.path.name}: pulses are the rising edges of the sampled signal '{name}'")
+            found[name] = edges, raw.line[rows][there][after], said
     if len(found) > 1:
-        names = [raw.names[i] or str(i + 1) for i in found]
-        what = f"{raw.path}: {len(found)} columns may contain the pulses: {', '.join(map(repr, names))}."
-        raise UsageError(what, f"Choose one, for example --marker '{names[0]}'.")
-    return next(iter(found), None)
+        raise UsageError(
+            f"{raw.path}: {len(found)} columns contain regular pulses: {', '.join(map(repr, found))}.",
+            f"Choose one, for example --marker '{next(iter(found))}'.",
+        )
+    for edges, line, said in found.values():
+        notes.extend(said)
+        return edges, line
+    if fault is not None:
+        raise fault
+    notes.append(f"{raw.path.name}: the times are equally spaced; each row is taken for a pulse")
+    return None
 
 
 def _gates(raw: RawTable, place: int) -> list[int]:

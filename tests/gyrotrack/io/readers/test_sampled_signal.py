@@ -57,14 +57,19 @@ def test_what_is_sampled_too_slowly_is_excluded(tmp_path):
 def test_times_of_events_beside_another_quantity_stay_events(tmp_path):
     t = 0.1 * np.arange(300.0)
     temperature = 20 + np.random.default_rng(2).standard_normal(len(t))
-    found = read_motion(table(tmp_path / "events.csv", t, {"temperature": temperature}), OPTIONS)
+    columns = {"number": np.arange(300.0), "temperature": temperature}
+    found = read_motion(table(tmp_path / "events.csv", t, columns), OPTIONS)
     assert len(found.time) == 300
+    assert any("each row is taken for a pulse" in note for note in found.notes)
     assert np.allclose(np.diff(found.value), 2 * np.pi / 3)
 
 
 def test_of_two_signals_one_is_chosen(tmp_path):
     t = np.arange(0, 60, 1 / 400)
     light = voltage(angle_at(t), t)
+    noise = np.random.default_rng(3).standard_normal(len(t))
+    alone = read_motion(table(tmp_path / "n.csv", t, {"light": light, "noise": noise}), OPTIONS)
+    assert np.std(alone.value - angle_at(alone.time)) < 0.02
     path = table(tmp_path / "v.csv", t, {"light": light, "motor": np.sin(9 * t)})
     with pytest.raises(UsageError, match="'light', 'motor'"):
         read_motion(path, OPTIONS)
