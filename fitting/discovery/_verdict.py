@@ -93,7 +93,8 @@ class Diagnosis:
         `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
         nothing significant remains but the data cannot test the form.
     explained : float or None
-        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
+        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one. Where its
+        fitted shape constant is all that remains, and the base absorbs most of the law, of the torque of the law.
     remainder : Remainder or None
         The remainder that is still significant with it.
     nuisance : tuple of Nuisance
