@@ -533,8 +533,10 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
     elif size.noisy:
+        most = max(selection.final.noise, key=lambda n: n.level - n.pure)
+        needed, shown = (format_torque(x, unit=selection.final.torque_unit) for x in (most.level, most.pure))
         parts.append(
-            "The form is not established: the fit needs more random torque than the recording shows."
+            f"The form is not established: the fit needs a random torque of {needed} rms, the recording shows {shown}."
         )
     elif size.form is None and size.test is not None:
         parts += _untested(size.test, criteria)
