@@ -41,7 +41,7 @@ from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData

@@ -67,7 +67,7 @@ from fitting.discovery._score import (
 from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols

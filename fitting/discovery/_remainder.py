@@ -36,7 +36,7 @@ from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Candidate, Selection
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols

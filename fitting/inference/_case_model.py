@@ -21,8 +21,8 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
+from fitting.dynamics._collocation import Mesh, Path, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Path, Sampler, rule
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
 from fitting.effects._effect import Effect

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, FittingError
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData, with_free_inertia
