@@ -20,6 +20,9 @@ from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
 
+if TYPE_CHECKING:
+    from gyrotrack.io._contents import Inspection
+
 _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
 
 
@@ -500,7 +503,3 @@ def _require_packages(*, window: bool) -> None:
     if window and find_spec("webview") is None:
         what = "A separate window needs a package that is not installed."
         raise UsageError(what, 'Run: pip install "gyrotrack[window]", or omit --window.')
-
-
-if TYPE_CHECKING:
-    from gyrotrack.io._contents import Inspection
