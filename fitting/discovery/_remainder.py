@@ -42,7 +42,7 @@ from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
 from fitting.inference._problem import fails_grossly
@@ -283,7 +283,7 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
         with suppress(FittingError):
-            yield fit_like(base, base.model.with_effect(law), start=start, noise=noise, quick=True), speed
+            yield fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True), speed
 
 
 def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:

@@ -11,7 +11,7 @@ import ast
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -307,22 +307,14 @@ def _log(x: Any) -> Any:
     return np.log(np.maximum(x, _TINY))
 
 
-def _power(x: Any, y: Any) -> Any:
-    if isinstance(y, float):
-        if y == 2.0:
-            return x * x
-        if y == -1.0:
-            return np.divide(1.0, x)
-    return np.power(x, y)
-
-
 def _heaviside(x: Any) -> Any:
     return np.heaviside(x, 1.0)
 
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     name: getattr(np, name) for name in ("add", "abs", "sign", "sqrt", "exp", "sin", "cos", "tanh")
-} | {"mul": np.multiply, "pow": _power, "log": _log, "atan": np.arctan, "heaviside": _heaviside}
+} | {"mul": np.multiply, "pow": np.power, "log": _log, "atan": np.arctan, "heaviside": _heaviside}
+_FAST_POWERS: dict[float, Callable[..., Any]] = {2.0: np.square, -1.0: partial(np.divide, 1.0)}
 
 
 class Tape:
@@ -348,7 +340,9 @@ class Tape:
         elif e.op == "sym":
             self._inputs.append((slot, e.name))
         else:
-            self._steps.append((slot, _OPERATIONS[e.op], tuple(self._slots[a] for a in e.args)))
+            fast = _FAST_POWERS.get(e.args[1].value) if e.op == "pow" and e.args[1].op == "num" else None
+            operation, arguments = (fast, e.args[:1]) if fast else (_OPERATIONS[e.op], e.args)
+            self._steps.append((slot, operation, tuple(self._slots[a] for a in arguments)))
 
     @property
     def names(self) -> set[str]:
