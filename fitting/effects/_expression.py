@@ -324,7 +324,8 @@ class Tape:
         self._slots: dict[Expr, int] = {}
         self._inputs: list[tuple[int, str]] = []
         self._constants: list[tuple[int, float]] = []
-        self._steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+        # register of the result, operation, registers of its one or two arguments (-1: none)
+        self._steps: list[tuple[int, Callable[..., Any], int, int]] = []
         for e in outputs:
             for node in nodes(e):
                 self._place(node)
@@ -342,7 +343,8 @@ class Tape:
         else:
             fast = _FAST_POWERS.get(e.args[1].value) if e.op == "pow" and e.args[1].op == "num" else None
             operation, arguments = (fast, e.args[:1]) if fast else (_OPERATIONS[e.op], e.args)
-            self._steps.append((slot, operation, tuple(self._slots[a] for a in arguments)))
+            first, second = (*(self._slots[a] for a in arguments), -1)[:2]
+            self._steps.append((slot, operation, first, second))
 
     @property
     def names(self) -> set[str]:
@@ -356,8 +358,8 @@ class Tape:
             registers[slot] = number
         for slot, name in self._inputs:
             registers[slot] = values[name]
-        for slot, operation, arguments in self._steps:
-            registers[slot] = operation(*(registers[a] for a in arguments))
+        for slot, operation, a, b in self._steps:
+            registers[slot] = operation(registers[a]) if b < 0 else operation(registers[a], registers[b])
         return [registers[slot] for slot in self._outputs]
 
 
