@@ -28,8 +28,8 @@ from judge import Share
 from reduced import INERTIA, REDUCED
 
 import fitting
-from fitting.dynamics._mesh import Path as Motion
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Path as Motion
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.inference._fit import fit
 from fitting.inference._simulation import simulate_path

@@ -27,7 +27,7 @@ from laws import BASE_TERMS, Speeds, generic, laws
 from lines import append, read_lines
 from plan import STRENGTHS, Planned, plan
 
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit

@@ -25,7 +25,7 @@ from fitting._workers import WorkerPool
 from fitting.discovery._grammar import LawForm
 from fitting.discovery._laws import _Chosen, _refined_shapes, _Scored, _Search, _Steps
 from fitting.discovery._score import CaseColumns, ScoreContext, score
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.inference._result import Fit
 
 

@@ -29,7 +29,7 @@ from worlds import LAWS, World, world
 from fitting.discovery._grammar import LawForm, grammar
 from fitting.discovery._laws import ranges_of
 from fitting.discovery._score import CaseColumns, ScoreContext
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape
 from fitting.effects._library import REDUCED

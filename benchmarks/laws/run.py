@@ -29,7 +29,7 @@ from fitting._errors import FittingError
 from fitting._workers import WorkerPool
 from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
 from fitting.discovery._verdict import diagnose
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting.discovery._score import CaseColumns
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect
 from fitting.effects._library import GENERAL

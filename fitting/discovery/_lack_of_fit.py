@@ -41,12 +41,12 @@ from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit as fit_model
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal, piecewise_linear
 from fitting.inference._metrics import FewRows
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
@@ -369,7 +369,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
         return found
     with suppress(FittingError):
         model = fit.model.with_effect(_harmonic_law(found.order))
-        fitted = fit_like(fit, model, start=fit.values | start, noise=fit.noise, quick=True)
+        fitted = fit_model(model, fit, start=fit.values | start, noise=fit.noise, quick=True)
         k = fitted.estimates[_HARMONIC_AMPLITUDE]
         if _DETERMINED * k.stderr < abs(k.value) <= max(others):
             return replace(found, fit=fitted)

@@ -67,13 +67,13 @@ from fitting.discovery._score import (
 from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -604,9 +604,9 @@ def _refit(common: _Common, trial: _Trial) -> Fit | None:
     """Refit base and law together; None if the search fails."""
     base = common.base
     with suppress(FittingError):
-        found = fit_like(
-            base,
+        found = fit(
             trial.model.with_effect(trial.law.effect),
+            base,
             start={**trial.start, **initial_values_of(base, trial.score)},
             noise=common.noise,
             quick=True,

@@ -47,7 +47,7 @@ from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import (
     block_diagonal,
     orthogonal_to,
@@ -256,7 +256,7 @@ def with_free_inertia(
         return None
     with suppress(FittingError):
         model = base.model.with_effect(LIBRARY[INERTIA])
-        freed = fit_like(base, model, start=base.values, noise=base.noise)
+        freed = fit(model, base, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)
         usable = [c for c in ranked if c.physical and c.significant and not c.screened.absorbed]
         near = [c for c in usable[:_MOST_REFITS] if c.score > usable[0].score - criteria.equivalence_width]

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
 from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect
 from fitting.inference._result import Estimate, Fit
 

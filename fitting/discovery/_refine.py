@@ -25,7 +25,7 @@ from fitting._errors import FittingError, SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
-from fitting.inference._fit import fit, fit_like
+from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
@@ -66,7 +66,7 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
     # with so little noise a search may diverge
     with suppress(FittingError):
         least = [n.at(n.least) for n in found.noise]
-        other = fit_like(found, found.model, start=found.values, noise=least)
+        other = fit(found.model, found, start=found.values, noise=least)
         return other if other.deviance < found.deviance - criteria.evidence else found
     return found
 
@@ -75,7 +75,7 @@ def refitted_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] 
     """Return the same fit at a given noise to full convergence; `values` replace some of its initial values."""
     begin = found.values
     begin |= {k: v for k, v in (values or {}).items() if k in begin}
-    return fit_like(found, found.model, start=begin, noise=noise)
+    return fit(found.model, found, start=begin, noise=noise)
 
 
 def restarted_from(found: Fit, other: Fit) -> Fit:
@@ -212,9 +212,9 @@ def fit_together(
     """
     begin = base.values | initial_values_of(base, score)
     try:
-        found = fit_like(
-            base,
+        found = fit(
             base.model.with_effect(score.effect),
+            base,
             share=common,
             per_case=_keys_per_case(score),
             start=begin if start is None else begin | dict(start),
@@ -328,9 +328,9 @@ def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | Non
     best: Fit | None = None
     for start in general.parameters[-1].grid or (general.parameters[-1].start,):
         with suppress(FittingError):
-            other = fit_like(
-                found,
+            other = fit(
                 model,
+                found,
                 share=[f"{effect.name}.{symbol}"],
                 start=found.values | {f"{effect.name}.{symbol}": start},
                 noise=found.noise,

@@ -37,13 +37,13 @@ from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Candidate, Selection
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
-from fitting.inference._fit import fit_like
+from fitting.inference._fit import fit
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
 from fitting.inference._problem import fails_grossly
@@ -289,7 +289,7 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
         with suppress(FittingError):
-            yield fit_like(base, base.model.with_effect(law), start=start, noise=noise, quick=True), speed
+            yield fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True), speed
 
 
 def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import PER_INERTIA, TORQUE, interval, plain, rounded
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal

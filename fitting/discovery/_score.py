@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative

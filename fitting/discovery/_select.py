@@ -40,7 +40,7 @@ from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistributi
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import deviance_at_noise_of, fit_like
+from fitting.inference._fit import deviance_at_noise_of, fit
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._result import Estimate, Fit
@@ -648,7 +648,7 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit:
-    return fit_like(fitted, fitted.model.without(effect.name), start=fitted.values, noise=fitted.noise)
+    return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
 
 
 # null data sets of a score that is used as an initial value only

@@ -29,15 +29,19 @@ from fitting._errors import SimulationError
 from fitting.dynamics._collocation import (
     TOLERANCE,
     UNBOUNDED,
+    Mesh,
+    Path,
     Propagator,
+    Sampler,
     coarsened,
     collocate,
     newton,
     refine,
+    rule,
     runge_kutta,
+    transfer,
     truncation_error,
 )
-from fitting.dynamics._mesh import Mesh, Path, Sampler, rule, transfer
 from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
-from fitting.dynamics._collocation import UNBOUNDED, Propagator
-from fitting.dynamics._mesh import Path, Sampler, rule
+from fitting.dynamics._collocation import UNBOUNDED, Path, Propagator, Sampler, rule
 from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]

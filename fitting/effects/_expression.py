@@ -11,7 +11,7 @@ import ast
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -307,22 +307,14 @@ def _log(x: Any) -> Any:
     return np.log(np.maximum(x, _TINY))
 
 
-def _power(x: Any, y: Any) -> Any:
-    if isinstance(y, float):
-        if y == 2.0:
-            return x * x
-        if y == -1.0:
-            return np.divide(1.0, x)
-    return np.power(x, y)
-
-
 def _heaviside(x: Any) -> Any:
     return np.heaviside(x, 1.0)
 
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     name: getattr(np, name) for name in ("add", "abs", "sign", "sqrt", "exp", "sin", "cos", "tanh")
-} | {"mul": np.multiply, "pow": _power, "log": _log, "atan": np.arctan, "heaviside": _heaviside}
+} | {"mul": np.multiply, "pow": np.power, "log": _log, "atan": np.arctan, "heaviside": _heaviside}
+_FAST_POWERS: dict[float, Callable[..., Any]] = {2.0: np.square, -1.0: partial(np.divide, 1.0)}
 
 
 class Tape:
@@ -332,7 +324,8 @@ class Tape:
         self._slots: dict[Expr, int] = {}
         self._inputs: list[tuple[int, str]] = []
         self._constants: list[tuple[int, float]] = []
-        self._steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
+        # register of the result, operation, registers of its one or two arguments (-1: none)
+        self._steps: list[tuple[int, Callable[..., Any], int, int]] = []
         for e in outputs:
             for node in nodes(e):
                 self._place(node)
@@ -348,7 +341,10 @@ class Tape:
         elif e.op == "sym":
             self._inputs.append((slot, e.name))
         else:
-            self._steps.append((slot, _OPERATIONS[e.op], tuple(self._slots[a] for a in e.args)))
+            fast = _FAST_POWERS.get(e.args[1].value) if e.op == "pow" and e.args[1].op == "num" else None
+            operation, arguments = (fast, e.args[:1]) if fast else (_OPERATIONS[e.op], e.args)
+            first, second = (*(self._slots[a] for a in arguments), -1)[:2]
+            self._steps.append((slot, operation, first, second))
 
     @property
     def names(self) -> set[str]:
@@ -362,8 +358,8 @@ class Tape:
             registers[slot] = number
         for slot, name in self._inputs:
             registers[slot] = values[name]
-        for slot, operation, arguments in self._steps:
-            registers[slot] = operation(*(registers[a] for a in arguments))
+        for slot, operation, a, b in self._steps:
+            registers[slot] = operation(registers[a]) if b < 0 else operation(registers[a], registers[b])
         return [registers[slot] for slot in self._outputs]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import NUISANCE
 from fitting.inference._case_data import CAMERA_COLUMNS, INERTIA_RATIO, CaseData
 from fitting.inference._case_model import CaseModel, Prediction

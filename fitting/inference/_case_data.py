@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
-from fitting.dynamics._mesh import Path, Sampler
+from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
 from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise, estimate_window_noise

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
+from fitting.dynamics._collocation import Mesh, Path, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Path, Sampler, rule
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
 from fitting.effects._effect import Effect
@@ -236,36 +236,32 @@ class CaseModel:
         self._last: tuple[Array, Path] | None = None
         self._columns: dict[str, AngleRows] = {}
 
-    def solve(self, theta: Array) -> Path:
-        """Integrate the smooth part of the model."""
-        last = self._last
-        if last is not None and len(last[1].jumps) >= _MANY_REVERSALS:
-            path = self._continued(*last, theta, _HALVINGS)
-        else:
-            path = self._solution(theta, self._measured(theta) if last is None else last[1])
-        self._last = theta.copy(), path
-        return path
-
-    def _solution(self, theta: Array, guess: Path, **limits: int) -> Path:
-        first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
-        numbers = self.layout.numbers(theta, self.case)
-        return solve(self.dynamics, numbers, first, self._mesh, guess, **limits)
-
-    def _continued(self, begin: Array, known: Path, theta: Array, halvings: int) -> Path:
-        """Return the solution at some variables from a known one at others, if necessary by continuation.
+    def solve(self, theta: Array, halvings: int = _HALVINGS) -> Path:
+        """Integrate the smooth part of the model; over many reversals, by continuation from the last solution.
 
         Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
         reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long, so
         a trial that is too far away even in short steps raises an error instead.
         """
+        last = self._last
+        known = self._measured(theta) if last is None else last[1]
+        many = last is not None and len(known.jumps) >= _MANY_REVERSALS
+        first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
+        numbers = self.layout.numbers(theta, self.case)
+        limits = {"most": _FEW_SINGLE + len(known.jumps) // 25} if many else {}
         try:
-            return self._solution(theta, known, most=_FEW_SINGLE + len(known.jumps) // 25)
+            path = solve(self.dynamics, numbers, first, self._mesh, known, **limits)
         except SimulationError:
-            if not halvings:
+            if last is None or not many or not halvings:
                 raise
-        middle = 0.5 * (begin + theta)
-        path = self._continued(begin, known, middle, halvings - 1)
-        return self._continued(middle, path, theta, halvings - 1)
+            try:
+                self.solve(0.5 * (last[0] + theta), halvings - 1)
+                path = self.solve(theta, halvings - 1)
+            except SimulationError:
+                self._last = last
+                raise
+        self._last = theta.copy(), path
+        return path
 
     @cached_property
     def _mesh(self) -> Mesh:

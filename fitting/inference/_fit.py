@@ -28,13 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, FittingError
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
-from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely, search_with_held
+from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import Problem, first_noise, measure_noise, raised_noise, refine_level
 from fitting.inference._record import Record, Samples
@@ -62,7 +62,9 @@ def search_with_noise(
     if not oscillates and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
-        found = search_with_held(problem, theta, held, active=active)
+        # the other parameters are not yet consistent with a new law: a step of all variables would change its shape,
+        # about which the residuals contain no information there
+        found = search(problem.holding(held, theta), theta, quick=True, active=active)
         theta, active = found.theta, found.active
         problem = problem.with_noise(measure_noise(problem, theta))
     others = _other_starts(problem, theta, given)
@@ -186,7 +188,7 @@ _REFINED_ABOVE = 1.5
 
 def fit(
     model: Model,
-    cases: Sequence[Record | CaseData],
+    cases: Sequence[Record | CaseData] | Fit,
     *,
     share: Iterable[str] = (),
     per_case: Iterable[str] = (),
@@ -202,9 +204,9 @@ def fit(
     ----------
     model : Model
         The model.
-    cases : sequence of Record or CaseData
+    cases : sequence of Record or CaseData, or Fit
         Each experiment; with several, the touch point, the casing's drag and the initial speeds have a value for each,
-        all other parameters are shared.
+        all other parameters are shared. Of another fit its data, with its shared and per-case parameters.
     share, per_case : iterable of str
         Change which parameters are shared.
     start : mapping, optional
@@ -227,6 +229,9 @@ def fit(
     EstimationError
         If there is nothing to fit, or labels repeat.
     """
+    if isinstance(cases, Fit):
+        shared, own = ([k for k in keys if k in model.free] for keys in cases.problem.layout.choices)
+        share, per_case, cases = [*shared, *share], [*own, *per_case], cases.problem.data
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     _check(model, data)
     problem = Problem.of(ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges), data)
@@ -240,7 +245,7 @@ def fit(
         # far from the minimum residuals far exceed the noise, and the search would take long at a low level
         problem = problem.with_noise(raised_noise(problem, theta, noise))
         problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
-        found = search_with_held(problem, theta, unknown)
+        found = search(problem.holding(unknown, theta), theta, quick=True)
         theta, active = found.theta, found.active
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
@@ -248,7 +253,7 @@ def fit(
     quick = quick or (any(d.oscillation is not None for d in data) and not model.restoring)
     held = tuple(steady)
     if held:
-        found = search_with_held(problem, theta, held, active=active)
+        found = search(problem.holding(held, theta), theta, quick=True, active=active)
         theta, active = found.theta, found.active
         # at the level of the model without the new law, any shape of it would be consistent with the data
         noise = refine_level(problem, theta, noise)
@@ -272,31 +277,6 @@ def _free_names(problem: Problem) -> set[str]:
     """Return the names of the variables on which the rows depend: of a body alone, all but the speed of a rotor."""
     single = problem.data[0].record.single
     return {n for n in problem.layout.names if not (single and n.startswith(f"{START_ROTOR}@"))}
-
-
-def fit_like(
-    other: Fit,
-    model: Model,
-    *,
-    start: Mapping[str, float],
-    noise: Sequence[Noise],
-    share: Iterable[str] = (),
-    per_case: Iterable[str] = (),
-    steady: Iterable[str] = (),
-    quick: bool = False,
-) -> Fit:
-    """Fit a model to the data of another fit, with its shared and per-case parameters and those named here."""
-    shared, own = ([k for k in keys if k in model.free] for keys in other.problem.layout.choices)
-    return fit(
-        model,
-        other.problem.data,
-        share=[*shared, *share],
-        per_case=[*own, *per_case],
-        start=start,
-        noise=noise,
-        steady=steady,
-        quick=quick,
-    )
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.polynomial import hermite_e
 from numpy.typing import NDArray
 
-from fitting.dynamics._mesh import Path, Sampler
+from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction

@@ -229,7 +229,15 @@ def search(
     if not minimum.converged and minimum.cost > _FAR * problem.rows:
         return Solution(np.clip(theta, lower, upper), minimum)
     # one or two bounds are active: a quick search along every bound, and the best one to convergence
-    ends = list(_ends_at_bounds(problem, theta, ActiveBounds(problem.power_laws), min(_QUICK_STEPS, most)))
+    ends: list[Solution] = []
+    choices = [*_choices_of_bound(ActiveBounds(problem.power_laws), theta, lower, upper)]
+    while choices:
+        side, begin = choices.pop(0)
+        end = _minimum_at_bounds(problem, begin, side, _CONVERGED_QUICK, min(_QUICK_STEPS, most))
+        if end is not None and _out_of_bounds(side.power_laws, end.theta, lower, upper):
+            choices = [*_choices_of_bound(side, end.theta, lower, upper), *choices]
+        elif end is not None:
+            ends.append(end)
     if ends:
         best = min(ends, key=lambda end: end.minimum.cost)
         theta, active = best.theta, best.active
@@ -237,18 +245,6 @@ def search(
         if found and active and not _out_of_bounds(active.power_laws, found.theta, lower, upper):
             return found
     return Solution(np.clip(theta, lower, upper), replace(minimum, converged=False))
-
-
-def search_with_held(
-    problem: Problem, theta: Array, held: Iterable[str], *, active: ActiveBounds | None = None
-) -> Solution:
-    """Return the minimum with some variables held: initial values for a search with all variables free.
-
-    When a law is added to a fitted model, the other parameters are not yet consistent with it. A step of all variables
-    would change its shape, about which the residuals contain no information there.
-    """
-    fixed = {name: (x := float(theta[problem.layout.index[name]]), x) for name in held}
-    return search(problem.with_ranges(fixed), theta, quick=True, active=active)
 
 
 def _minimum_at_bounds(
@@ -283,20 +279,6 @@ def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: flo
     return True
 
 
-def _ends_at_bounds(problem: Problem, theta: Array, active: ActiveBounds, most: int) -> Iterator[Solution]:
-    """Yield the ends of quick searches along each bound of the first power law that violates them."""
-    lower, upper = problem.layout.bounds()
-    (v, *_) = _out_of_bounds(active.power_laws, theta, lower, upper)
-    for side, begin in _choices_of_bound(v, active, theta, lower, upper):
-        found = _minimum_at_bounds(problem, begin, side, _CONVERGED_QUICK, most)
-        if found is None:
-            continue
-        if _out_of_bounds(side.power_laws, found.theta, lower, upper):
-            yield from _ends_at_bounds(problem, found.theta, side, most)
-        else:
-            yield found
-
-
 def _out_of_bounds(
     power_laws: Sequence[PowerLaw], theta: Array, lower: Array, upper: Array
 ) -> list[PowerLaw]:
@@ -310,9 +292,13 @@ def _out_of_bounds(
 
 
 def _choices_of_bound(
-    v: PowerLaw, active: ActiveBounds, theta: Array, lower: Array, upper: Array
+    active: ActiveBounds, theta: Array, lower: Array, upper: Array
 ) -> Iterator[tuple[ActiveBounds, Array]]:
-    """Yield the bounds of d and f with variables at each, of the same torque and slope at the reference speed."""
+    """Yield the bounds of d and f of the first power law that violates them, and the variables at each of them.
+
+    The torque and its slope at the reference speed remain the same.
+    """
+    v = _out_of_bounds(active.power_laws, theta, lower, upper)[0]
     rest = tuple(w for w in active.power_laws if w.f != v.f)
     if v.d is None:
         # a single power law is fitted in f, within its range

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -83,9 +83,11 @@ class Problem:
         """Return the problem with white measurement noise only."""
         return replace(self, projections=tuple(Projection(d, WHITE) for d in self.data))
 
-    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
-        """Return the problem with further bounds, by the names of the variables."""
-        return replace(self, layout=replace(self.layout, ranges={**self.layout.ranges, **ranges}))
+    def holding(self, names: Iterable[str], theta: Array) -> Self:
+        """Return the problem with some variables held at their values."""
+        values = {name: float(theta[self.layout.index[name]]) for name in names}
+        ranges = {**self.layout.ranges, **{name: (x, x) for name, x in values.items()}}
+        return replace(self, layout=replace(self.layout, ranges=ranges))
 
     @cached_property
     def reference(self) -> float:

@@ -130,7 +130,7 @@ class _Held:
         """Return the square root of the rise of the deviance, and the variables there."""
         theta = begin.copy()
         theta[self._place] = value
-        problem = self._problem.with_ranges({self._name: (value, value)})
+        problem = self._problem.holding([self._name], theta)
         try:
             found = search(problem, theta, max_iterations=_MOST_STEPS, active=self._active)
         except (EstimationError, SimulationError):

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
+from fitting.dynamics._collocation import Mesh, Path, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
 from fitting.inference._record import Record, Samples

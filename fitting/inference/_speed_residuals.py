@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._noise import Noise, Whitener

@@ -3,11 +3,17 @@
 A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
 sentence and its ranking, its curves from its fit. Stored states are valid only for the same code and the same data: see
 `fingerprint`.
+
+A law that was found is an effect like any other, and is kept as a TOML file of effects: `fit --effects FILE.toml --add
+NAME` adds it, and `diagnose --effects FILE.toml` tests it together with the library.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -20,16 +26,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from fitting._errors import FittingError, LedgerError
+from fitting._errors import EffectError, FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
     AngleNoiseDocument,
     BudgetDocument,
     CaseDocument,
     DiagnosisDocument,
+    DifferenceBetweenRecordings,
+    Document,
     EstimateDocument,
     FitDocument,
     NoiseDocument,
+    Number,
     ParameterBudgetDocument,
     PlanDocument,
     PriorDocument,
@@ -43,8 +52,12 @@ from fitting._schema import (
     effects_of,
     own_effects,
     read_json,
+    refuse_special,
+    write_text,
 )
+from fitting.discovery._dependence import Dependence
 from fitting.discovery._difference import DifferentParameter
+from fitting.discovery._laws import Law, Laws
 from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
@@ -62,6 +75,8 @@ from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import read_effects
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
@@ -80,6 +95,10 @@ Array = NDArray[np.float64]
 _CURVE_POINTS = 200
 # number of candidates whose fits are stored, best first; a report draws fewer
 _FITS = 4
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
+# trial values of a shape constant over the fitted one
+_AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
+_UNITS = {"t": "s", "psi_c": "rad"}
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
@@ -226,6 +245,163 @@ def _ripple(r: AngleHarmonics) -> dict[str, Any]:
 def _candidate(c: Candidate) -> dict[str, Any]:
     law = f"{c.effect.joint}: {c.effect.law}"
     return vars(c) | {"effect": c.effect.name, "kind": c.effect.kind, "parameters": c.estimates, "law": law}
+
+
+class TermDocument(Document):
+    """One term of a law: where it acts, its formula, the rate of its state variable."""
+
+    body: str
+    law: str
+    rate: str = ""
+
+
+class DifferenceDocument(Document):
+    """The largest difference of a law from another one of its set; torque [N m], times [s], speeds [rad/s]."""
+
+    formula: str
+    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    label: str
+    t_start: Number
+    t_stop: Number
+    omega_c: tuple[Number, Number]
+    omega_r: tuple[Number, Number]
+
+
+class LawDocument(Document):
+    """A law and the evidence for it."""
+
+    formula: str
+    body: str
+    form: str
+    terms: list[TermDocument]
+    score: Number
+    delta_bic: Number
+    description_length: Number
+    p_value: Number
+    parameters: dict[str, EstimateDocument]
+    torque_rms_Nm: Number  # noqa: N815
+    verdict: str
+    indistinguishable_from: list[str]
+    same_torque_as: list[str]
+    differences: list[DifferenceDocument]
+
+
+class CurveDocument(Document):
+    """The unmodelled torque as a function of one variable."""
+
+    unit: str
+    value: list[Number]
+    torque_Nm: list[Number]  # noqa: N815
+    sigma_Nm: list[Number]  # noqa: N815
+
+
+class DependenceDocument(Document):
+    """The dependence of the unmodelled torque on a variable."""
+
+    variable: str
+    body: str
+    p_value: Number
+    explained: Number
+    score: Number
+    curve: CurveDocument | None
+
+
+class LawsDocument(Document):
+    """What `laws --json` prints."""
+
+    fit_id: str
+    verdict: str
+    sentence: str
+    laws: list[LawDocument]
+    library: str | None
+    differs: DifferenceBetweenRecordings | None
+    depends_on: list[DependenceDocument]
+    next_experiment: str
+    trials: int
+
+
+def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
+    """Return laws under the keys of `laws --json`; `fit_id` is the base in its ledger."""
+    document = LawsDocument.model_validate(
+        vars(found)
+        | {
+            "fit_id": fit_id,
+            "laws": [_law(x) for x in found.laws],
+            "library": found.library.effect.name if found.library is not None else None,
+            "differs": difference_document(found.differs),
+            "depends_on": [vars(d) | {"curve": _curve(d)} for d in found.depends_on],
+        }
+    )
+    return document.model_dump()
+
+
+def _curve(d: Dependence) -> dict[str, Any] | None:
+    if not len(d.value):
+        return None
+    columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
+    return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
+
+
+def _law(x: Law) -> LawDocument:
+    terms = [{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects]
+    return LawDocument.model_validate(
+        vars(x) | {"body": x.body, "terms": terms, "parameters": x.estimates, "verdict": x.fit.verdict}
+    )
+
+
+def check_name(name: str, path: Path, terms: int = 1) -> None:
+    """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
+
+    The name is malformed, or taken by the library or in the file, or the file is no file of effects. A second term is
+    called ``NAME.second``.
+    """
+    if not _NAME.fullmatch(name):
+        raise EffectError(
+            f"{name[:60]!r} is not a valid name of an effect",
+            "a name has letters, digits, dots and underscores, and starts with a letter",
+        )
+    refuse_special(path)
+    taken = {*LIBRARY, *(e.name for e in read_effects(path))} if path.exists() else set(LIBRARY)
+    for wanted in _names(name, terms):
+        if wanted in taken:
+            where = "the library" if wanted in LIBRARY else str(path)
+            raise EffectError(f"{where} has an effect named {wanted!r} already", "choose another name")
+
+
+def _names(name: str, terms: int) -> list[str]:
+    return [name, f"{name}.second"][:terms]
+
+
+def save_law(law: Law, name: str, path: Path, source: str) -> None:
+    """Add a law to a TOML file of effects, which is made if it does not exist; `source` says where it was found.
+
+    Errors are those of `check_name`, and a LedgerError if the file cannot be written.
+    """
+    check_name(name, path, len(law.effects))
+    before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
+    write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
+
+
+def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
+    lines: list[str] = []
+    for effect, name in zip(law.effects, names, strict=True):
+        lines += [*([""] if lines else []), "[[effect]]", f"name = {json.dumps(name)}"]
+        lines += [f'body = "{effect.joint}"', f"law = {json.dumps(effect.law)}"]
+        lines += [f"rate = {json.dumps(effect.state.rate)}"] if effect.state else []
+        lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
+        lines += ["per_case = true"] if effect.per_case else []
+        for p in effect.parameters:
+            key = f"{effect.name}.{p.symbol}"
+            value = next((e.value for k, e in law.estimates.items() if k.partition("@")[0] == key), p.start)
+            lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
+            lines += [f"start = {value!r}"]
+            for bound, limit in (("lower", p.lower), ("upper", p.upper)):
+                lines += [f"{bound} = {limit!r}"] if math.isfinite(limit) and p.role == "shape" else []
+            if p.role == "shape":
+                grid = [float(f"{value * q:.6g}") for q in _AROUND if p.lower <= value * q <= p.upper]
+                lines += [f"grid = {grid!r}", "shape = true"]
+            lines += [f"meaning = {json.dumps(p.meaning)}"] if p.meaning else []
+    return lines
 
 
 def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY, typical_of_model

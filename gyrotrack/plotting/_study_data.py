@@ -215,7 +215,7 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
     """Return the torque of another model minus that of the base, along the motion of that model; None if equal."""
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]
     path = other.predictions[index].path

@@ -129,10 +129,13 @@ class Ring:
 
 def rolled(picture: Picture, columns: float) -> Picture:
     """Rotate a polar picture by a number of columns by Fourier interpolation."""
-    size = picture.shape[1]
+    return _rotated(np.fft.rfft(picture, axis=1), picture.shape[1], columns)
+
+
+def _rotated(spectrum: npt.NDArray[Any], size: int, columns: float) -> Picture:
+    """Return the polar picture of a spectrum, rotated by a number of columns."""
     phase = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns).astype(np.complex64)
-    turned = np.fft.irfft(np.fft.rfft(picture, axis=1) * phase, size, axis=1)
-    return np.asarray(turned, dtype=np.float32)
+    return np.asarray(np.fft.irfft(spectrum * phase, size, axis=1), dtype=np.float32)
 
 
 def _slope(picture: Picture) -> Picture:
@@ -304,11 +307,14 @@ def learn(
         unseen = number < 0.5
         level = np.sum(np.where(unseen, 0, body), axis=1) / np.maximum((~unseen).sum(axis=1), 1)
         body = np.where(unseen, level[:, None], body).astype(np.float32)
+        spectrum = np.fft.rfft(body, axis=1)
         if separate:
             change = np.zeros_like(fixed)
             for polar, angle, count in zip(polars, angles, counted, strict=True):
                 if count > 0:
-                    change += np.float32(count) * (polar - rolled(body, angle / ring.step))
+                    change += np.float32(count) * (
+                        polar - _rotated(spectrum, ring.columns, angle / ring.step)
+                    )
             fixed = np.asarray(change / np.float32(counted.sum()), dtype=np.float32)
             fixed -= fixed.mean(axis=1, keepdims=True)
     by_body: Any = np.zeros_like(fixed)
@@ -316,7 +322,7 @@ def learn(
     number = np.full_like(fixed, 1e-6)
     for polar, angle, count in zip(polars, angles, counted, strict=True):
         if count > 0:
-            square = (polar - fixed - rolled(body, angle / ring.step)) ** 2
+            square = (polar - fixed - _rotated(spectrum, ring.columns, angle / ring.step)) ** 2
             whole, _ = _split(angle / ring.step)
             by_image += np.float32(count) * square
             by_body += np.float32(count) * np.roll(square * usable, -whole, axis=1)

@@ -209,7 +209,7 @@ def test_energy_is_a_curve_and_a_number():
 
 def test_figures_of_merit_agree_with_their_definitions():
     """R2, rmse and chi-square summed sample by sample from the film and the model's path."""
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
 
     found = fitted(seed=0)
     (case,) = found.cases

@@ -59,8 +59,8 @@ def laws_command(
     """
     from fitting._workers import WorkerPool
     from fitting.discovery._laws import laws
-    from fitting.study._law_documents import check_name, laws_document
-    from fitting.study._law_documents import save_law as save
+    from fitting.study._serialisation import check_name, laws_document
+    from fitting.study._serialisation import save_law as save
 
     out = Output(as_json=as_json, quiet=quiet)
     _check_picture(picture, force=force)

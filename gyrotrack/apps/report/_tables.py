@@ -240,7 +240,7 @@ def plausibility_rows(fit: Fit) -> list[Plausibility]:
 
 
 def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
     from fitting.dynamics._model import Dynamics
 
     case, path, layout = fit.problem.cases[index], fit.predictions[index].path, fit.problem.layout

@@ -28,6 +28,11 @@ def ranked():
     return rank(base())
 
 
+@cache
+def diagnosed():
+    return diagnose(base())
+
+
 def test_criteria_print_the_meaning_of_every_field():
     lines = str(fitting.Criteria()).splitlines()
     assert len(lines) == 1 + len(fields(Criteria)) <= 45
@@ -61,7 +66,7 @@ def test_evidence_threshold_decides_which_effect_is_added():
 
 @pytest.mark.slow
 def test_significance_decides_the_verdict():
-    assert diagnose(base()).verdict == "missing_effect"
+    assert diagnosed().verdict == "missing_effect"
     none = diagnose(base(), criteria=Criteria(significance=0.0))
     assert not any(c.significant for c in none.candidates)
     assert none.verdict != "missing_effect"
@@ -76,7 +81,7 @@ def test_equivalence_width_decides_membership_of_a_class():
 
 @pytest.mark.slow
 def test_failure_sigma_decides_what_is_reported():
-    assert diagnose(base()).failures
+    assert diagnosed().failures
     assert not diagnose(base(), criteria=Criteria(failure_sigma=1e6, harmonic_sigma=1e6)).failures
 
 

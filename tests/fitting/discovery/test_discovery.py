@@ -157,7 +157,7 @@ def test_the_named_class_contains_the_true_effect_under_process_noise():
 
 @pytest.mark.slow
 def test_every_candidate_has_a_score_and_a_probability():
-    found = diagnose(base("casing.air.quadratic"))
+    found = diagnosed("casing.air.quadratic")
     assert {c.effect.name for c in found.candidates} == {
         n for n, e in LIBRARY.items() if e.searched and not (e.nuisance or e.restoring)
     } - {*REDUCED, "casing.friction.presliding"}  # which is dry friction while nothing reverses

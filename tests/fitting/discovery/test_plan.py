@@ -17,7 +17,7 @@ from fitting.discovery._information import Information, Run, rivals, schur, simu
 from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._plan import plan, read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record

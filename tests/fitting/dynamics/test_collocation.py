@@ -6,8 +6,8 @@ from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.linalg import expm
 
 from fitting._errors import SimulationError
+from fitting.dynamics._collocation import Mesh, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Sampler, rule
 from fitting.dynamics._model import Dynamics, Model
 
 TIMES = np.linspace(0, 200, 1501)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from reference import I_C, INERTIA, PAPER, integrate_through_rest
 
+from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import Dynamics, Model
 from fitting.dynamics._sensitivities import LinearMotion, angles, sensitivities
 

@@ -7,8 +7,8 @@ import pytest
 
 from fitting import Model, fit, make_record
 from fitting.discovery._select import applicable_effects
+from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
 from fitting.effects._effect import Effect, Parameter

@@ -62,7 +62,7 @@ def test_figures_of_merit_have_the_expected_size():
 
 
 def test_fitted_paths_agree_with_the_true_motion():
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
 
     motion, path = twobody.simulate(seed=0), fitted(seed=0).predictions[0].path
     times = np.linspace(1, 199, 500)

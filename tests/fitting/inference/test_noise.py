@@ -109,7 +109,7 @@ def test_response_to_a_torque_in_all_cells_is_that_of_a_constant_torque(response
     data, path = response.data, result.predictions[0].path
     est = {k.rpartition(".")[2]: e.value for k, e in result.estimates.items() if "@" not in k}
     knots = np.linspace(*data.record.span, 4001)
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
 
     wr, wc = Sampler(path.mesh, knots).value(path.y)[:, :2].T
     stiff = est["d"] + est["f"] * est["g"] * (wr - wc) ** (est["g"] - 1)

@@ -11,8 +11,8 @@ from fitting.discovery._plan import plan
 from fitting.discovery._remainder import Torques
 from fitting.discovery._select import improve
 from fitting.discovery._verdict import diagnose
+from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._mesh import Mesh, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve

@@ -105,7 +105,7 @@ def test_one_chart_is_drawn_into_given_axes(story):
 
 
 def test_modelled_speed_agrees_with_the_true_speed_within_its_uncertainty(story):
-    from fitting.dynamics._mesh import Sampler
+    from fitting.dynamics._collocation import Sampler
 
     *_, ladder, path = story
     found = ladder[-1].fit

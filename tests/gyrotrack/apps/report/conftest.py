@@ -11,7 +11,7 @@ import pytest
 
 from fitting.discovery._select import Step, improve
 from fitting.discovery._verdict import Diagnosis, diagnose
-from fitting.dynamics._mesh import Path
+from fitting.dynamics._collocation import Path
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData

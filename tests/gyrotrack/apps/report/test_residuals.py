@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fitting.dynamics._mesh import Sampler
+from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
