@@ -20,6 +20,7 @@ from gyrotrack.tracking._hub import (
     LEAST_SIGMA,
     CentrePath,
     Radii,
+    fast_motion,
     marked_paths,
     refine_centre,
     wandering_centre,
@@ -408,10 +409,11 @@ def _join_even(
     seen: FilmObservations, scene: Scene, profile: Profile, fps: float, time_base: TimeBase | None = None
 ) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
-    centre, flattening = correct_view(
-        _centre(seen, views, scene, profile), views, profile, marked=seen.disc is not None
-    )
+    path = _centre(seen, views, scene, profile)
+    centre, flattening = correct_view(path, views, profile, marked=seen.disc is not None)
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
+    if seen.disc is not None and (text := fast_motion(path, seen.disc)) is not None:
+        warnings.append(text)
     doubts = _unalias(bodies, profile.sense)
     sense = find_rotation_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():
