@@ -490,13 +490,8 @@ def _refined(found: Fit, criteria: Criteria) -> Fit:
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with the shape constant of the newest law free, if its BIC is lower than with another effect.
-
-    A law of an equivalence class is not determined: its shape is freed only where the fit fails.
-    """
+    """Return the fit with the shape constant of the newest law free, if its BIC is lower than with another effect."""
     if chosen.effect not in found.model.effects:
-        return None
-    if chosen.indistinguishable_from and not found.fails(criteria):
         return None
     general = with_free_shape(found, chosen.effect, criteria)
     rival = best(following, criteria) if general is not None else None

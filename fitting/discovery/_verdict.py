@@ -39,6 +39,7 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._named_effect import (
     FormTest,
+    InertiaRival,
     inertia_within_uncertainty,
     reselected,
     with_free_inertia,
@@ -266,33 +267,92 @@ def diagnose(
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     separate = separate_values(fit, ranked, extra, criteria)
     if separate is not None:
-        failures = find_failures(fit, curves.result(), harmonics.result(), criteria)
+        torques, ripples = curves.result(), harmonics.result()
+        failures = find_failures(fit, torques, ripples, criteria)
         where = f": {failures[0]}" if failures else ""
         return Diagnosis(
-            fit,
-            "unexplained",
-            f"Significant lack of fit{where}. {separate.parameter.sentence}",
-            tuple(failures),
-            tuple(ranked),
-            None,
-            None,
-            None,
-            tuple(nuisance_parameters(separate.fit)),
-            "",
-            tuple(curves.result()),
-            tuple(harmonics.result()),
-            tuple(whiteness(fit)),
+            fit=fit,
+            verdict="unexplained",
+            sentence=f"Significant lack of fit{where}. {separate.parameter.sentence}",
+            failures=tuple(failures),
+            candidates=tuple(ranked),
+            form=None,
+            explained=None,
+            remainder=None,
+            nuisance=tuple(nuisance_parameters(separate.fit)),
+            next_experiment="",
+            torques=tuple(torques),
+            ripples=tuple(ripples),
+            whiteness=tuple(whiteness(fit)),
             differs=separate.parameter,
         )
     selection = select(fit, ranked, extra, criteria, workers, history)
-    chosen_as_given = selection.chosen
+    as_given = selection.chosen
     rival = with_free_inertia(fit, selection, tuple(extra), criteria)
     selection = selection if rival is None else reselected(selection, rival)
     misfit = selection.final.fails(criteria)
-    doubt = contradiction(selection.chosen, selection.final, criteria) if not misfit else None
-    if misfit and any(d.spectral_lines for d in fit.problem.data):
-        # a sinusoidal torque in time counts neither as noise nor as an effect of the library
-        doubt = significant_peak(selection.final, criteria)
+    doubt = _contradiction(fit, selection, criteria, misfit=misfit)
+    size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
+    if size.form is None and isinstance(doubt, PeriodogramPeak):
+        # an effect that does not explain the sinusoid is no part of the answer
+        peak = significant_peak(fit, criteria)
+        selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
+    verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
+    complete = verdict == "missing_effect" and size.remainder is None
+    within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
+    if within_uncertainty:
+        verdict, size = "adequate", Grade(None, None, None)
+    if verdict == "missing_effect":
+        selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
+    nuisance = nuisance_parameters(selection.final)
+    torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
+    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
+    failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" else []
+    # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
+    told = () if any(d.oscillation is not None for d in fit.problem.data) else nuisance
+    sentence = _sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)
+    return Diagnosis(
+        fit=fit,
+        verdict=verdict,
+        sentence=(within_uncertainty or sentence) + (f" {rival.sentence}" if rival is not None else ""),
+        failures=tuple(failures),
+        candidates=tuple(selection.candidates),
+        form=size.form,
+        explained=size.explained,
+        remainder=size.remainder,
+        nuisance=tuple(nuisance),
+        next_experiment=separating_run(
+            fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
+        ),
+        torques=tuple(torques),
+        ripples=tuple(ripples),
+        whiteness=tuple(whiteness(fit)),
+        upper_limits=hidden,
+        form_limit=size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
+    )
+
+
+def _contradiction(
+    fit: Fit, selection: Selection, criteria: Criteria, *, misfit: bool
+) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
+    """Return the test that contradicts the final fit, which has no significant lack of fit (`misfit`) otherwise."""
+    if not misfit:
+        return contradiction(selection.chosen, selection.final, criteria)
+    # a sinusoidal torque in time counts neither as noise nor as an effect of the library
+    any_lines = any(d.spectral_lines for d in fit.problem.data)
+    return significant_peak(selection.final, criteria) if any_lines else None
+
+
+def _graded(
+    fit: Fit,
+    selection: Selection,
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
+    rival: InertiaRival | None,
+    criteria: Criteria,
+    *,
+    misfit: bool,
+) -> Grade:
+    """Return the grade of the chosen effect, with what moments of inertia and random torque leave of its form."""
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
         # an error of inertia within its uncertainty is no remainder
@@ -305,60 +365,25 @@ def diagnose(
     if size.form == "exact" and selection.final.has_excess_noise(criteria):
         # the law may describe the data by that noise
         size = replace(size, form=None, noisy=True)
-    if size.form is None and isinstance(doubt, PeriodogramPeak):
-        # an effect that does not explain the sinusoid is no part of the answer
-        peak = significant_peak(fit, criteria)
-        selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
-    verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
-    complete = verdict == "missing_effect" and size.remainder is None
-    within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
-    if within_uncertainty:
-        verdict, size = "adequate", Grade(None, None, None)
-    if verdict == "missing_effect":
-        # the score of an effect against unknown laws is that with the moments of inertia as given
-        same = (
-            chosen_as_given is not None
-            and selection.chosen is not None
-            and chosen_as_given.effect is selection.chosen.effect
-        )
-        chosen = chosen_as_given if same else selection.chosen
-        rivals = size.rivals
-        if size.form != "approximate" or not rivals:
-            rivals = (*rivals, *nonparametric_rivals(fit, chosen, size.test, criteria))
-        if rivals and size.form == "exact":
-            size = replace(size, form=None)
-        selection = _with_rivals(selection, rivals)
-    nuisance = nuisance_parameters(selection.final)
-    oscillates = any(d.oscillation is not None for d in fit.problem.data)
-    torques, ripples = curves.result(), harmonics.result()
-    if fit.lacks_restoring_torque:
-        torques = []
-    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
-    failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" else []
-    return Diagnosis(
-        fit,
-        verdict,
-        within_uncertainty
-        # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
-        or _sentence(
-            fit, verdict, selection, failures, doubt, size, () if oscillates else nuisance, criteria, hidden
-        )
-        + (f" {rival.sentence}" if rival is not None else ""),
-        tuple(failures),
-        tuple(selection.candidates),
-        size.form,
-        size.explained,
-        size.remainder,
-        tuple(nuisance),
-        separating_run(
-            fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
-        ),
-        tuple(torques),
-        tuple(ripples),
-        tuple(whiteness(fit)),
-        hidden,
-        size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
-    )
+    return size
+
+
+def _with_unknown_laws(
+    fit: Fit, selection: Selection, as_given: Candidate | None, size: Grade, criteria: Criteria
+) -> tuple[Selection, Grade]:
+    """Return selection and grade with the laws outside the library that describe the data as well as the chosen effect.
+
+    The score of an effect against them is that with the moments of inertia as given, in the candidate `as_given`.
+    """
+    chosen = selection.chosen
+    if as_given is not None and chosen is not None and as_given.effect is chosen.effect:
+        chosen = as_given
+    rivals = size.rivals
+    if size.form != "approximate" or not rivals:
+        rivals = (*rivals, *nonparametric_rivals(fit, chosen, size.test, criteria))
+    if rivals and size.form == "exact":
+        size = replace(size, form=None)
+    return _with_rivals(selection, rivals), size
 
 
 def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significant: bool) -> str:

@@ -47,7 +47,7 @@ from fitting.inference._process_noise import (
     estimate_process_noise,
     mean_acceleration,
 )
-from fitting.inference._record import WIDTH, Record, Samples, initial_speeds, speeds
+from fitting.inference._record import WIDTH, PiecewiseCubics, Record, Samples, initial_speeds, speeds
 from fitting.inference._spectral_lines import (
     SpectralLine,
     line_rows,
@@ -232,6 +232,11 @@ class CaseData:
         of fit.
         """
         return None if self.oscillation is not None and not self.is_angle else _turning_angle(self.record)
+
+    @cached_property
+    def angle_cubics(self) -> PiecewiseCubics:
+        """Smooths functions at the samples of the casing."""
+        return PiecewiseCubics(self.record.casing.time)
 
     @cached_property
     def largest_torque(self) -> float:

@@ -2,11 +2,7 @@
 
 A torque periodic in the angle would, with the measured angle as argument, be random by the noise of the angle. So its
 argument is the angle of the model, with the response to the torque itself, plus the smoothed deviation of the measured
-angle (of measured speeds: of their integral): cubics in the number of pieces of the smallest
-
-    BIC(pieces) = N log(residual sum of squares) + 4 pieces log(N)
-
-(G. Schwarz, Ann. Stat. 6, 461 (1978)): many pieces if the model has a large lack of fit, few if it has none.
+angle (of measured speeds: of their integral): many pieces if the model has a large lack of fit, few if it has none.
 """
 
 from __future__ import annotations
@@ -17,7 +13,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
@@ -33,9 +28,6 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
 _GAUSS = 3
-_PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
-_MIN_PIECE = 12
-_CUBIC = 4
 # iterations of the argument of a law that it changes itself; change of the angle at convergence, relative to the
 # uncertainty of a mean of all samples; that of a derivative, relative to its fast part; iterations remembered
 _PASSES, _NEGLIGIBLE, _CHANGE, _MEMORY = 20, 0.01, 1e-3, 6
@@ -69,6 +61,7 @@ def angle_dependent_rows(
     t = record.casing.time
     half = 0.5 * np.diff(t)
     inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
+    between = np.repeat(np.arange(len(half)), _GAUSS)
     sampler = Sampler(path.mesh, inner)
     known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
     known["delta"] = known["omega_r"] - known["omega_c"]
@@ -96,14 +89,14 @@ def angle_dependent_rows(
         deviation = deviation if error is None else deviation + error(t)
         of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
     # speeds and angles of the casing by the law of the present strengths, and for the first derivatives none
-    own, search, pieces = np.zeros((2, len(t))), _FixedPoint(), [0]
+    own, search, pieces, cubics = np.zeros((2, len(t))), _FixedPoint(), [0], data.angle_cubics
     for _ in range(_PASSES):
         if measured is not None:
             if len(pieces) < 2 or pieces[-1] != pieces[-2]:
-                pieces.append(pieces_needed(t, of_values - own[observed]))
+                pieces.append(cubics.needed(of_values - own[observed]))
                 search = _FixedPoint()
-            smooth = np.interp(inner, t, smoothed(t, deviation - own[1], pieces[-1]))
-            known["psi_c"] = psi + hermite(t, own[1], own[0], inner) + smooth
+            smooth = np.interp(inner, t, cubics.smooth(deviation - own[1], pieces[-1]))
+            known["psi_c"] = psi + hermite(t, own[1], own[0], inner, interval=between) + smooth
         unit = torques(tape)
         speed, angle = driven(unit)
         found = np.stack([speed[1] @ strength, angle[1] @ strength])
@@ -118,8 +111,9 @@ def angle_dependent_rows(
         for j in range(2):
             response, search = np.stack([speed[1][:, j], angle[1][:, j]]), _FixedPoint()
             for _ in range(_PASSES):
-                smooth = smoothed(t, response[1], pieces[-1])
-                fast = hermite(t, response[1], response[0], inner) - np.interp(inner, t, smooth)
+                smooth = cubics.smooth(response[1], pieces[-1])
+                fast = hermite(t, response[1], response[0], inner, interval=between)
+                fast -= np.interp(inner, t, smooth)
                 w, a = driven(unit[:, j] + stiffness * fast)
                 found = np.stack([w[1][:, 0], a[1][:, 0]])
                 if np.abs(found[1] - response[1]).max() < _CHANGE * np.std(response[1] - smooth):
@@ -153,28 +147,6 @@ def _unit_error(samples: Samples) -> float:
 def _observed(data: CaseData, speed: Array, angle: Array) -> Array:
     """Return the rows of speeds and angles of both bodies at the samples of the casing."""
     return data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
-
-
-def pieces_needed(time: Array, values: Array) -> int:
-    """Return the number of pieces of the smoothed curve with the smallest BIC."""
-    n = len(time)
-    counts = sorted({max(1, min(c, n // _MIN_PIECE)) for c in _PIECES})
-    squares = [float(np.sum((values - smoothed(time, values, c)) ** 2)) for c in counts]
-    bic = [n * np.log(x + 1e-300) + _CUBIC * c * np.log(n) for x, c in zip(squares, counts, strict=True)]
-    return counts[int(np.argmin(bic))]
-
-
-def smoothed(time: Array, values: Array, pieces: int) -> Array:
-    """Return a curve smoothed by a cubic in each of some pieces with equal numbers of samples."""
-    ends = np.array([len(part) for part in np.array_split(np.empty(len(time)), pieces)]).cumsum()
-    first, last = np.concatenate([[0], ends[:-1]]), ends - 1
-    piece = np.repeat(np.arange(pieces), ends - first)
-    middle, half = 0.5 * (time[first] + time[last]), np.maximum(0.5 * (time[last] - time[first]), 1e-9)
-    powers = legvander((time - middle[piece]) / half[piece], _CUBIC - 1)
-    gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
-    products = np.add.reduceat(powers * values[:, None], first)
-    cubic = (np.linalg.pinv(gram, hermitian=True) @ products[..., None])[..., 0]
-    return np.asarray(np.sum(powers * cubic[piece], axis=1))
 
 
 def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[dict[str, float]], Array]:

@@ -17,6 +17,7 @@ from itertools import compress
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
@@ -24,10 +25,13 @@ from fitting._numbers import PER_INERTIA, TORQUE
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
 
 # samples of a block of the compression: 12 for the model, and as many for the noise
 _FEWEST_OF_BODY = 24
+# numbers of pieces of a smoothed curve; least samples and number of coefficients of a piece
+_PIECES, _MIN_PIECE, _CUBIC = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1), 12, 4
 # samples of a rotor window: a speed follows from several angles, or from one measured speed
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 
@@ -329,9 +333,19 @@ def _rotor_curve(windows: Array, times: Array) -> Array:
     return np.asarray(sense * np.maximum(sense * curve, 0.05 * np.abs(speed).min()))
 
 
-def hermite(t: Array, value: Array, slope: Array, times: Array, *, slopes: bool = False) -> Array:
-    """Return the cubics through values and slopes (n, ...), or their slopes, at times within."""
-    i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+def hermite(
+    t: Array,
+    value: Array,
+    slope: Array,
+    times: Array,
+    *,
+    slopes: bool = False,
+    interval: Indices | None = None,
+) -> Array:
+    """Return the cubics through values and slopes (n, ...), or their slopes, at times within; known `interval`s."""
+    if interval is None:
+        interval = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    i = interval
     shape = (-1, *[1] * (value.ndim - 1))
     h = (t[i + 1] - t[i]).reshape(shape)
     u = (times - t[i]).reshape(shape) / h
@@ -342,3 +356,46 @@ def hermite(t: Array, value: Array, slope: Array, times: Array, *, slopes: bool 
             (rise + (1 - 2 * u) * (first * (1 - u) + last * u) + u * (1 - u) * (last - first)) / h
         )
     return np.asarray(value[i] + u * rise + u * (1 - u) * (first * (1 - u) + last * u))
+
+
+class PiecewiseCubics:
+    """Least-squares cubics in pieces of equal numbers of samples at some times."""
+
+    def __init__(self, time: Array) -> None:
+        self._time = time
+        self._known: dict[int, tuple[Array, Indices, Indices]] = {}
+
+    def needed(self, values: Array) -> int:
+        """Return the number of pieces with the smallest BIC = N log(residual sum of squares) + 4 pieces log(N).
+
+        G. Schwarz, Ann. Stat. 6, 461 (1978).
+        """
+        n = len(self._time)
+        counts = sorted({max(1, min(c, n // _MIN_PIECE)) for c in _PIECES})
+        squares = [float(np.sum((values - self.smooth(values, c)) ** 2)) for c in counts]
+        bic = [n * np.log(x + 1e-300) + _CUBIC * c * np.log(n) for x, c in zip(squares, counts, strict=True)]
+        return counts[int(np.argmin(bic))]
+
+    def smooth(self, values: Array, pieces: int) -> Array:
+        """Return values (n,) smoothed in some number of pieces."""
+        if pieces not in self._known:
+            self._known[pieces] = self._basis(pieces)
+        basis, first, length = self._known[pieces]
+        cubic = np.add.reduceat(basis * values, first, axis=1)
+        return np.asarray((basis * np.repeat(cubic, length, axis=1)).sum(axis=0))
+
+    def _basis(self, pieces: int) -> tuple[Array, Indices, Indices]:
+        """Return orthonormal cubics (4, n) of the pieces, the first sample of each, and its number of samples."""
+        n = len(self._time)
+        length: Indices = n // pieces + (np.arange(pieces) < n % pieces)
+        first: Indices = np.cumsum(length) - length
+        last, piece = first + length - 1, np.repeat(np.arange(pieces), length)
+        middle = 0.5 * (self._time[first] + self._time[last])
+        half = np.maximum(0.5 * (self._time[last] - self._time[first]), 1e-9)
+        powers = legvander((self._time - middle[piece]) / half[piece], _CUBIC - 1)
+        gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
+        size, vectors = np.linalg.eigh(gram)
+        # fewer than four samples leave directions without a size
+        inverse = np.where(size > 1e-12 * size[:, -1:], 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
+        basis = (powers[:, None, :] @ (vectors * inverse[:, None, :])[piece])[:, 0]
+        return np.ascontiguousarray(basis.T), first, length

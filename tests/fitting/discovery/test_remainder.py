@@ -26,6 +26,7 @@ from fitting.study._serialisation import diagnosis_document, restored_diagnosis,
 TORQUE = 2e-6
 HIDDEN = {
     "exponent": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.9),
+    "exponent between": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.6),
     "exact": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 2),
     "ramp": twobody.Hidden(
         casing=lambda t, wr, wc, pr, pc: -3e-6 * (0.5 + 0.5 * math.tanh((t - 88.0) / 1.5))
@@ -75,6 +76,18 @@ def test_a_similar_exponent_is_reported_with_its_uncertainty():
     assert found.remainder.p_value < 1e-4
     assert "close to" in found.sentence
     assert "exponent 1." in found.sentence
+
+
+@pytest.mark.slow
+def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
+    """More random torque describes the deviation from either law; the exponent describes it better."""
+    found = answer("exponent between")
+    names = [found.candidates[0].effect.name, *found.candidates[0].indistinguishable_from]
+    assert "casing.air.laminar" in names
+    assert (found.verdict, found.form) == ("missing_effect", "approximate")
+    value, u = map(float, re.search(r"exponent (\S+) \+- ([\d.]+)\.", found.sentence).groups())
+    assert abs(value - 1.6) < 3 * u
+    assert u < 0.03
 
 
 @pytest.mark.slow
