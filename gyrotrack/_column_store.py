@@ -79,21 +79,22 @@ def release_memory() -> None:
             ctypes.CDLL(None).malloc_trim(0)
 
 
-_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of <malloc.h>
-_LARGE_BLOCK = (
-    1 << 20
-)  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
+_LARGE_BLOCK = 1 << 20  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
+_KEPT = 1 << 24  # free memory at the end of the heap that is kept for the next arrays [bytes]
 
 
 def return_large_blocks() -> None:
-    """Let glibc return large blocks to the system as soon as they are freed.
+    """Let glibc return large blocks to the system as soon as they are freed, and keep small ones.
 
     By default glibc raises the size from which it does so to that of the largest freed block, up to 32 MB. Pictures and
     the buffers of trackers would then fragment its heap.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another libc than glibc
-            ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
+            libc = ctypes.CDLL(None)
+            libc.mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
+            libc.mallopt(_TRIM_THRESHOLD, _KEPT)
 
 
 _LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of pages
