@@ -80,7 +80,9 @@ def release_memory() -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
-_LARGE_BLOCK = 1 << 20  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
+_LARGE_BLOCK = (
+    1 << 20
+)  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
 _KEPT = 1 << 24  # free memory at the end of the heap that is kept for the next arrays [bytes]
 
 

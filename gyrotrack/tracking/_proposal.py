@@ -67,12 +67,13 @@ class MovingColour:
 
     def scores(self, hue: float) -> Images:
         """Return the score of a hue in each pixel of each sample, (n, height, width), 0 if another hue is nearer."""
-        score = hue_score(self.change[0], self.change[1], direction_of(hue))
         limit = min((0.5 * apart(hue, other) for other in self.hues if other != hue), default=SECTOR)
-        if limit < SECTOR:
-            along = np.cos(hue) * self.change[0] + np.sin(hue) * self.change[1]
-            across = np.cos(hue) * self.change[1] - np.sin(hue) * self.change[0]
-            score[np.abs(across) > np.tan(limit) * along] = 0.0
+        score: Images = np.empty_like(self.change[0])
+        for own, u, v in zip(score, *self.change, strict=True):  # one by one, to limit memory
+            own[...] = hue_score(u, v, direction_of(hue))
+            if limit < SECTOR:
+                along, across = np.cos(hue) * u + np.sin(hue) * v, np.cos(hue) * v - np.sin(hue) * u
+                own[np.abs(across) > np.tan(limit) * along] = 0.0
         return score
 
 
