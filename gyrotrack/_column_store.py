@@ -79,6 +79,23 @@ def release_memory() -> None:
             ctypes.CDLL(None).malloc_trim(0)
 
 
+_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of <malloc.h>
+_LARGE_BLOCK = (
+    1 << 20
+)  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
+
+
+def return_large_blocks() -> None:
+    """Let glibc return large blocks to the system as soon as they are freed.
+
+    By default glibc raises the size from which it does so to that of the largest freed block, up to 32 MB. Pictures and
+    the buffers of trackers would then fragment its heap.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another libc than glibc
+            ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
+
+
 _LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of pages
 
 

@@ -294,7 +294,9 @@ def reselected(selection: Selection, rival: InertiaRival) -> Selection:
         fit=rival.fit,
         estimates=own,
         significant=True,
-        indistinguishable_from=(chosen.effect.name, *chosen.indistinguishable_from),
+        indistinguishable_from=tuple(
+            n for n in (chosen.effect.name, *chosen.indistinguishable_from) if n != rival.effect
+        ),
     )
     others = [c for c in selection.candidates if c is not old]
     return selection._replace(candidates=[first, *others], chosen=first, named=rival.fit, final=rival.fit)

@@ -93,7 +93,8 @@ class Diagnosis:
         `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
         nothing significant remains but the data cannot test the form.
     explained : float or None
-        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one.
+        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one. Where its
+        fitted shape constant is all that remains, and the base absorbs most of the law, of the torque of the law.
     remainder : Remainder or None
         The remainder that is still significant with it.
     nuisance : tuple of Nuisance
@@ -532,8 +533,10 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if size.remainder is not None:
         parts.append(size.remainder.sentence)
     elif size.noisy:
+        most = max(selection.final.noise, key=lambda n: n.level - n.pure)
+        needed, shown = (format_torque(x, unit=selection.final.torque_unit) for x in (most.level, most.pure))
         parts.append(
-            "The form is not established: the fit needs more random torque than the recording shows."
+            f"The form is not established: the fit needs a random torque of {needed} rms, the recording shows {shown}."
         )
     elif size.form is None and size.test is not None:
         parts += _untested(size.test, criteria)

@@ -129,15 +129,20 @@ class Rings:
         return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
 
     @cached_property
+    def row_background(self) -> Strips:
+        """Median of each sample along each row, (2, n, rows, 1)."""
+        return np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
+
+    # not cached: two of them, beside those of rings without a marker, would be the largest arrays of a command
+    @property
     def foreground(self) -> Strips:
         """Difference of each sample from `background`."""
-        return np.asarray(self.strips - self.background[:, None], dtype=np.float32)
+        return np.subtract(self.strips, self.background[:, None], dtype=np.float32)
 
-    @cached_property
+    @property
     def ring_difference(self) -> Strips:
         """Difference of each sample from the median along each row, for markers that hardly move."""
-        ground = np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
-        return np.asarray(self.strips - ground, dtype=np.float32)
+        return np.subtract(self.strips, self.row_background, dtype=np.float32)
 
 
 def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:

@@ -20,12 +20,20 @@ from gyrotrack.tracking._hub import (
     LEAST_SIGMA,
     CentrePath,
     Radii,
+    fast_motion,
     marked_paths,
     refine_centre,
     wandering_centre,
 )
 from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
-from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening, fit_flattening, flattening_of_arc, mixture
+from gyrotrack.tracking._orbit import (
+    NO_FLATTENING,
+    Flattening,
+    fit_common_offset,
+    fit_flattening,
+    flattening_of_arc,
+    mixture,
+)
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
 from gyrotrack.video._time_base import FrameTimes
@@ -66,8 +74,21 @@ class BodyView:
         return away
 
     def flattening(self, centre: Floats) -> Flattening:
-        """Fit tilt and offsets to the orbits of the markers."""
-        return fit_flattening(self._orbits(centre))
+        """Fit tilt and offsets to the orbits of the markers; one offset if each of them covers only a part."""
+        orbits = self._orbits(centre)
+        found = fit_flattening(orbits)
+        return found if found.offset else fit_common_offset({name: orbits[name] for name in self.coloured})
+
+    def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
+        """Add the offsets of the markers that cover only an arc; expected is the mean of those of the others."""
+        absent = [name for name in self.observations if name not in flat.offset]
+        known = [name for name in self.coloured if name in flat.offset] or list(flat.offset)
+        if not absent:
+            return flat
+        size = float(np.hypot(HEIGHT * flat.tilt * self.radius, LUMA_SHIFT))
+        arcs = {name: self._trusted(name, centre) for name in absent}
+        arc = flattening_of_arc(flat, arcs, flat.shift(known), size, usual_error_by_place(self))
+        return replace(flat, offset=flat.offset | arc.offset, offset_covariance=arc.offset_covariance)
 
     def flattening_of_arc(
         self, centre: Floats, reference: Flattening, shift: Floats, size: float
@@ -185,7 +206,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     for name, own in flat.items():
         radius = views[name].radius
         if own.offset:
-            found[name] = replace(own, p=tilt.real, q=tilt.imag)
+            found[name] = views[name].with_arcs(replace(own, p=tilt.real, q=tilt.imag), centre.centre)
         elif name == "casing":
             expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, body_view, radius)
             found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
@@ -229,6 +250,7 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
 
 # standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre
 HEIGHT = 0.03
+LUMA_SHIFT = 0.5  # distance by which the luma of a marker may be displaced from the chroma [px]
 DEPTH = 0.5  # the same for the rotor's markers, which may be at any depth below
 
 
@@ -305,7 +327,7 @@ def separate_perspective(
     perspective = -more * offset
     size = _height_error(reference, body_view, views["casing"].radius)
     expected = np.stack([np.zeros(2), axis])
-    if own.offset_covariance:
+    if own.offset_covariance.keys() == own.offset.keys():
         tilted = replace(reference, p=own.p, q=own.q)
         arc = views["casing"].flattening_of_arc(centre.centre, tilted, expected + perspective, size)
         return arc.moved(-perspective)
@@ -408,10 +430,11 @@ def _join_even(
     seen: FilmObservations, scene: Scene, profile: Profile, fps: float, time_base: TimeBase | None = None
 ) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
-    centre, flattening = correct_view(
-        _centre(seen, views, scene, profile), views, profile, marked=seen.disc is not None
-    )
+    path = _centre(seen, views, scene, profile)
+    centre, flattening = correct_view(path, views, profile, marked=seen.disc is not None)
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
+    if seen.disc is not None and (text := fast_motion(path, seen.disc)) is not None:
+        warnings.append(text)
     doubts = _unalias(bodies, profile.sense)
     sense = find_rotation_sense({name: net_turn(body.angle) for name, body in bodies.items()}, profile.sense)
     for name, body in bodies.items():

@@ -165,14 +165,13 @@ def extract(
     if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
         what = f"Only {len(seen.pts_time)} frames of {video} can be decoded."
         raise VideoError(what, "Copy the film from the camera again.")
-    if shake is not None:
-        seen = _without_roll(seen, shake)
-    found = judge_repeats(seen, scene)
-    when, rate = without_repeats(trusted_times(seen, scene), found, rate, info)
+    still = seen if shake is None else _stabilised(seen, shake)
+    found = judge_repeats(still, scene)
+    when, rate = without_repeats(trusted_times(still, scene), found, rate, info)
     seen = left_out(seen, when)
-    joint = join_bodies(seen, scene, profile, rate.fps)
+    joint = join_bodies(seen if shake is None else _stabilised(seen, shake), scene, profile, rate.fps)
     if shake is not None:
-        joint = _with_roll_sigma(joint, shake.roll_sigma)
+        joint = _as_seen(joint, scene, shake)
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
     return _recording(info, sha256, rate, scene, seen, joint)
@@ -187,7 +186,7 @@ def _observe(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations, Shake | None]:
-    """Find and track the markers; also the camera's motion if it is significant and the background shows its roll."""
+    """Find and track the markers; also the camera's motion if the background shows it."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video)
         scene = acquire(samples, profile, str(video))
@@ -198,36 +197,46 @@ def _observe(
         del samples  # as large as the buffers of the tracker
         release_memory()
         seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
-        rolls = shake is not None and shake.roll.any() and len(shake.roll) == len(seen.pts_time)
-        return scene, seen, shake if rolls else None
+        whole = shake is not None and len(shake.roll) == len(seen.pts_time)
+        return scene, seen, shake if whole else None
 
 
-def _without_roll(seen: FilmObservations, shake: Shake) -> FilmObservations:
-    """Turn the markers back by the roll of the camera; their corners remain as seen.
+def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
+    """Return the disc and the markers as a camera at rest would see them; their corners are not used.
 
-    The displacement of the picture needs no correction: the hub is measured in every frame. The centre of the rings is
-    a few px from the hub, which changes an angle by this fraction of its radius times the roll.
+    A hub at rest is smoothed over many frames, which the motion of a camera from frame to frame does not permit.
     """
     # the roll is clockwise in the picture, angles are counter-clockwise
     bodies = {}
     for name, body in seen.bodies.items():
-        markers = {m: replace(own, angle=own.angle + shake.roll) for m, own in body.markers.items()}
+        markers = {
+            m: replace(own, angle=own.angle + shake.roll, centre=shake.still(own.centre))
+            for m, own in body.markers.items()
+        }
         bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers)
-    text = (
-        f"The camera moves by {shake.rms:.2g} px rms and rolls by {1e3 * shake.roll.std():.2g} mrad rms; "
-        f"{shake.features} features of the background are used to subtract the roll. "
-        f"Its uncertainty of {1e3 * shake.roll_sigma:.2g} mrad is included."
+    return replace(seen, bodies=bodies, disc=None if seen.disc is None else shake.still(seen.disc))
+
+
+def _as_seen(joint: TrackedBodies, scene: Scene, shake: Shake) -> TrackedBodies:
+    """Return the centre as the moving camera sees it, with the uncertainty of the camera's motion in all angles."""
+    centre = replace(
+        joint.centre,
+        centre=shake.seen(joint.centre.centre),
+        sigma=np.hypot(joint.centre.sigma, shake.shift_sigma),
     )
-    return replace(seen, bodies=bodies, warnings=(*seen.warnings, text))
-
-
-def _with_roll_sigma(joint: TrackedBodies, sigma: float) -> TrackedBodies:
-    """Add the uncertainty of the roll [rad] to that of the angles."""
-    bodies = {}
+    bodies, largest = {}, 0.0
     for name, body in joint.bodies.items():
-        markers = {m: replace(own, sigma=np.hypot(own.sigma, sigma)) for m, own in body.markers.items()}
-        bodies[name] = replace(body, markers=markers, sigma=np.hypot(body.sigma, sigma))
-    return replace(joint, bodies=bodies)
+        radius = float(np.mean([marker.radius for marker in scene.of(name)]))
+        own = float(np.hypot(shake.roll_sigma, shake.shift_sigma / radius))
+        largest = max(largest, own)
+        markers = {m: replace(one, sigma=np.hypot(one.sigma, own)) for m, one in body.markers.items()}
+        bodies[name] = replace(body, markers=markers, sigma=np.hypot(body.sigma, own))
+    rolls = f" and rolls by {1e3 * shake.roll.std():.2g} mrad rms" if shake.roll.any() else ""
+    text = (
+        f"The camera moves by {shake.rms:.2g} px rms{rolls}; {shake.features} features of the background are used to "
+        f"subtract this. Its uncertainty of {1e3 * largest:.2g} mrad is included."
+    )
+    return replace(joint, centre=centre, bodies=bodies, warnings=(text, *joint.warnings))
 
 
 def _recording(

@@ -66,6 +66,18 @@ class Shake:
         """Whether the motion of the camera is significant."""
         return self.rms > max(_LEAST, _CLEAR * self.shift_sigma)
 
+    def still(self, place: Floats) -> Floats:
+        """Return where points of each frame, (n, 2) [px], are in the reference frame."""
+        x, y = (place - self.centre - self.shift).T
+        cos, sin = np.cos(self.roll), np.sin(self.roll)
+        return np.stack([cos * x + sin * y, cos * y - sin * x], axis=1) + self.centre
+
+    def seen(self, place: Floats) -> Floats:
+        """Return where points of the reference frame, (n, 2) [px], are in each frame."""
+        x, y = (place - self.centre).T
+        cos, sin = np.cos(self.roll), np.sin(self.roll)
+        return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1) + self.centre + self.shift
+
     def stabilised(self, frame: Plane, index: int) -> Plane:
         """Return a frame resampled to the position of the camera in the reference frame."""
         cos, sin = np.cos(self.roll[index]), np.sin(self.roll[index])
@@ -213,7 +225,8 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     shift = np.stack([np.interp(at, at[known], shift[known, i]) for i in (0, 1)], axis=1)
     roll_sigma = float(np.median(rolls))
     if roll.std() < _CLEAR * roll_sigma:  # a tripod on a shaking table does not roll
-        roll, roll_sigma = np.zeros(len(roll)), 0.0
+        roll_sigma = float(np.sqrt(max(roll.var() - roll_sigma**2, 0.0)))
+        roll = np.zeros(len(roll))
     return Shake(
         shift, roll, (float(centre[0]), float(centre[1])), len(places), float(np.median(errors)), roll_sigma
     )

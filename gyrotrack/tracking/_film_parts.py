@@ -30,7 +30,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, release_pages
+from gyrotrack._column_store import new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.tracking import _film_tracker
@@ -191,7 +191,13 @@ Task = Callable[[Film, Part, int, Callable[[int], None]], T]
 
 
 def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
-    return task(film, part, 1, _count)
+    return _run(task, film, part, 1, _count)
+
+
+def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[int], None]) -> T:
+    found = task(film, part, threads, count)
+    release_memory()  # the tracker and the frames of the part
+    return found
 
 
 class PartWorkers:
@@ -274,7 +280,7 @@ class PartWorkers:
                 if not waiting:
                     break
                 index = waiting.pop()
-            yield index, task(film, self.parts[index], 1 if futures else threads, count)
+            yield index, _run(task, film, self.parts[index], 1 if futures else threads, count)
         while futures:
             ready = [i for i, f in list(futures.items()) if f.done()]
             for index in ready:
@@ -291,7 +297,7 @@ class PartWorkers:
         try:
             return future.result()
         except BrokenProcessPool:  # a worker was killed, for example for lack of memory
-            return task(film, self.parts[index], 1, count)
+            return _run(task, film, self.parts[index], 1, count)
 
 
 def frames_done(journal: CheckpointFile) -> int:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +45,13 @@ class DiscWindow:
         side = 2 * self.half + 1
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
         self._corner = (0, 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pixels": self._pixels.shape}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pixels = np.zeros(state["_pixels"], dtype=np.uint8)
 
     def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
         """Move the window to a centre (luma px), inside the picture."""
@@ -76,7 +84,8 @@ Complexes = npt.NDArray[np.complex128]
 HOLE = 8  # correlation length of the errors of a compressed film [frames]
 _HALVES = (24, 48, 96, 192)
 # half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`
-_SHORT_HALVES = (2, 6, 12)
+_SHORT_HALVES = (2, 6, 12, 0)
+_ALTERNATIVES = 48  # frames from which the radii of the markers select one of these paths
 _PARTIAL_STEP = 6.0  # displacement of a partly covered disc over the typical one from frame to frame
 _LINE_POWER = 7.0
 _PIECES = 64
@@ -116,13 +125,45 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     """
     z, known = _without_gaps(measured)
     paths = [smooth_path(measured)]
-    for half in _SHORT_HALVES if known.sum() > 3 * _HALVES[0] else ():
+    for half in _SHORT_HALVES if known.sum() >= _ALTERNATIVES else ():
         weight: Floats = known.astype(np.float64)
+        if half == 0:  # the camera shakes from frame to frame
+            paths.append(_bridged(z, known, EXPECTED_ERROR, 0))
+            continue
         path = _fitted(z, weight, half)
         # a parabola over a short window absorbs a part of the noise, the inverse of the number of points in it
         sigma = _path_sigma((z - path)[known], half) / float(np.sqrt(1.0 - 1.0 / (1.1 * half)))
         paths.append(_bridged(path, known, sigma, half))
     return paths
+
+
+_SHAKES = 5.0  # motion of a hub from frame to frame that is told, in units of `EXPECTED_ERROR`
+
+
+def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
+    """Return a warning if the measured disc (n, 2) [px] moves fast and no background shows how the camera moves."""
+    limit, known = _SHAKES * EXPECTED_ERROR, np.isfinite(measured).all(axis=1) & np.isfinite(centre.sigma)
+    if known.sum() < 2:
+        return None
+    steps = _robust_rms(np.diff(centre.centre[known], axis=0))
+    if centre.reach in _SHORT_HALVES and steps > limit:
+        return (
+            f"The disc of the hub moves by {steps:.2g} px rms from frame to frame, as if the camera shakes; it is "
+            f"followed with an uncertainty of {np.median(centre.sigma[known]):.2g} px, which those of the angles "
+            "contain."
+        )
+    rest = _robust_rms((measured - centre.centre)[known])
+    if rest > limit:
+        return (
+            f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, as if the camera shakes, and no "
+            "background shows its motion; the uncertainties of the angles contain this."
+        )
+    return None
+
+
+def _robust_rms(steps: Floats) -> float:
+    """Return the rms length of normally distributed vectors (n, 2) from the median of their squares."""
+    return float(np.sqrt(np.median(np.sum(steps**2, axis=1)) / np.log(2.0)))
 
 
 def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: int) -> CentrePath:

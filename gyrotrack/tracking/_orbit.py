@@ -224,6 +224,24 @@ def fit_flattening(positions: dict[str, Floats]) -> Flattening:
     return found
 
 
+def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
+    """Fit one offset and the flattening to markers of one body that cover the orbit together, each only a part.
+
+    As `fit_flattening`, with a radius for each marker; they are in one plane, so that e is common to them.
+    """
+    use = {name: v for name, v in positions.items() if len(v)}
+    together = np.concatenate(list(use.values())) if use else np.zeros((0, 2))
+    if len(together) < LEAST_OBSERVATIONS or _cover(together) <= LEAST_COVER:
+        return NO_FLATTENING
+    found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
+    few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
+    for _ in range(_ROUNDS):
+        solution = _robust([_model(found.level(name, v)) for name, v in few.items()], common=True)
+        moved = found.moved(solution[len(few) : len(few) + 2])
+        found = replace(moved, p=found.p + float(solution[-2]), q=found.q + float(solution[-1]))
+    return found
+
+
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float, usual: float
 ) -> Flattening:
@@ -314,10 +332,17 @@ def _model(v: Floats) -> tuple[Floats, Floats]:
     return np.stack([np.ones_like(c), c, s, typical * (c * c - s * s), 2.0 * typical * c * s]), rho - typical
 
 
-def _robust(models: list[tuple[Floats, Floats]]) -> Floats:
-    """Fit radius and offset of each marker and their common flattening (last two unknowns), without outliers."""
-    size = 3 * len(models) + 2
-    places = [np.array([3 * k, 3 * k + 1, 3 * k + 2, size - 2, size - 1]) for k in range(len(models))]
+def _robust(models: list[tuple[Floats, Floats]], *, common: bool = False) -> Floats:
+    """Fit radius and offset of each marker and their common flattening (last two unknowns), without outliers.
+
+    With a `common` offset the unknowns are the radii, the offset and the flattening.
+    """
+    if common:
+        size = len(models) + 4
+        places = [np.array([k, size - 4, size - 3, size - 2, size - 1]) for k in range(len(models))]
+    else:
+        size = 3 * len(models) + 2
+        places = [np.array([3 * k, 3 * k + 1, 3 * k + 2, size - 2, size - 1]) for k in range(len(models))]
     keep = [np.ones(len(value), dtype=np.bool_) for _, value in models]
     for _ in range(3):
         normal, right = np.zeros((size, size)), np.zeros(size)

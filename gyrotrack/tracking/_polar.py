@@ -105,6 +105,13 @@ class Score:
         self.weights = weights
         self.buffer = np.zeros(shape, dtype=np.float32)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "buffer": self.buffer.shape}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.buffer = np.zeros(state["buffer"], dtype=np.float32)
+
     def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
         """Return the planes that are used, one list for each weight."""
         if self.white:

@@ -17,10 +17,12 @@ from fitting.discovery._verdict import _verdict, _with_both, diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape
 from fitting.effects._library import LIBRARY, REDUCED
+from fitting.effects._user import resolve as effect
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 from fitting.inference._result import Estimate
+from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6
@@ -88,6 +90,28 @@ def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
     value, u = map(float, re.search(r"exponent (\S+) \+- ([\d.]+)\.", found.sentence).groups())
     assert abs(value - 1.6) < 3 * u
     assert u < 0.03
+
+
+@pytest.mark.slow
+def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_no_unexplained_torque():
+    """What the base leaves of omega_r^2.1 differs by more than a half from what it leaves of the square."""
+    law = effect("casing: k*abs(omega_r)**2.1")
+    experiment = Experiment(duration=100.0, windows=(8.0, 50.0, 90.0))
+    record = simulate(
+        Model.of(REDUCED).with_effect(law),
+        twobody.truth() | {f"{law.name}.k": 2 * TORQUE / 900**2.1},
+        experiment,
+        inertia_rotor=twobody.I_ROTOR,
+        inertia_casing=twobody.I_CASING,
+        seed=3,
+    )
+    found = diagnose(fit(Model.of(REDUCED), [record]))
+    names = [found.candidates[0].effect.name, *found.candidates[0].indistinguishable_from]
+    assert "casing.windage" in names
+    assert (found.verdict, found.form) == ("missing_effect", "approximate")
+    value, u = map(float, re.search(r"exponent (\S+) \+- ([\d.]+)\.", found.sentence).groups())
+    assert abs(value - 2.1) < 3 * u
+    assert "of the mean square torque of" in found.sentence
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
+import re
+
 import numpy as np
 import pytest
 
 from gyrotrack.tracking._body_angles import followed_path, view
-from gyrotrack.tracking._hub import marked_paths, smooth_path
+from gyrotrack.tracking._hub import fast_motion, marked_paths, smooth_path
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._scene import Marker
 
@@ -102,6 +104,26 @@ def test_the_path_of_a_hand_held_camera_is_followed():
     assert _error(smooth.centre, truth) > 0.25
     assert _error(path.centre, truth) < 0.08
     assert np.median(path.sigma) == pytest.approx(_error(path.centre, truth), rel=0.5)
+
+
+def test_a_camera_that_shakes_from_frame_to_frame_is_followed_and_told():
+    rng = np.random.default_rng(9)
+    truth = _slow(60) + rng.normal(0, 1.5, (60, 2))
+    measured = truth + rng.normal(0, 0.1, truth.shape)
+    smooth, *_ = paths = marked_paths(measured)
+    path = followed_path(paths, _views(truth))
+    assert _error(smooth.centre, truth) > 1.0
+    assert _error(path.centre, truth) < 0.2
+    assert np.median(path.sigma) == pytest.approx(_error(path.centre, truth), rel=0.5)
+    # two normal deviates of 1.5 px in each of two axes
+    told = re.search(r"moves by (\S+) px rms from frame to frame", fast_motion(path, measured) or "")
+    assert told is not None
+    assert float(told[1]) == pytest.approx(3.0, rel=0.25)
+    # without markers to select the path, the distance from the smooth one is told
+    told = re.search(r"(\S+) px rms away from its smoothed path", fast_motion(smooth, measured) or "")
+    assert told is not None
+    assert float(told[1]) == pytest.approx(1.5 * np.sqrt(2), rel=0.25)
+    assert fast_motion(marked_paths(_slow(60))[0], _slow(60)) is None
 
 
 def test_errors_of_an_encoder_are_not_followed():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._film import Film, camera_shake
+from gyrotrack.tracking._film import Film, Shake, camera_shake
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 SIZE = 240, 320
@@ -68,6 +68,19 @@ def test_displacement_and_roll_are_those_of_the_camera():
     first = frames[0].astype(float)[20:60, 20:-20]
     before = frames[7].astype(float)[20:60, 20:-20]
     assert np.abs(still - first).mean() < 0.5 * np.abs(before - first).mean()
+
+
+def test_points_are_where_the_picture_moves_them():
+    rng = np.random.default_rng(2)
+    shift, roll = rng.normal(0, 2, (5, 2)), rng.normal(0, 0.02, 5)
+    shake = Shake(shift, roll, (159.5, 119.5), 10, 0.0, 0.0)
+    place = np.tile([200.0, 80.0], (5, 1))
+    spot = np.zeros(SIZE, np.float32)
+    cv2.circle(spot, (200, 80), 6, 1.0, -1)
+    for at, (dx, dy), turn in zip(shake.seen(place), shift, roll, strict=True):
+        sums = cv2.moments(moved(spot, dx, dy, turn))
+        assert at == pytest.approx(np.array([sums["m10"], sums["m01"]]) / sums["m00"], abs=0.02)
+    assert shake.still(shake.seen(place)) == pytest.approx(place, abs=1e-9)
 
 
 def test_a_camera_on_a_tripod_is_left_alone():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._orbit import NO_FLATTENING, fit_flattening, flattening_of_arc
+from gyrotrack.tracking._orbit import NO_FLATTENING, fit_common_offset, fit_flattening, flattening_of_arc
 
 
 def _seen(theta, rho, offset, tilt, azimuth):
@@ -31,6 +31,26 @@ def test_tilt_and_offsets_are_found_and_taken_off():
 def test_half_a_turn_is_not_enough():
     theta = np.linspace(0, 3.0, 500)
     assert fit_flattening({"red": _seen(theta, 90.0, np.zeros(2), 0.2, 0.3)}) == NO_FLATTENING
+
+
+def test_markers_that_each_cover_a_part_of_the_orbit_show_their_common_offset_together():
+    rng = np.random.default_rng(6)
+    starts, radii, truth = (
+        {"blue": 0.3, "green": 2.4, "white": 4.5},
+        (60.0, 62.0, 61.0),
+        np.array([5.0, -3.5]),
+    )
+    seen = {
+        name: _seen(start + rng.uniform(0, 4.5, 20), rho, truth, 0.1, 0.8) + rng.normal(0, 0.15, (20, 2))
+        for (name, start), rho in zip(starts.items(), radii, strict=True)
+    }
+    assert fit_flattening(seen) == NO_FLATTENING
+    found = fit_common_offset(seen)
+    for name in seen:
+        # 60 radii with errors of 0.15 px and seven unknowns
+        np.testing.assert_allclose(found.offset[name], truth, atol=0.15)
+    assert found.tilt == pytest.approx(0.1, abs=0.06)
+    assert fit_common_offset({"blue": seen["blue"]}) == NO_FLATTENING
 
 
 @pytest.mark.parametrize("cover", [1.0, 2.5, 4.5])
