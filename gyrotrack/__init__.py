@@ -59,39 +59,12 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BodyTrack",
-    "Case",
-    "ConfigurationError",
-    "DatasetError",
-    "FitRequest",
-    "GyrotrackError",
-    "MarkerTrack",
-    "OutputError",
-    "Profile",
-    "ProfileError",
-    "Proposal",
-    "Recording",
-    "Series",
-    "SimulatedRun",
-    "Study",
-    "SyncError",
-    "TrackingError",
-    "UsageError",
-    "VideoError",
-    "export_file",
-    "extract",
-    "import_body",
-    "import_case",
-    "open_study",
-    "propose",
-    "read",
-    "read_case",
-    "read_recording",
-    "sync",
-    "write_case",
-    "write_recording",
-    "write_report",
-]
+    "BodyTrack", "Case", "ConfigurationError", "DatasetError", "FitRequest", "GyrotrackError",
+    "MarkerTrack", "OutputError", "Profile", "ProfileError", "Proposal", "Recording", "Series",
+    "SimulatedRun", "Study", "SyncError", "TrackingError", "UsageError", "VideoError", "export_file",
+    "extract", "import_body", "import_case", "open_study", "propose", "read", "read_case", "read_recording",
+    "sync", "write_case", "write_recording", "write_report",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

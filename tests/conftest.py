@@ -12,6 +12,10 @@ from pathlib import Path
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"  # matrices are small, and pytest-xdist already uses the cores
 
+# glibc returns freed memory to the system after every fit, and the system has to clear it again: 5 % of the time
+for _name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"):
+    os.environ.setdefault(_name, str(2**28))  # of the processes that are started by this one
+
 # workers and programs under test would otherwise compile every module again, which takes longer than most tests
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

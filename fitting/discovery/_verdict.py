@@ -91,7 +91,7 @@ class Diagnosis:
         "exact": with the named effect, or class, no remainder is significant, and the data would show a deviation above
         an approximate answer may have. "approximate": something significant remains, but the effect explains at least
         `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
-        nothing significant remains but the data cannot test the form.
+        nothing significant remains but the data cannot test the form, or the verdict is another one.
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without one. Where its
         fitted shape constant is all that remains, and the base absorbs most of the law, of the torque of the law.
@@ -318,7 +318,7 @@ def diagnose(
         sentence=(within_uncertainty or sentence) + (f" {rival.sentence}" if rival is not None else ""),
         failures=tuple(failures),
         candidates=tuple(selection.candidates),
-        form=size.form,
+        form=size.form if verdict == "missing_effect" else None,
         explained=size.explained,
         remainder=size.remainder,
         nuisance=tuple(nuisance),
@@ -485,8 +485,10 @@ def _unexplained(
                 "Check the tracking and the noise of the angle; `gyrotrack laws` searches beyond the library.",
             ]
         share = f"{percentage(size.explained)} of the mean square unmodelled torque"
+        # its share alone would suffice if its strength were determined
+        but = ", but with an undetermined strength" if size.form is not None else ""
         return [
-            f"No effect of the library explains it; the closest, {chosen.effect.name}, explains {share}.",
+            f"No effect of the library explains it; the closest, {chosen.effect.name}, explains {share}{but}.",
             size.remainder.sentence,
             f"A second effect is missing, or a law that is not in the library: {chosen.effect.name} is a hypothesis.",
         ]

@@ -295,18 +295,34 @@ class Segments:
                 before = size
         raise SimulationError(UNBOUNDED)
 
-    def moving(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
-        """Return the path until the casing comes to rest, or to the end of the mesh."""
-        path = self._rough(start, mesh, sense, guess)
-        if not self.dynamics.dry:
-            return refine(self.dynamics, self.numbers, path)
-        stop = _first_crossing(path)
-        if stop is None:
-            path = refine(self.dynamics, self.numbers, path)
-            stop = _first_crossing(path)
+    def moving(
+        self,
+        start: Array,
+        mesh: Mesh,
+        span: tuple[float, float],
+        sense: float,
+        guess: Path | None,
+        horizon: float,
+    ) -> Path:
+        """Return the path from a time until the casing comes to rest, or to the end of the record (both in `span`).
+
+        The rest is sought within `horizon` [s] first: with dry friction of one sense, the rest of an oscillation would
+        be solved in vain for each of its reversals.
+        """
+        time, end = span
+        while True:
+            until = min(end, time + horizon)
+            part = mesh.between(time, until)
+            path = self._rough(start, part, sense, guess)
+            stop = _first_crossing(path) if self.dynamics.dry else None
             if stop is None:
+                path = refine(self.dynamics, self.numbers, path)
+                stop = _first_crossing(path) if self.dynamics.dry else None
+            if stop is not None:
+                path = self._until_rest(path, part, stop)
+            if until >= end or path.mesh.edges[-1] < until:
                 return path
-        return self._until_rest(path, mesh, stop)
+            horizon *= 4.0
 
     def _rough(self, start: Array, mesh: Mesh, sense: float, guess: Path | None) -> Path:
         if guess is not None:
@@ -515,7 +531,7 @@ def solve(
             piece = (
                 run.held(y, mesh.between(time, end), guess)
                 if sense == 0
-                else _until_event(run, y, mesh, (time, end), sense, guess, horizon)
+                else run.moving(y, mesh, (time, end), sense, guess, horizon)
             )
         pieces.append(piece)
         time = float(piece.mesh.edges[-1])
@@ -530,29 +546,6 @@ def solve(
         jumps.append(run.saltation(time, y, sense, following))
         sense = following
     raise SimulationError("the casing stops and starts too often to be followed")
-
-
-def _until_event(
-    run: Segments,
-    start: Array,
-    mesh: Mesh,
-    span: tuple[float, float],
-    sense: float,
-    guess: Path | None,
-    horizon: float,
-) -> Path:
-    """Return the path from a time to the next stop of the casing, or to the end of the record.
-
-    It is sought within `horizon` [s] first: with dry friction of one sense, the rest of an oscillation would be solved
-    in vain for each of its reversals.
-    """
-    time, end = span
-    while True:
-        until = min(end, time + horizon)
-        path = run.moving(start, mesh.between(time, until), sense, guess)
-        if until >= end or path.mesh.edges[-1] < until:
-            return path
-        horizon *= 4.0
 
 
 def _joined(pieces: list[Path], jumps: list[Array], breaks: tuple[float, ...]) -> Path:

@@ -198,36 +198,13 @@ def fit(
     steady: Iterable[str] = (),
     quick: bool = False,
 ) -> Fit:
-    """Fit a model to one case, or to several together.
+    """Fit a model to one case, or to several together (see `fitting.fit`).
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    cases : sequence of Record or CaseData, or Fit
-        Each experiment; with several, the touch point, the casing's drag and the initial speeds have a value for each,
-        all other parameters are shared. Of another fit its data, with its shared and per-case parameters.
-    share, per_case : iterable of str
-        Change which parameters are shared.
-    start : mapping, optional
-        Initial values; the others come from a regression.
-    noise : sequence of Noise, optional
-        The noise of an earlier fit of the same data, so that both are comparable.
-    ranges : mapping, optional
-        Bounds tighter than the declared ones.
-    steady : iterable of str
-        Parameters, by their names in the fit, that keep their initial values until all others have converged.
-    quick : bool
-        Stop where chi-square is within about 0.01 of its minimum: enough to rank candidates.
-
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    EstimationError
-        If there is nothing to fit, or labels repeat.
+    Of another fit in place of cases its data are fitted, with its shared and per-case parameters. `noise` is that of an
+    earlier fit of the same data, so that both are comparable; `ranges` are bounds tighter than the declared ones;
+    `steady` parameters, by their names in the fit, keep their initial values until all others have converged. `quick`:
+    stop where chi-square is within about 0.01 of its minimum, enough to rank candidates. EstimationError: there is
+    nothing to fit, or labels repeat.
     """
     if isinstance(cases, Fit):
         shared, own = ([k for k in keys if k in model.free] for keys in cases.problem.layout.choices)

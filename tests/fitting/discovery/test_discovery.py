@@ -139,9 +139,8 @@ def test_a_user_law_is_found_if_given_and_no_other_effect_otherwise():
 
 @pytest.mark.slow
 def test_false_alarms_are_as_rare_as_claimed():
-    """Five recordings of the model with a random torque and a centre offset: at most one false alarm."""
-    alarms = [diagnosed("", s, 1e-7, 2e-3).verdict != "adequate" for s in (3, *range(100, 104))]
-    assert sum(alarms) <= 1
+    """Three recordings of the model with a random torque and a centre offset: none; with one in two, 1 in 8 passed."""
+    assert all(diagnosed("", s, 1e-7, 2e-3).verdict == "adequate" for s in (3, 100, 101))
 
 
 @pytest.mark.slow

@@ -71,9 +71,9 @@ def test_fitted_paths_agree_with_the_true_motion():
         assert np.abs(found[:, body] - motion.at(times, body)[1]).max() < within
 
 
-# from four of them the way leads through casings that stop and turn back: seconds instead of tenths
+# from some of them the way leads through casings that stop and turn back: seconds instead of tenths
 @pytest.mark.parametrize(
-    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {0, 1, 7, 9, 11} else s for s in range(12)]
+    "seed", [pytest.param(s, marks=pytest.mark.slow) if s in {0, 1, 2, 7, 9, 11} else s for s in range(12)]
 )
 def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
     base = fitted(seed=1)

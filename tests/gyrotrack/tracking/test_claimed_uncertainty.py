@@ -57,7 +57,7 @@ def test_rotor_clips(tmp_path):
         camera = Camera(
             480, 360, 1000.0, exposure=0.6e-3, scale=4.9, tilt=0.04 * seed, tilt_azimuth=seed, noise=noise
         )
-        truth = _film(tmp_path / f"{seed}.mp4", seed, camera, 310.0 + 97 * seed, 55.0 + 18 * seed, 300)
+        truth = _film(tmp_path / f"{seed}.mp4", seed, camera, 310.0 + 97 * seed, 55.0 + 18 * seed, 200)
         recording = extract(tmp_path / f"{seed}.mp4")
         for body, found in z.items():
             deviation, error = _z(recording, truth, body)
