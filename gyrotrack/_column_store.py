@@ -83,7 +83,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHO
 _LARGE_BLOCK = (
     1 << 20
 )  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
-_KEPT = 1 << 24  # free memory at the end of the heap that is kept for the next arrays [bytes]
+_KEPT = 1 << 22  # free memory at the end of the heap that is kept for the next arrays [bytes]
 
 
 def return_large_blocks() -> None:
