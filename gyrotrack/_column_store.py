@@ -12,7 +12,7 @@ import mmap
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from tempfile import TemporaryFile
 from typing import Any, overload
 from weakref import WeakSet
@@ -80,23 +80,32 @@ def release_memory() -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
-_LARGE_BLOCK = (
-    1 << 20
-)  # size [bytes] from which a freed block is returned; temporary arrays of a batch are smaller
-_KEPT = 1 << 22  # free memory at the end of the heap that is kept for the next arrays [bytes]
+# size from which a freed block is returned, and free memory at the end of the heap that is kept [bytes]: larger than
+# temporary arrays of a batch of frames; the largest that glibc sets by itself
+_TRACKING, _AFTERWARDS = (1 << 20, 1 << 22), (1 << 25, 1 << 26)
 
 
-def return_large_blocks() -> None:
-    """Let glibc return large blocks to the system as soon as they are freed, and keep small ones.
+@contextmanager
+def large_blocks_returned() -> Iterator[None]:
+    """Let glibc return large blocks to the system as soon as they are freed while a film is tracked.
 
     By default glibc raises the size from which it does so to that of the largest freed block, up to 32 MB. Pictures and
-    the buffers of trackers would then fragment its heap.
+    the buffers of trackers would then fragment its heap. Afterwards that size is 32 MB: the system would otherwise have
+    to clear each large array of a fit, which takes half as long as the fit.
     """
+    _set_thresholds(*_TRACKING)
+    try:
+        yield
+    finally:
+        _set_thresholds(*_AFTERWARDS)
+
+
+def _set_thresholds(block: int, kept: int) -> None:
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another libc than glibc
             libc = ctypes.CDLL(None)
-            libc.mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
-            libc.mallopt(_TRIM_THRESHOLD, _KEPT)
+            libc.mallopt(_MMAP_THRESHOLD, block)
+            libc.mallopt(_TRIM_THRESHOLD, kept)
 
 
 _LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of pages

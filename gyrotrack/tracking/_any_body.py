@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import StoredPictures, new_columns, release_pages
+from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
@@ -88,6 +88,7 @@ class _Trial:
     separate: bool
 
 
+@large_blocks_returned()
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:

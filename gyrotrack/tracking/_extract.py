@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import in_file, new_columns, release_memory, row_blocks
+from gyrotrack._column_store import in_file, large_blocks_returned, new_columns, release_memory, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
 from gyrotrack._versions import __version__
@@ -130,6 +130,7 @@ BODIES = (None, "casing", "rotor", "both")
 LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
 
 
+@large_blocks_returned()
 def extract(
     video: Path,
     profile: Profile = PAPER,

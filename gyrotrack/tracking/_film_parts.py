@@ -30,7 +30,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, release_memory, release_pages
+from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.tracking import _film_tracker
@@ -191,7 +191,8 @@ Task = Callable[[Film, Part, int, Callable[[int], None]], T]
 
 
 def _run_in_worker(task: Task[T], film: Film, part: Part) -> T:
-    return _run(task, film, part, 1, _count)
+    with large_blocks_returned():
+        return _run(task, film, part, 1, _count)
 
 
 def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[int], None]) -> T:

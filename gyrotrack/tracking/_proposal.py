@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._column_store import large_blocks_returned
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._acquisition import (
     LEAST_CONTRAST,
@@ -447,6 +448,7 @@ class Proposal:
     samples: Samples
 
 
+@large_blocks_returned()
 def propose(
     video: Path, *, capture_fps: float | None = None, hub: tuple[float, float] | None = None
 ) -> Proposal:

@@ -22,7 +22,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import return_large_blocks
 from gyrotrack.video._container import (
     ClipInfo,
     Frame,
@@ -124,7 +123,6 @@ class Reader:
     """
 
     def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
-        return_large_blocks()
         self.info: ClipInfo = probe(path)
         self._part = part
         self.orientation = Orientation()
