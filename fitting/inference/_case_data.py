@@ -235,7 +235,7 @@ class CaseData:
 
     @cached_property
     def angle_cubics(self) -> PiecewiseCubics:
-        """Smooths functions at the samples of the casing."""
+        """Piecewise cubics that smooth functions of the time of the casing's samples."""
         return PiecewiseCubics(self.record.casing.time)
 
     @cached_property

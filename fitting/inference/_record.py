@@ -342,7 +342,10 @@ def hermite(
     slopes: bool = False,
     interval: Indices | None = None,
 ) -> Array:
-    """Return the cubics through values and slopes (n, ...), or their slopes, at times within; known `interval`s."""
+    """Return the cubics through values and slopes (n, ...), or their slopes, at times within.
+
+    `interval` are the indices of the intervals that contain the times, if they are known.
+    """
     if interval is None:
         interval = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
     i = interval
