@@ -144,6 +144,14 @@ def test_a_blank_disc_that_turns_is_refused():
         track_free_body(film(path, angle, marks=False))
 
 
+def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body():
+    """A glare on a record that turns under a lamp: its outline moves, and another orientation fits it suddenly."""
+    path, angle = sliding(turns=0.8)
+    angle[60:] += 2.0
+    with pytest.raises(TrackingError, match="No body that turns"):
+        track_free_body(film(path, angle))
+
+
 def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
