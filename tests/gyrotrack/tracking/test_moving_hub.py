@@ -191,6 +191,25 @@ def test_two_pendulums_are_never_one_body():
     assert min(off) < 3 * np.median(tracked.sigma) + 0.02 * angles.std()
 
 
+@pytest.mark.slow
+def test_a_camera_that_turns_about_a_point_outside_the_picture_is_no_body():
+    """The hub must be given for a body that fills the picture: the film does not differ from that of a camera."""
+    rng, hub = np.random.default_rng(5), np.array([-150.0, 60.0])
+    floor = cv2.GaussianBlur(rng.normal(0, 1, (700, 700)), (0, 0), 3)
+    angle = 0.25 * np.sin(2.2 * np.linspace(0, 1, 40))
+    frames = []
+    for c, s in zip(np.cos(angle), np.sin(angle), strict=True):
+        move = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        move[:, 2] = hub - move[:, :2] @ (hub + 250)
+        picture = 110 + 35 * cv2.warpAffine(floor / floor.std(), move, (160, 120), flags=cv2.INTER_CUBIC)
+        frames.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    shown = Rendered(frames)
+    with pytest.raises(TrackingError, match="the camera moves, or the body fills the picture"):
+        track_body(shown)
+    tracked = track_body(shown, tuple(hub))
+    assert np.std(error_of(tracked, angle)) < 2e-3
+
+
 @pytest.fixture(scope="module")
 def puck(tmp_path_factory):
     """A file with the film of a puck."""
