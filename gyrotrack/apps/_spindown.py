@@ -392,7 +392,7 @@ def _analysed(
     written = None
     try:
         study = open_study([target], None)
-        laws = oscillator_laws(study.data[0]) if motion.kind == "oscillation" else None
+        laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case
             base = fit(study.model(REDUCED), study.data)
@@ -463,6 +463,11 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
     if motion.kind != "oscillation":
         return
+    if motion.period is None:
+        raise FittingError(
+            "the body swings, but not in one damped oscillation: it is coupled to another body (beats), driven or "
+            "disturbed; --from and --to select a part in which it swings freely."
+        )
     if fit.problem.data[0].oscillation is None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:
