@@ -51,7 +51,10 @@ Progress = Callable[[int, int | None], None]
 # range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
 _LEAST_ANGLE = 0.1
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
-_FILMS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg")
+_FILMS = (
+    *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg", ".mpg", ".mpeg", ".wmv"),
+    *(".mts", ".m2ts", ".ogv", ".flv", ".gif"),
+)
 
 
 @dataclass(frozen=True)

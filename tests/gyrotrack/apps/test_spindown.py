@@ -218,6 +218,14 @@ def test_wrong_options(tmp_path, monkeypatch, extra, capsys):
     assert not Path("wheel.h5").exists()
 
 
+@pytest.mark.parametrize("name", ["film.mpg", "FILM.MTS", "film.gif"])
+def test_films_of_all_cameras_are_read_as_films(tmp_path, monkeypatch, name, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_bytes(b"no film")
+    assert app.run(["spindown", name]) == 1
+    assert "is not a film that can be read" in capsys.readouterr().err
+
+
 def correlated(rng, n, sigma, frames):
     """Return noise whose neighbours are correlated over a number of frames."""
     share = np.exp(-1 / frames)
