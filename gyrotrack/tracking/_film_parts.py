@@ -146,7 +146,8 @@ class _Advance:
 def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None]) -> PartRows:
     """Track one part of a film; `count` is called with the number of frames of each finished batch."""
     with single_threaded():
-        begun, rest = _Beginning(_new_tracker(film), np.zeros(0, dtype=np.int64)), part
+        new: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
+        begun, rest = _Beginning(new, np.zeros(0, dtype=np.int64)), part
         key = _second_start(film.packets, part)
         if part.first in film.learnt and key is not None:
             begun = _stored(film, part) or _begin(film, part, threads)
@@ -184,7 +185,8 @@ def _second_start(packets: Packets, part: Part) -> int | None:
 
 def _begin(film: Film, part: Part, threads: int) -> _Beginning:
     """Store the first frames of a part in a new tracker, which learns from them."""
-    work, stamps = _new_tracker(film), film.packets.stamps
+    work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
+    stamps = film.packets.stamps
     stop = _second_start(film.packets, part) or min(part.first + LEARNT, len(stamps) - 1)
     with Reader(film.path, threads, replace(part, stop=int(stamps[stop]))) as reader:
         for _ in _taken(work, film, reader):
@@ -203,12 +205,6 @@ def _stored(film: Film, part: Part) -> _Beginning | None:
         path.unlink()
         return begun
     return None
-
-
-def _new_tracker(film: Film) -> FilmTracker:
-    work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
-    work.repeats = RepeatDetector(film.packets)
-    return work
 
 
 def _taken(work: FilmTracker, film: Film, reader: Reader) -> Iterator[None]:
@@ -388,6 +384,7 @@ def track_film(
     if progress is not None and done:
         progress(done, total)
     with TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True) as folder:
+        work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         film = Film(path, packets, timing, tracker, Path(folder))
         if kept.todo and number > 1:
