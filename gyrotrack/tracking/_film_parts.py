@@ -48,7 +48,7 @@ from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
-from gyrotrack.video._container import Frame, Packets, probe, read_packets
+from gyrotrack.video._container import ClipInfo, Frame, Packets, probe, read_packets
 from gyrotrack.video._decoder import Part, Reader, RepeatDetector, film_warnings, pts_seconds
 from gyrotrack.video._time_base import Timing
 
@@ -95,7 +95,7 @@ def split(packets: Packets) -> tuple[Part, ...]:
 class Film:
     """Data with which a process tracks a part of a film."""
 
-    path: Path  # the film
+    info: ClipInfo  # the film
     packets: Packets  # its packets
     timing: Timing  # origin of its times
     tracker: bytes  # pickled tracker of the scene that has not tracked any frame
@@ -155,7 +155,7 @@ def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None
         work, batches = begun.tracker, []
         for own, common in zip(work.maps, film.maps, strict=False):
             own.replace(common)
-        with Reader(film.path, threads, rest) as reader:
+        with Reader(film.info.path, threads, rest, film.info) as reader:
             for _ in _taken(work, film, reader):
                 batches.append(work.measure_batch())
                 count(len(batches[-1]["again"]))
@@ -188,7 +188,7 @@ def _begin(film: Film, part: Part, threads: int) -> _Beginning:
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
     stamps = film.packets.stamps
     stop = _second_start(film.packets, part) or min(part.first + LEARNT, len(stamps) - 1)
-    with Reader(film.path, threads, replace(part, stop=int(stamps[stop]))) as reader:
+    with Reader(film.info.path, threads, replace(part, stop=int(stamps[stop])), film.info) as reader:
         for _ in _taken(work, film, reader):
             pass
         if work.filled:
@@ -386,7 +386,7 @@ def track_film(
     with TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True) as folder:
         work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
-        film = Film(path, packets, timing, tracker, Path(folder))
+        film = Film(info, packets, timing, tracker, Path(folder))
         if kept.todo and number > 1:
             some = np.unique(np.linspace(0, number - 1, min(number, MOST_LEARNT)).astype(int)).tolist()
             learnt = dict(workers.run(learn_part, film, some, threads))

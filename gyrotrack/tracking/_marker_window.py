@@ -65,7 +65,7 @@ class MarkerStrip:
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
-        self._used = 0
+        self._used = False  # whether the windows contain frames
         a, b = marker.contrast
         weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
@@ -79,12 +79,12 @@ class MarkerStrip:
         self._ground_mean = ground[self._every_second].mean(axis=0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "windows": self.windows[: self._used]}
+        return {**self.__dict__, "windows": self.windows if self._used else self.windows.shape}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.windows = np.zeros((len(self.starts), *state["windows"].shape[1:]), dtype=np.float32)
-        self.windows[: self._used] = state["windows"]
+        if not self._used:
+            self.windows = np.zeros(state["windows"], dtype=np.float32)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
         """Move the ring to another centre."""
@@ -124,8 +124,8 @@ class MarkerStrip:
         """Unroll frames about their angles (n,) [rad, as seen] into the buffer, from `place` of the batch on."""
         grid = self.grid
         start = np.rint(angles / grid.ring.step).astype(np.int64)
-        self._used = place + len(frames)
-        here = slice(place, self._used)
+        here = slice(place, place + len(frames))
+        self._used = True
         self.starts[here] = start
         first = (start - self.half) % grid.ring.columns
         grid.cut(frames, first, self._under, self.windows[here])

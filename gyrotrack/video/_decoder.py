@@ -123,8 +123,10 @@ class Reader:
     `stamps` and `warnings` describe the film.
     """
 
-    def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
-        self.info: ClipInfo = probe(path)
+    def __init__(
+        self, path: Path, threads: int = 1, part: Part = Part(), info: ClipInfo | None = None
+    ) -> None:
+        self.info: ClipInfo = info or probe(path)
         self._part = part
         self.orientation = Orientation()
         self.decoded = 0
