@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
+from fitting._errors import SimulationError
+from fitting.dynamics._collocation import UNBOUNDED
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
@@ -102,11 +104,16 @@ class Problem:
         """Return whitened, projected residuals and their Jacobian by the physical variables.
 
         The rows of each case are reduced by a QR decomposition: a case with p variables has p + 1 rows. Sums of squares
-        and products of columns, which determine the least-squares problem, are unchanged.
+        and products of columns, which determine the least-squares problem, are unchanged. SimulationError: a sum of
+        squares is not finite.
         """
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
-            both = project.unexplained(np.concatenate([p.columns, (p.rows - data.z)[:, None]], axis=1))
+            deviation = p.rows - data.z
+            with np.errstate(over="ignore"):
+                if not np.isfinite(deviation @ deviation):
+                    raise SimulationError(UNBOUNDED)
+            both = project.unexplained(np.concatenate([p.columns, deviation[:, None]], axis=1))
             few = r_factor(both)
             r.append(few[:, -1])
             dense = np.zeros((len(few), p.count))

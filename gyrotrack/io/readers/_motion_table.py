@@ -7,6 +7,7 @@ contains no uncertainty, that of its samples is estimated from their scatter.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +31,11 @@ _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual 
 # share, and number, of the changes between neighbours that are not usual; the greater applies
 _RARE = (0.01, 4.0)
 _TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)
+
+# symbols of quantities, which imply SI units
+_SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
+# unit that is assumed for a quantity, and an example of another one
+_ASSUMED = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
 
 # quantity and unit ("" if it is in the header) by column (header or number, case-folded)
 Names = Mapping[str, tuple[str, str]]
@@ -292,6 +298,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     if "t" in columns and not units["t"] and (unit := _unit_since_1970(raw, columns["t"])):
         units["t"] = unit
         notes.append(f"{raw.path.name}: the times are assumed to be counted in {unit} since 1970")
+    notes += _assumed_units(raw, columns, units, options)
     time = times_of(raw, columns, units, options)
     value = without_spikes(raw.numbers(columns[quantity], quantity), quantity, notes, raw.line)
     unit = units[quantity]
@@ -333,6 +340,31 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
         notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
+
+
+def _assumed_units(
+    raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
+) -> list[str]:
+    """Return notes on columns whose unit is not stated and not implied by the symbol of the quantity."""
+    quantity = "angle" if "angle" in columns else "omega"
+    notes = []
+    for role, assumed, other in ((quantity, *_ASSUMED[quantity]), ("t", *_ASSUMED["t"])):
+        if role not in columns or units[role] or options.names:
+            continue
+        name, values = raw.names[columns[role]], raw.numeric(columns[role])
+        words = set(re.split(r"[\s_.\-:]+", name.casefold()))
+        if not name or values is None or words & _SYMBOLS:
+            continue
+        # times that are not whole are hardly milliseconds; angles that wrap at 360 have a note of their own
+        implied = (
+            _wraps_at_360(values) if role == "angle" else (values % 1 != 0).any() if role == "t" else False
+        )
+        if not implied:
+            notes.append(
+                f"{raw.path.name}: the unit of '{name}' is not stated; {assumed} is assumed "
+                f"(another: --column '{role}={name} [{other}]')"
+            )
+    return notes
 
 
 def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | None = None) -> Floats:

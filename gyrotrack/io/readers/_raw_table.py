@@ -7,6 +7,7 @@ a header, of seconds, angles and angular velocities, have factors to s, rad and 
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from gyrotrack.io._records import Floats, Integers
 MAX_BYTES = 2**30
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
 
+_QUOTED = re.compile(r'"[^"]*"')
 # a comment after the last number of a line
 _COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
 
@@ -165,13 +167,16 @@ def _holds_samples(line: str) -> bool:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, without surrounding blanks and quotes."""
-    return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+    """Return the cells of a line, without surrounding blanks and quotes; a quoted cell may contain the separator."""
+    quoted = delimiter is not None and any(delimiter in cell for cell in _QUOTED.findall(line))
+    cells = next(csv.reader([line], delimiter=delimiter or " ")) if quoted else line.split(delimiter)
+    return [cell.strip().strip('"').strip() for cell in cells]
 
 
 def delimiter_of(line: str) -> str | None:
     """Return the separator of the cells of a line: semicolon, tab, comma, or None for blanks."""
-    return next((d for d in (";", "\t", ",") if d in line), None)
+    plain = _QUOTED.sub("", line)
+    return next((d for d in (";", "\t", ",") if d in plain), None)
 
 
 def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
@@ -205,6 +210,12 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
         names, header_line = above[-1], lines[first - 1][0]
         if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
             units, names, header_line = names, above[-2], lines[first - 2][0]
+    # a title, separated from the samples by an empty line, may have as many words as there are columns
+    titled = bool(names) and delimiter is None and lines[first][0] > header_line + 1
+    if titled and not any(map(role_of, names)):
+        names, header_line = [], lines[first][0]
+    else:
+        titled = False
     usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
     above_table = next((i for i, r in enumerate(rows) if len(r) == usual), 0)
     preamble: list[str] = []
@@ -220,7 +231,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
         rows = [list(cells) for cells in zip(*rows, strict=False)]
         usual = len(rows[0])
         lines, first = [(lines[first][0], "")] * len(rows), 0
-    if first and delimiter is None and len(names) != usual:
+    if first and delimiter is None and not titled and len(names) != usual:
         names = _names_between_blanks(lines[first - 1][1], usual) or names
     width = len(names) or usual
     rows, kept, repairs = _checked_rows(
@@ -399,7 +410,7 @@ def role_of(name: str) -> str | None:
         ("_sigma", "_err", "_error", " error")
     ):
         return "sigma"
-    words = [w for w in re.split(r"[\s_.\-:#]+", text) if w]
+    words = [w for w in re.split(r"[\s_.,\-:#]+", text) if w]
     words = [re.sub(r"(?<=[^\W\d]{3})\d+$", "", w) for w in words]  # angle1, angle2
     whole = "".join(words)
     for role, known in _HEADER_WORDS.items():

@@ -1,10 +1,13 @@
 """Predicted rows of a case and their derivatives, against the oracle and against differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import twobody
 from cases import data, fitted
 
+from fitting._errors import SimulationError
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._case_model import CaseModel
@@ -64,6 +67,14 @@ def test_residuals_of_the_true_parameters_are_noise():
     basis = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)[0]
     residual = residual - basis @ (basis.T @ residual)
     assert np.sum(residual**2) / len(residual) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_motion_beyond_any_number_is_no_perfect_fit():
+    """Sums of squares that overflow are an error; they were taken for rows that the nuisance parameters explain."""
+    found = fitted(seed=0)
+    assert np.linalg.norm(found.problem.residuals(found.predictions)[0]) > 1
+    with pytest.raises(SimulationError):
+        found.problem.residuals([replace(p, rows=p.rows * 1e160) for p in found.predictions])
 
 
 def test_response_to_a_harmonic_torque_agrees_with_the_oracle():

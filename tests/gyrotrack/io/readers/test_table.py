@@ -1,5 +1,7 @@
 """Tables as they come, and each bad one refused by file and line."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -17,10 +19,8 @@ def table(tmp_path, text, encoding="utf-8"):
 
 
 def text(header="t,angle,sigma", separator=",", rows=ROWS, decimal="."):
-    lines = [
-        separator.join(f"{x:.6g}".replace(".", decimal) for x in row[: header.count(separator) + 1])
-        for row in rows
-    ]
+    width = re.sub('"[^"]*"', "", header).count(separator) + 1
+    lines = [separator.join(f"{x:.6g}".replace(".", decimal) for x in row[:width]) for row in rows]
     return "\n".join([header, *lines]) + "\n"
 
 
@@ -36,6 +36,7 @@ def text(header="t,angle,sigma", separator=",", rows=ROWS, decimal="."):
         text("Time\tPsi\tError", "\t", decimal=","),
         text("t angle sigma", " "),
         text('"t [s]","angle [rad]","sigma [rad]"'),
+        text('"t","bar, angle (rad)","sigma"'),
         text("t (s),angle (rad),angle_err"),
         text("t / s,angle / rad,sigma"),
         "t,angle,sigma,remark\n" + "".join(f"{t},{a},{s},good\n" for t, a, s in ROWS),
@@ -67,6 +68,35 @@ def test_units_in_the_header_are_obeyed(tmp_path, header, factor):
     read = read_motion(table(tmp_path, text(header)))
     np.testing.assert_allclose(read.time[3], 0.3 * factor[0], rtol=1e-6)
     np.testing.assert_allclose(read.value[3], 4.5 * factor[1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("Time,Wheel Speed", ["'Wheel Speed' is not stated; rad/s is assumed"]),
+        ("Time,Winkel", ["'Winkel' is not stated; rad is assumed"]),
+        ("Time,Wheel Speed [rpm]", []),
+        ("time,theta", []),
+        ("t,omega", []),
+    ],
+)
+def test_a_unit_that_is_assumed_is_told(tmp_path, header, told):
+    notes = [n for n in read_motion(table(tmp_path, text(header))).notes if "not stated" in n]
+    assert len(notes) == len(told)
+    assert all(part in note for part, note in zip(told, notes, strict=True))
+
+
+def test_whole_times_without_a_unit_are_told(tmp_path):
+    rows = [(10 * k, 1.5 * k) for k in range(12)]
+    assert "'Time' is not stated; s is assumed" in " ".join(
+        read_motion(table(tmp_path, text("Time,angle", rows=rows))).notes
+    )
+
+
+def test_a_title_with_as_many_words_as_columns_is_no_header(tmp_path):
+    samples = text("t angle sigma", " ").partition("\n")[2]
+    with pytest.raises(DatasetError, match="the 3 columns have no header"):
+        read_motion(table(tmp_path, "Schwingungsfrequenz ohne Kopplung\n\n" + samples))
 
 
 def test_sigma_shares_the_unit_of_the_angle(tmp_path):
