@@ -137,17 +137,18 @@ class BodyTracker:
         return np.where(seen, coarse + total / weight * self._step, coarse), seen
 
     def measure_batch(
-        self, count: int, casing: Floats | None
+        self, count: int, casing: Floats | None, *, again: bool
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure `count` frames of the batch; `casing` is the angle as seen of the body that occludes markers [rad].
 
-        Returned are the unwrapped coarse angles (count,) [rad], NaN where the body is lost, and the observations.
+        Frames that are measured `again` do not enter the map of the occlusion a second time. Returned are the unwrapped
+        coarse angles (count,) [rad], NaN where the body is lost, and the observations.
         """
         coarse = self._coarse[:count].copy()
         windows = {
             name: tracker.window(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
         }
-        if casing is not None:
+        if casing is not None and not again:
             for name, window in windows.items():
                 if not self.markers[name].strip.white:
                     self._cover.learn(window, self.markers[name].expected(window), casing)
@@ -284,7 +285,7 @@ class FilmTracker:
         self.size = samples.size
         self.filled = 0
         self._new = True
-        self._learnt = False
+        self._fresh, self._again = True, False
         self.held: list[Frame] = []
         self.steps: list[float] = []
         self.again = np.zeros(BATCH, dtype=np.bool_)
@@ -337,22 +338,22 @@ class FilmTracker:
 
     def learn_batch(self) -> None:
         """Learn templates, illumination and occlusion from the stored frames, which remain to be measured."""
-        self._learnt = True
+        self._fresh, self._again = False, True
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, _ = body.measure_batch(self.filled, casing)
+            coarse, _ = body.measure_batch(self.filled, casing, again=False)
             casing = coarse if name == "casing" else casing
 
     def measure_batch(self) -> Rows:
         """Measure the frames stored since the last call; one row per frame of every quantity."""
-        if not self._learnt:  # the first frames are measured twice
+        if self._fresh:  # the first frames are measured twice
             self.learn_batch()
         rows: Rows = {"again": self.again[: self.filled].copy()}
         if self.repeats is not None:
             self.repeats.copy_last()
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, markers = body.measure_batch(self.filled, casing)
+            coarse, markers = body.measure_batch(self.filled, casing, again=self._again)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
                 rows |= {
@@ -363,7 +364,7 @@ class FilmTracker:
         if self.disc is not None:
             rows["disc"] = self.disc.centres(self.filled)
             self._move(rows["disc"])
-        self.filled = 0
+        self.filled, self._again = 0, False
         return rows
 
     def _move(self, centres: Floats) -> None:
