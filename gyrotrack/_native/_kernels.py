@@ -226,10 +226,9 @@ def sample(
     lengths = _check(signature, (at, right, down, box, ground, first, score, out))
     _require(len(planes) in (1, 2), "one or two lists of planes are expected")
     for plane in (plane for kind in planes for plane in kind):
-        fits = plane.dtype == np.uint8 and plane.shape == score.shape and plane.strides[1] == 1
-        _require(
-            fits, f"a plane has type {plane.dtype} and shape {plane.shape}, expected uint8 {score.shape}"
-        )
+        if not (plane.dtype == np.uint8 and plane.shape == score.shape and plane.strides[1] == 1):
+            what = f"a plane has type {plane.dtype} and shape {plane.shape}, expected uint8 {score.shape}"
+            raise ValueError(what)
     _require(all(len(kind) == lengths["n"] for kind in planes), "the number of planes and windows differ")
     inside = first.size == 0 or (
         first.min() >= 0 and first.max() < lengths["b"] and first.max() + lengths["o"] <= lengths["c"]

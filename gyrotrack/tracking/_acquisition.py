@@ -589,8 +589,8 @@ def _refuse_second_body(
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
     """Find blobs above 0.4 of the typical peak of a colour in every sample."""
-    peaks = np.array([np.percentile(score, 99.9) if score.size else 0.0 for score in scores])
-    noise = float(np.median([np.percentile(score, 90) for score in scores]))
+    levels = [np.percentile(score, [90.0, 99.9]) if score.size else (0.0, 0.0) for score in scores]
+    noise, peaks = float(np.median([low for low, _ in levels])), [high for _, high in levels]
     threshold = max(6.0, 4.0 * noise, 0.4 * float(np.median(peaks)))
     return [find_blobs(score, threshold, most) for score in scores]
 

@@ -138,10 +138,10 @@ def find_lock(
 
 def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
     span = int(frame[-1]) + 1
-    phasor = np.exp(1j * angle)
 
     def power(steps: Floats) -> Floats:
-        return np.asarray(np.abs(np.exp(-1j * np.outer(steps, frame)) @ phasor) / len(frame))
+        phase = angle - np.outer(steps, frame)
+        return np.asarray(np.hypot(np.cos(phase).sum(axis=1), np.sin(phase).sum(axis=1)))
 
     even = bool((frame == np.rint(frame)).all())  # only then are steps that differ by a turn equivalent
     steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False) + (0.0 if even else hint)
@@ -151,8 +151,8 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
         step, width = float(steps[np.argmax(power(steps))]), 0.1 * width
     if even:
         step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
-    start = float(np.angle(np.mean(phasor * np.exp(-1j * step * frame))))
-    off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
+    start = float(np.angle(np.mean(np.exp(1j * (angle - step * frame)))))
+    off = np.abs(np.angle(np.exp(1j * (angle - (start + step * frame)))))
     if np.mean(off < 0.25) < 0.7:
         return None
     return Motion(start, step)

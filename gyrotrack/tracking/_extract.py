@@ -130,7 +130,6 @@ BODIES = (None, "casing", "rotor", "both")
 LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
 
 
-@large_blocks_returned()
 def extract(
     video: Path,
     profile: Profile = PAPER,
@@ -197,7 +196,8 @@ def _observe(
             shake = camera_shake([frame.y for frame in samples.frames], (frame.y for frame in reader), body)
         del samples  # as large as the buffers of the tracker
         release_memory()
-        seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
+        with large_blocks_returned():
+            seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
         whole = shake is not None and len(shake.roll) == len(seen.pts_time)
         return scene, seen, shake if whole else None
 

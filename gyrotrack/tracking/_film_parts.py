@@ -1,8 +1,9 @@
 """One pass through a film, part by part, in several processes.
 
 A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common to
-the whole film and are learnt from some frames of each part in a first pass; learnt from one part alone, they would be
-based on fewer passages of the markers, and the angles would be less precise. Each part is then tracked by a copy of the
+the whole film; learnt from one part alone, they would be based on fewer passages of the markers, and the angles would
+be less precise. They are learnt from the first frames of some parts, whose windows are stored in a temporary file and
+then measured with the maps of all these parts, without being decoded again. Each part is tracked by a copy of the
 tracker with these maps. Templates and motion are learnt within the part, so that the result does not depend on the
 number of processes.
 
@@ -19,10 +20,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -45,7 +48,7 @@ from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
-from gyrotrack.video._container import Frame, Packets, probe, read_packets
+from gyrotrack.video._container import ClipInfo, Frame, Packets, probe, read_packets
 from gyrotrack.video._decoder import Part, Reader, RepeatDetector, film_warnings, pts_seconds
 from gyrotrack.video._time_base import Timing
 
@@ -55,8 +58,9 @@ T = TypeVar("T")
 PART = 2500  # largest number of frames of a part, up to the distance of key frames
 LEAST_PART = 400  # smallest number of frames of a part, from which illumination and templates can be learnt
 OVERLAP = 64  # frames that two neighbouring parts share
-# frames at the beginning of each part from which light and occlusion are learnt before the parts are tracked
-LEARNT = 256
+# smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the parts
+# are tracked, and largest number of such parts
+LEARNT, MOST_LEARNT = 256, 8
 _RATE = 24
 _STAMPS = "stamps"
 
@@ -91,10 +95,13 @@ def split(packets: Packets) -> tuple[Part, ...]:
 class Film:
     """Data with which a process tracks a part of a film."""
 
-    path: Path  # the film
+    info: ClipInfo  # the film
     packets: Packets  # its packets
     timing: Timing  # origin of its times
     tracker: bytes  # pickled tracker of the scene that has not tracked any frame
+    folder: Path  # for the beginnings of parts
+    learnt: tuple[int, ...] = ()  # first frames of the parts from which the maps are learnt
+    maps: tuple[AngleMap, ...] = ()  # learnt maps of illumination and occlusion
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,17 @@ class PartRows:
     stamps: npt.NDArray[np.int64]
     bad_packets: int
     corrupt: int
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """A tracker that has stored the first frames of a part, up to a key frame, and learnt from them."""
+
+    tracker: FilmTracker
+    # timestamps of these frames, numbers of damaged packets and of damaged frames
+    stamps: npt.NDArray[np.int64]
+    bad_packets: int = 0
+    corrupt: int = 0
 
 
 class _Advance:
@@ -127,41 +145,83 @@ class _Advance:
 
 def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None]) -> PartRows:
     """Track one part of a film; `count` is called with the number of frames of each finished batch."""
+    with single_threaded():
+        new: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
+        begun, rest = _Beginning(new, np.zeros(0, dtype=np.int64)), part
+        key = _second_start(film.packets, part)
+        if part.first in film.learnt and key is not None:
+            begun = _stored(film, part) or _begin(film, part, threads)
+            rest = replace(part, first=key, start=int(film.packets.stamps[key]))
+        work, batches = begun.tracker, []
+        for own, common in zip(work.maps, film.maps, strict=False):
+            own.replace(common)
+        with Reader(film.info.path, threads, rest, film.info) as reader:
+            for _ in _taken(work, film, reader):
+                batches.append(work.measure_batch())
+                count(len(batches[-1]["again"]))
+            rows = {n: np.concatenate([b[n] for b in batches]) for n in batches[0]} if batches else {}
+            stamps = np.concatenate([begun.stamps, reader.stamps])
+            bad, corrupt = begun.bad_packets + reader.bad_packets, begun.corrupt + reader.corrupt
+            return PartRows(rows, stamps, bad, corrupt)
+
+
+def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], None]) -> list[AngleMap]:
+    """Return the maps of illumination and occlusion from the first frames of a part; store its beginning."""
+    with single_threaded():
+        begun = _begin(film, part, threads)
+        # without space in the folder these frames are decoded again
+        with suppress(OSError), (film.folder / str(part.first)).open("wb") as file:
+            pickle.dump(begun, file, protocol=pickle.HIGHEST_PROTOCOL)
+    return begun.tracker.maps
+
+
+def _second_start(packets: Packets, part: Part) -> int | None:
+    """Return the last key frame before which the first batch of a part can end; None without one."""
+    stop = len(packets.stamps) if part.stop is None else int(np.searchsorted(packets.stamps, part.stop))
+    end = min(part.first + _film_tracker.BATCH, stop - 1)
+    keys = part.first + LEARNT + np.flatnonzero(packets.key[part.first + LEARNT : end + 1])
+    return int(keys[-1]) if len(keys) else None
+
+
+def _begin(film: Film, part: Part, threads: int) -> _Beginning:
+    """Store the first frames of a part in a new tracker, which learns from them."""
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
-    batches: list[Rows] = []
-    with single_threaded(), Reader(film.path, threads, part) as reader:
-        for batch in _measured(work, film, reader):
-            batches.append(batch)
-            count(len(batch["again"]))
-        rows = {name: np.concatenate([b[name] for b in batches]) for name in batches[0]} if batches else {}
-        return PartRows(rows, reader.stamps, reader.bad_packets, reader.corrupt)
+    stamps = film.packets.stamps
+    stop = _second_start(film.packets, part) or min(part.first + LEARNT, len(stamps) - 1)
+    with Reader(film.info.path, threads, replace(part, stop=int(stamps[stop])), film.info) as reader:
+        for _ in _taken(work, film, reader):
+            pass
+        if work.filled:
+            work.learn_batch()
+        return _Beginning(work, reader.stamps, reader.bad_packets, reader.corrupt)
 
 
-def _measured(work: FilmTracker, film: Film, reader: Reader) -> Iterator[Rows]:
-    """Track the frames of a reader and yield the rows of each batch."""
-    work.repeats = RepeatDetector(film.packets)
+def _stored(film: Film, part: Part) -> _Beginning | None:
+    """Return the beginning of a part from its file, which is removed; None without it."""
+    path = film.folder / str(part.first)
+    with suppress(OSError, EOFError, pickle.UnpicklingError):
+        with path.open("rb") as file:
+            begun: _Beginning = pickle.load(file)  # noqa: S301 - made by this process or its parent
+        path.unlink()
+        return begun
+    return None
+
+
+def _taken(work: FilmTracker, film: Film, reader: Reader) -> Iterator[None]:
+    """Let a tracker take the frames of a reader; return to the caller for each full batch, and at the end."""
     clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
+    if work.filled == _film_tracker.BATCH:
+        yield
     for frame in reader:
         work.keep(frame, clock.step(frame), stamped=clock.stamped)
         if work.full:
             work.take()
         if work.filled == _film_tracker.BATCH:
-            yield work.measure_batch()
+            yield
     if work.held:
         work.take()
     if work.filled:
-        yield work.measure_batch()
-
-
-def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], None]) -> list[AngleMap]:
-    """Return the maps of illumination and occlusion from the first `LEARNT` frames of a part."""
-    work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
-    last = min(part.first + LEARNT, len(film.packets.stamps) - 1)
-    block = replace(part, stop=int(film.packets.stamps[last]))
-    with single_threaded(), Reader(film.path, threads, block) as reader:
-        for _ in _measured(work, film, reader):
-            pass
-    return work.maps
+        yield
 
 
 _done: Synchronized[int] | None = None
@@ -319,19 +379,24 @@ def track_film(
     """Track all bodies in a film with a new tracker `work`; parts in the `journal` are not tracked again."""
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
-    film = Film(path, packets, timing, pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
     kept = _PartResults(workers.parts, packets, journal)
-    done = kept.frames
+    done, number = kept.frames, len(workers.parts)
     if progress is not None and done:
         progress(done, total)
-    if kept.todo and len(workers.parts) > 1:
-        learnt = dict(workers.run(learn_part, film, list(range(len(workers.parts))), threads))
-        for index in sorted(learnt):  # sums of floats depend on their order
-            for own, other in zip(work.maps, learnt[index], strict=True):
-                own.add(other)
-        film = replace(film, tracker=pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL))
-    for index, found in workers.run(track_part, film, kept.todo, threads, progress, done, total):
-        kept.add(index, found)
+    with TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True) as folder:
+        work.repeats = RepeatDetector(packets)
+        tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
+        film = Film(info, packets, timing, tracker, Path(folder))
+        if kept.todo and number > 1:
+            some = np.unique(np.linspace(0, number - 1, min(number, MOST_LEARNT)).astype(int)).tolist()
+            learnt = dict(workers.run(learn_part, film, some, threads))
+            for index in some:  # sums of floats depend on their order
+                for own, other in zip(work.maps, learnt[index], strict=True):
+                    own.add(other)
+            first = tuple(workers.parts[index].first for index in some)
+            film = replace(film, learnt=first, maps=tuple(work.maps))
+        for index, found in workers.run(track_part, film, kept.todo, threads, progress, done, total):
+            kept.add(index, found)
     if progress is not None:
         progress(kept.frames, total)
     if not kept.frames:

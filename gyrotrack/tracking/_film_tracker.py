@@ -24,7 +24,7 @@ from gyrotrack.tracking._association import (
 )
 from gyrotrack.tracking._hub import DiscWindow
 from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker, spread_out
-from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, MarkerWindow, Occlusion, common_columns
+from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, Occlusion, common_columns
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples, Scene
 from gyrotrack.video._container import Frame
@@ -68,7 +68,6 @@ class BodyTracker:
         self._motion: Motion | None = None
         self._missed: int | None = None
         self._prediction = Prediction()
-        self._fresh = True
         self._cover = Occlusion(self._step, offset)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
@@ -138,31 +137,22 @@ class BodyTracker:
         return np.where(seen, coarse + total / weight * self._step, coarse), seen
 
     def measure_batch(
-        self, count: int, casing: Floats | None
+        self, count: int, casing: Floats | None, *, again: bool
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
         """Measure `count` frames of the batch; `casing` is the angle as seen of the body that occludes markers [rad].
 
-        Returned are the unwrapped coarse angles (count,) [rad], NaN where the body is lost, and the observations.
+        Frames that are measured `again` do not enter the map of the occlusion a second time. Returned are the unwrapped
+        coarse angles (count,) [rad], NaN where the body is lost, and the observations.
         """
         coarse = self._coarse[:count].copy()
         windows = {
             name: tracker.window(coarse + tracker.marker.mount) for name, tracker in self.markers.items()
         }
-        if casing is not None:
+        if casing is not None and not again:
             for name, window in windows.items():
                 if not self.markers[name].strip.white:
                     self._cover.learn(window, self.markers[name].expected(window), casing)
-        if (
-            self._fresh
-        ):  # the first batch is measured twice: the first time to learn templates and illumination
-            self._fresh = False
-            self._measured(windows, casing)
-        return coarse, self._measured(windows, casing)
-
-    def _measured(
-        self, windows: dict[str, MarkerWindow], casing: Floats | None
-    ) -> dict[str, MarkerObservations]:
-        return {
+        return coarse, {
             name: tracker.measure(
                 windows[name],
                 self._cover.open(windows[name], casing),
@@ -241,7 +231,7 @@ Progress = Callable[[int, int | None], None]
 
 BATCH = 512
 HOLD = 64  # frames in memory at a time, in which a body that is not found at its prediction is searched
-HELD_BYTES = 64_000_000
+HELD_BYTES = 24_000_000
 SLOW = 3.0 * LEAST_SCATTER  # smallest step of the fastest body [rad] for which equal frames count as repeated
 _MOVE = 0.6  # distance of the disc from the centre of the rings [px] beyond which the rings are moved
 
@@ -295,6 +285,7 @@ class FilmTracker:
         self.size = samples.size
         self.filled = 0
         self._new = True
+        self._fresh, self._again = True, False
         self.held: list[Frame] = []
         self.steps: list[float] = []
         self.again = np.zeros(BATCH, dtype=np.bool_)
@@ -345,14 +336,24 @@ class FilmTracker:
         self.held.clear()
         self.steps.clear()
 
+    def learn_batch(self) -> None:
+        """Learn templates, illumination and occlusion from the stored frames, which remain to be measured."""
+        self._fresh, self._again = False, True
+        casing: Floats | None = None
+        for name, body in self.bodies.items():
+            coarse, _ = body.measure_batch(self.filled, casing, again=False)
+            casing = coarse if name == "casing" else casing
+
     def measure_batch(self) -> Rows:
         """Measure the frames stored since the last call; one row per frame of every quantity."""
+        if self._fresh:  # the first frames are measured twice
+            self.learn_batch()
         rows: Rows = {"again": self.again[: self.filled].copy()}
         if self.repeats is not None:
             self.repeats.copy_last()
         casing: Floats | None = None
         for name, body in self.bodies.items():
-            coarse, markers = body.measure_batch(self.filled, casing)
+            coarse, markers = body.measure_batch(self.filled, casing, again=self._again)
             rows[f"{name}/coarse"] = coarse
             for marker, seen in markers.items():
                 rows |= {
@@ -363,7 +364,7 @@ class FilmTracker:
         if self.disc is not None:
             rows["disc"] = self.disc.centres(self.filled)
             self._move(rows["disc"])
-        self.filled = 0
+        self.filled, self._again = 0, False
         return rows
 
     def _move(self, centres: Floats) -> None:

@@ -44,14 +44,16 @@ class DiscWindow:
         self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
         side = 2 * self.half + 1
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
+        self._used = False  # whether it contains frames
         self._corner = (0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pixels": self._pixels.shape}
+        return {**self.__dict__, "_pixels": self._pixels if self._used else self._pixels.shape}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._pixels = np.zeros(state["_pixels"], dtype=np.uint8)
+        if not self._used:
+            self._pixels = np.zeros(state["_pixels"], dtype=np.uint8)
 
     def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
         """Move the window to a centre (luma px), inside the picture."""
@@ -63,6 +65,7 @@ class DiscWindow:
 
     def take(self, frames: list[Frame], place: int) -> None:
         """Store the windows of some frames, from `place` of the batch on."""
+        self._used = True
         x, y = self._corner
         side = 2 * self.half + 1
         box = (slice(y, y + side), slice(x, x + side))

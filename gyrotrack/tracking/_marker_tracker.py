@@ -352,6 +352,8 @@ class MarkerTracker:
             places_apart(window.start[window.known], ring.columns) // 2,
         )
         template = self.template(window.profile.shape[1])
+        if self._across is not None:
+            window.apply_light(even_light(self.light, reach))
         found = match(window.profile, template, window.fraction, open_)
         for _ in range(rounds):
             good = _good(found, whole, window.known)

@@ -65,6 +65,7 @@ class MarkerStrip:
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
+        self._used = False  # whether the windows contain frames
         a, b = marker.contrast
         weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
@@ -78,11 +79,12 @@ class MarkerStrip:
         self._ground_mean = ground[self._every_second].mean(axis=0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "windows": self.windows.shape}
+        return {**self.__dict__, "windows": self.windows if self._used else self.windows.shape}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.windows = np.zeros(state["windows"], dtype=np.float32)
+        if not self._used:
+            self.windows = np.zeros(state["windows"], dtype=np.float32)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
         """Move the ring to another centre."""
@@ -123,6 +125,7 @@ class MarkerStrip:
         grid = self.grid
         start = np.rint(angles / grid.ring.step).astype(np.int64)
         here = slice(place, place + len(frames))
+        self._used = True
         self.starts[here] = start
         first = (start - self.half) % grid.ring.columns
         grid.cut(frames, first, self._under, self.windows[here])
@@ -236,6 +239,10 @@ class AngleMap:
         """Add the passages of another map of the same marker."""
         self._top += other._top
         self._bottom += other._bottom
+
+    def replace(self, other: AngleMap) -> None:
+        """Take over the passages of another map of the same marker."""
+        self._top[:], self._bottom[:] = other._top, other._bottom
 
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.

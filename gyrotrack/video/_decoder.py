@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._smoothing import running_quantile
 from gyrotrack.video._container import (
     ClipInfo,
     Frame,
@@ -122,8 +123,10 @@ class Reader:
     `stamps` and `warnings` describe the film.
     """
 
-    def __init__(self, path: Path, threads: int = 1, part: Part = Part()) -> None:
-        self.info: ClipInfo = probe(path)
+    def __init__(
+        self, path: Path, threads: int = 1, part: Part = Part(), info: ClipInfo | None = None
+    ) -> None:
+        self.info: ClipInfo = info or probe(path)
         self._part = part
         self.orientation = Orientation()
         self.decoded = 0
@@ -359,9 +362,8 @@ def _difference(rows: Rows, last: Rows) -> float:
     The sum of |a - g b|, with the gain g that makes their means equal. Without it, two frames of equal brightness
     differ so much less than their neighbours that one seems to repeat the other.
     """
-    a, b = rows.astype(np.float32), last.astype(np.float32)
-    gain = float(a.sum() / max(float(b.sum()), 1.0))
-    return float(cv2.norm(a, b * np.float32(gain), cv2.NORM_L1))
+    gain = cv2.sumElems(rows)[0] / max(cv2.sumElems(last)[0], 1.0)
+    return cv2.norm(cv2.addWeighted(rows, 1.0, last, -gain, 0.0, dtype=cv2.CV_32F), cv2.NORM_L1)
 
 
 def _usual(differences: tuple[float, ...]) -> float:
@@ -377,14 +379,12 @@ def _rows(frame: Frame) -> Rows:
 
 def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
     """Return which packets contain little information: much smaller than their neighbours, or equal in size."""
-    from scipy.ndimage import percentile_filter
-
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
     if packets.key.all():
         return 1 + np.flatnonzero(np.diff(packets.size) == 0)
     size = np.where(packets.key, 0, packets.size)
-    usual = percentile_filter(size, _LARGE, size=_AROUND, mode="nearest")
+    usual = running_quantile(size, _AROUND, _AROUND * _LARGE // 100)
     return np.flatnonzero(~packets.key & (size < SMALL * usual))
 
 
