@@ -458,6 +458,8 @@ def _measure(
     good = _good(poses)
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, counted=good)
     hub_sigma = _hub_motion(shown, angle[chosen], template) if best.way != "given" else 0.0
+    outside = best.way != "given" and ring.span < TURN
+    distance = _distance_error(shown, angle[chosen], template) if outside else 0.0
     template = replace(template, hub_sigma=hub_sigma)
     poses = []
     parts = template.halves()
@@ -468,7 +470,7 @@ def _measure(
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
         if progress is not None:
             progress(k + 1, len(usable))
-    tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle)
+    tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle, distance)
     if alias.warning is None:
         return tracked
     return replace(tracked, warnings=(*tracked.warnings, alias.warning), ambiguous=True)
@@ -500,6 +502,30 @@ def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> fl
     return size if gain < 0.8 and size > 3 * noise else 0.0
 
 
+def _distance_error(polars: StoredPictures, angle: Floats, template: Template) -> float:
+    """Return the relative error of the distance of a hub outside the picture, from the curvature of the path.
+
+    With a distance that is too large by d, the distance of the body from the hub decreases by d (1 - cos theta), for
+    displacements that are fitted frame by frame. The rotation of the body, which determines the distance as well, may
+    disagree: the ball of a pendulum need not turn with its thread. Below three standard errors 0 is returned.
+    """
+    use = np.unique(np.linspace(0, len(polars) - 1, _HUB_FRAMES).astype(int))
+    poses = [register(p, template, a, move=True) for p, a in zip(polars.at(use), angle[use], strict=True)]
+    ring, known = template.ring, template.information()
+    power = (known[:, None] * np.gradient(template.body, axis=1) ** 2).sum(axis=0)
+    towards = np.angle(np.sum(power * np.exp(1j * ring.angle)))
+    radius = float(np.average(ring.radius, weights=known))
+    turn = np.array([p.angle for p in poses])
+    away = radius * np.exp(1j * (towards + turn)) + np.array([complex(*p.shift) for p in poses])
+    theta = np.angle(away * np.exp(-1j * towards))
+    theta -= theta.mean()
+    rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
+    found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
+    variance = float(np.var(np.abs(away) - rows @ found))
+    error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
+    return abs(float(found[0])) / radius if abs(found[0]) > 3.0 * error else 0.0
+
+
 def _finish(
     film: Film,
     usable: npt.NDArray[np.int64],
@@ -510,6 +536,7 @@ def _finish(
     halves: Floats,
     best: _Trial,
     rough: Floats,
+    distance: float,
 ) -> Tracked:
     angle = -np.array([p.angle for p in poses])
     formal = np.array([p.formal for p in poses])
@@ -536,7 +563,13 @@ def _finish(
             f"angles have an error of {100 * correlated / motion:.0f} % of the motion.",
             "Give the centre of rotation with --hub X,Y.",
         )
-    if correlated > float(np.median(scale * inflated[kept])):
+    if distance * motion > correlated:
+        correlated = distance * motion
+        warnings.append(
+            f"Rotation and path of the body give distances of the hub that differ by {100 * distance:.2g} %; the "
+            f"uncertainty contains {1e3 * correlated:.2g} mrad for this."
+        )
+    elif correlated > float(np.median(scale * inflated[kept])):
         warnings.append(
             f"The angles from the inner and the outer half of the ring differ as if the hub were displaced; "
             f"the uncertainty contains {1e3 * correlated:.2g} mrad for this."

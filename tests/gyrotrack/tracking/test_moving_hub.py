@@ -12,7 +12,9 @@ import pytest
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
+from gyrotrack.tracking import _any_body
 from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._hub_search import Proposal
 from gyrotrack.tracking._moving_hub import track_free_body
 
 HEIGHT, WIDTH, UP = 150, 300, 4
@@ -208,6 +210,23 @@ def test_a_camera_that_turns_about_a_point_outside_the_picture_is_no_body():
         track_body(shown)
     tracked = track_body(shown, tuple(hub))
     assert np.std(error_of(tracked, angle)) < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "wrong"), [(1.0, False), (0.6, False), (1.0, True)])
+def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkeypatch, share, wrong):
+    """A ball on a thread of 900 px that need not turn with it; `wrong`: a distance of 1125 px that is not refined."""
+    angle = 0.08 * np.cos(2 * np.pi * np.arange(90) / 40)
+    path = np.stack([150 + 900 * np.sin(angle), 900 * np.cos(angle) - 825], axis=1)
+    if wrong:
+        monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [Proposal((150.0, -1050.0), "test")])
+        monkeypatch.setattr(_any_body, "ring_step", lambda *_, **__: np.zeros(2))
+    tracked = track_body(film(path, share * angle, radius=28.0))
+    factor = np.polyfit(angle[tracked.frame], tracked.angle, 1)[0]
+    claimed = tracked.correlated / tracked.angle.std()
+    assert abs(factor - 1.0) < 1.5 * claimed + 0.02
+    assert claimed < (0.4 if wrong else 0.05)
+    assert any("distances of the hub" in w for w in tracked.warnings) or not wrong
 
 
 @pytest.fixture(scope="module")
