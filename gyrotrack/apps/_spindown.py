@@ -465,8 +465,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         return
     if motion.period is None:
         raise FittingError(
-            "the motion reverses repeatedly, but is not one damped oscillation: the body is coupled to another one (beats), driven or "
-            "disturbed; --from and --to select a part in which it oscillates freely."
+            "the motion reverses repeatedly, but is not one damped oscillation: the body is coupled to another one "
+            "(beats), driven or disturbed; --from and --to select a part in which it oscillates freely."
         )
     if fit.problem.data[0].oscillation is None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
