@@ -468,8 +468,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         return
     if motion.period is None:
         raise FittingError(
-            "the body swings, but not in one damped oscillation: it is coupled to another body (beats), driven or "
-            "disturbed; --from and --to select a part in which it swings freely."
+            "the motion reverses repeatedly, but is not one damped oscillation: the body is coupled to another one "
+            "(beats), driven or disturbed; --from and --to select a part in which it oscillates freely."
         )
     if fit.problem.data[0].oscillation is None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
