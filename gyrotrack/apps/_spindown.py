@@ -489,21 +489,24 @@ def _with_view_errors(
 
     Perspective, a displaced hub and objects fixed in the image affect both halves differently; these errors are
     systematic. In less than two turns the error by a displaced hub, `hub_leverage` times the difference that it causes,
-    is not distinguishable from the motion; in more it is a harmonic of the angle, which `motion_of` fits.
+    is not distinguishable from the motion; in more it is a harmonic of the angle, which `motion_of` fits. All but times
+    scale with the distance of a hub outside the picture.
     """
     leverage = max(0.5, tracked.hub_leverage) if motion.turns < _TURNS_WITH_HARMONICS else 0.5
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     inner, outer = (motion_of(series.time, half[taken], series.sigma) for half in tracked.halves)
 
-    def widened(value: Value, a: Value | None, b: Value | None) -> Value:
+    def widened(value: Value, a: Value | None, b: Value | None, scale: float = 0.0) -> Value:
         difference = 0.0 if a is None or b is None else leverage * abs(abs(a.value) - abs(b.value))
-        return replace(value, stderr=math.hypot(value.stderr, difference))
+        return replace(value, stderr=math.hypot(value.stderr, max(difference, scale * abs(value.value))))
+
+    scale = tracked.distance_error
 
     return replace(
         motion,
-        omega_mean=widened(motion.omega_mean, inner.omega_mean, outer.omega_mean),
-        alpha=widened(motion.alpha, inner.alpha, outer.alpha),
+        omega_mean=widened(motion.omega_mean, inner.omega_mean, outer.omega_mean, scale),
+        alpha=widened(motion.alpha, inner.alpha, outer.alpha, scale),
         period=motion.period and widened(motion.period, inner.period, outer.period),
-        amplitude=motion.amplitude and widened(motion.amplitude, inner.amplitude, outer.amplitude),
+        amplitude=motion.amplitude and widened(motion.amplitude, inner.amplitude, outer.amplitude, scale),
         decay=motion.decay and widened(motion.decay, inner.decay, outer.decay),
     )

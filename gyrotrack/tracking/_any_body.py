@@ -587,4 +587,5 @@ def _finish(
         halves=halves[:, kept],
         correlated=correlated,
         warnings=tuple(warnings),
+        distance_error=distance,
     )

@@ -34,6 +34,8 @@ class Tracked:
     # correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method
     correlated: float
     warnings: tuple[str, ...]  # warnings for the user
+    # relative error of the distance of a hub outside the picture, to which all angles are inversely proportional
+    distance_error: float = 0.0
     ambiguous: bool = False  # whether another rotation describes the film as well (temporal aliasing)
 
     @property

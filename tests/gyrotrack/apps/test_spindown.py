@@ -114,11 +114,14 @@ def test_halves_of_the_ring_that_differ_widen_the_uncertainty(speed, factor):
     series = SimpleNamespace(time=t, sigma=sigma)
     halves = np.stack([angle + 0.02 * t**2, angle - 0.02 * t**2])  # alpha differs by 0.08 rad/s2
     recording = SimpleNamespace(bodies={"casing": SimpleNamespace(time=t)})
-    tracked = SimpleNamespace(halves=halves, hub_leverage=3.0)
+    tracked = SimpleNamespace(halves=halves, hub_leverage=3.0, distance_error=0.0)
     plain = motion_of(t, angle, sigma)
     found = _with_view_errors(plain, series, recording, tracked)
     assert found.alpha.value == plain.alpha.value
     assert found.alpha.stderr == pytest.approx(np.hypot(plain.alpha.stderr, factor * 0.08), rel=0.05)
+    tracked.distance_error = 0.2
+    scaled = _with_view_errors(plain, series, recording, tracked).omega_mean
+    assert scaled.stderr == pytest.approx(0.2 * scaled.value, rel=0.05)
 
 
 @pytest.mark.slow
