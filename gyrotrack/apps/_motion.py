@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from gyrotrack._correlated_noise import correlated_least_squares
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._pulses import Passages
-from gyrotrack.io.readers._run import start_of_oscillation
+from gyrotrack.io.readers._run import start_of_oscillation, upward_crossings
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,6 +32,8 @@ _END = 0.05  # share of a record from which the angular velocity at its ends is 
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
+# a body swings that passes the middle of its range upwards this often; range in standard uncertainties of an angle
+_SWINGS, _LEAST_SWING = 3, 40.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
-    amplitude and decay rate are those at the middle of the record.
+    amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
+    repeatedly, but is no such oscillation (beats, a drive), has no period, amplitude or decay rate.
     """
     if len(time) < _MIN_SAMPLES:
         what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
@@ -87,9 +90,13 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     omega, mean, alpha = _rotation(t, angle, sigma)
     oscillation = _oscillation(t, angle, sigma)
     if oscillation is not None:
-        period, amplitude, decay, ends, rest = oscillation
-        if _reverses(t, angle, period.value) and rest < 0.2 * np.var(angle):
+        period, amplitude, decay, ends, curve = oscillation
+        if _reverses(t, curve, period.value) and np.var(angle - curve) < 0.2 * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
+    if np.ptp(angle) > _LEAST_SWING * np.median(sigma):
+        passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), share=0.2)
+        if len(passages) >= _SWINGS:
+            return BodyMotion("oscillation", turns, omega, mean, alpha)
     change = abs(omega["last"] - omega["first"])
     steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
     return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha)
@@ -139,9 +146,9 @@ def motion_of_passages(passages: Passages) -> BodyMotion:
     )
 
 
-def _reverses(t: Floats, angle: Floats, period: float) -> bool:
-    """Return whether the motion reverses repeatedly without net rotation."""
-    net, path = abs(angle[-1] - angle[0]), float(np.abs(np.diff(angle)).sum())
+def _reverses(t: Floats, curve: Floats, period: float) -> bool:
+    """Return whether the fitted curve of a motion reverses repeatedly without net rotation."""
+    net, path = abs(curve[-1] - curve[0]), float(np.abs(np.diff(curve)).sum())
     return bool(np.ptp(t) > 1.2 * period and net < 0.6 * path)
 
 
@@ -258,12 +265,13 @@ class _Wave:
         phase = np.unwrap(np.arctan2(quadrature, in_phase))
         count = min(int(abs(phase[-1] - phase[0]) / TURN), _MAX_WINDOWS)
         free = np.full(self.size, np.inf)
-        if count < _MIN_WINDOWS:
+        edges = (phase[-1] - phase[0]) * np.arange(count) / max(count, 1)
+        # a phase that turns back, of a model that does not describe the motion, has few windows
+        first = np.unique(np.searchsorted(np.maximum.accumulate(phase - phase[0]), edges))
+        if len(first) < _MIN_WINDOWS:
             models = [list(range(self.size))]
             (fit,) = correlated_least_squares(t, jacobian, rest, sigma, models, free, phase)
             return fit.criterion, (fit.of(one[0])[1], fit.of(one[1])[1], fit.of(along)[1])
-        edges = (phase[-1] - phase[0]) * np.arange(count) / count
-        first = np.unique(np.searchsorted(np.maximum.accumulate(phase - phase[0]), edges))
         split, criterion, found = 5 + self.phase, 0.0, []
         of_amplitude = np.stack([along, one[1], *one[split:]])
         of_phase = np.stack([across, one[0], *one[6:split]])
@@ -321,8 +329,11 @@ class _Wave:
 
 def _oscillation(
     t: Floats, angle: Floats, sigma: Floats
-) -> tuple[Value, Value, Value, dict[str, float], float] | None:
-    """Fit a damped oscillation about a drifting mean; None if the record is too short for one."""
+) -> tuple[Value, Value, Value, dict[str, float], Floats] | None:
+    """Fit a damped oscillation about a drifting mean; None if the record is too short for one.
+
+    Returned are period, amplitude, decay rate, the angular velocities at the ends, and the fitted curve.
+    """
     start = _frequency(t, angle)
     if start is None:
         return None
@@ -338,9 +349,9 @@ def _oscillation(
         rest = angle - wave(c, t)
         criterion, errors = wave.errors(c, t, rest, sigma)
         if best is None or criterion < best[0]:
-            best = criterion, wave, c, rest, errors
+            best = criterion, wave, c, errors
     assert best is not None  # noqa: S101 - there is at least one trial
-    _, wave, c, rest, (frequency_error, decay_error, amplitude_error) = best
+    _, wave, c, (frequency_error, decay_error, amplitude_error) = best
     decay, amplitude = Value(float(c[1]), decay_error), Value(float(np.hypot(c[2], c[3])), amplitude_error)
     short = 1e-4 / float(c[0])
     first, last = ((wave(c, e + short) - wave(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
@@ -350,7 +361,7 @@ def _oscillation(
         amplitude,
         decay,
         ends,
-        float(np.var(rest)),
+        wave(c, t),
     )
 
 

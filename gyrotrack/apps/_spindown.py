@@ -33,8 +33,8 @@ from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
-from gyrotrack.tracking._extract import extract
-from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._extract import extract, track_doubts
+from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked
@@ -243,6 +243,11 @@ def film_recording(
         omega_sigma=omega_sigma,
         smoothing_width=width,
     )
+    # a body that enters or leaves the picture is not lost in the frames before and after
+    shown = fresh_frames(film)
+    count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
+    doubts = [*tracked.warnings[-1:]] if tracked.ambiguous else []
+    unsure = track_doubts("body", body, count, "the picture of the body (.png)")
     centre = np.full((len(film), 2), np.nan)
     centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
     rows, columns = next(iter(film.frames(0, 1))).shape
@@ -264,12 +269,12 @@ def film_recording(
         centre_sigma=np.full(len(film), np.nan),
         markers={},
         bodies={"casing": body},
-        warnings=(*warnings, *tracked.warnings, *times.warnings),
+        warnings=(*warnings, *tracked.warnings, *unsure, *times.warnings),
         extra={
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
             "centre_from": tracked.way,
-            "doubts": list(tracked.warnings[-1:]) if tracked.ambiguous else [],
+            "doubts": [*doubts, *unsure],
             "tracking": {
                 "method": "registration of the polar picture",
                 "hub_px": list(tracked.ring.hub),
@@ -387,7 +392,7 @@ def _analysed(
     written = None
     try:
         study = open_study([target], None)
-        laws = oscillator_laws(study.data[0]) if motion.kind == "oscillation" else None
+        laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case
             base = fit(study.model(REDUCED), study.data)
@@ -458,6 +463,11 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
     if motion.kind != "oscillation":
         return
+    if motion.period is None:
+        raise FittingError(
+            "the motion reverses repeatedly, but is not one damped oscillation: the body is coupled to another one "
+            "(beats), driven or disturbed; --from and --to select a part in which it oscillates freely."
+        )
     if fit.problem.data[0].oscillation is None:
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:

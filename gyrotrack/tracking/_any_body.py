@@ -50,6 +50,8 @@ _FINE = 200.0
 _EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
 # the same for a hub outside the picture that is not given, for which rotation resembles translation
 _OUTSIDE = 0.85
+# share of the picture that moves, from which it may be the camera that turns about a hub outside the picture
+_WHOLE = 0.9
 # error of the angles due to the centre of rotation, relative to their standard deviation, from which they are
 # refused. Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say
 # nothing about each other
@@ -161,9 +163,12 @@ def _track(
         proposals = propose_hubs(block, motion)
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
+    where, hint = "about a hub", "Give the centre of rotation with --hub X,Y."
+    if hub is not None:
+        where = f"about the hub ({hub[0]:g}, {hub[1]:g}) px"
+        hint = "Check the hub. The axis of rotation must point at the camera, and the body must show marks or texture."
     if not trials or trials[0].score < 0.02:
-        what = f"No body that turns about a hub is found in {film.path.name}."
-        raise TrackingError(what, "Give the centre of rotation with --hub X,Y.")
+        raise TrackingError(f"No body that turns {where} is found in {film.path.name}.", hint)
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
         key=lambda t: t.score,
@@ -173,9 +178,17 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         raise TrackingError(
-            f"No body that turns about a hub is found in {film.path.name}: the best candidate explains "
+            f"No body that turns {where} is found in {film.path.name}: the best candidate explains "
             f"{100 * max(best.score, 0):.0f} % of the change of brightness; {100 * needed:.0f} % are required.",
-            "Give the centre of rotation with --hub X,Y.",
+            hint,
+        )
+    left, top, right, bottom = motion.area
+    if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
+        what = (
+            f"All of the picture moves in {film.path.name}: the camera moves, or the body fills the picture."
+        )
+        raise TrackingError(
+            what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub

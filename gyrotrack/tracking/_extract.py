@@ -299,33 +299,10 @@ _STEPS = 12
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
-    """Return reasons to inspect a recording: lost frames, missing markers, gaps with an undetermined number of turns.
-
-    The angular rates before and after such a gap predict angles that differ by more than half a turn.
-    """
-    found, count = list(scene.doubts), len(time)
+    """Return reasons to inspect a recording: lost frames, gaps in which a turn may be hidden, missing markers."""
+    found = list(scene.doubts)
     for name, track in bodies.items():
-        if len(track.time) < LEAST_TRACKED * count:
-            found.append(
-                f"The {name} has an angle in {len(track.time)} of {count} frames "
-                f"({len(track.time) / max(count, 1):.0%}). Inspect an overlay of the film (--overlay)."
-            )
-        step = np.diff(track.time)
-        period = float(np.median(step)) if len(step) else np.inf
-        gaps = [int(k) for k in np.flatnonzero(step > 3.5 * period) if k >= _STEPS and k + _STEPS < len(step)]
-        rates = [
-            (track.angle[k] - track.angle[k - _STEPS]) / (track.time[k] - track.time[k - _STEPS])
-            - (track.angle[k + 1 + _STEPS] - track.angle[k + 1])
-            / (track.time[k + 1 + _STEPS] - track.time[k + 1])
-            for k in gaps
-        ]
-        hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
-        if hidden:
-            found.append(
-                f"The number of turns of the {name} is not determined in {len(hidden)} gap(s), the first of "
-                f"{step[hidden[0]]:.3g} s at {track.time[hidden[0]]:.3f} s. The angular rates before and after the gap "
-                "predict angles that differ by more than half a turn."
-            )
+        found += track_doubts(name, track, len(time), "an overlay of the film (--overlay)")
         absent = [m for m in scene.missing if scene.body_of.get(m) == name]
         if absent:
             found.append(
@@ -333,6 +310,36 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
                 "Check the film and the profile (--profile)."
             )
     return tuple(found)
+
+
+def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[str]:
+    """Return doubts about a track by its frames: too few of `count`, or gaps with an undetermined number of turns.
+
+    The angular rates before and after such a gap predict angles that differ by more than half a turn.
+    """
+    found = []
+    if len(track.time) < LEAST_TRACKED * count:
+        found.append(
+            f"The {name} has an angle in {len(track.time)} of {count} frames "
+            f"({len(track.time) / max(count, 1):.0%}). Inspect {inspect}."
+        )
+    step = np.diff(track.time)
+    period = float(np.median(step)) if len(step) else np.inf
+    gaps = [int(k) for k in np.flatnonzero(step > 3.5 * period) if k >= _STEPS and k + _STEPS < len(step)]
+    rates = [
+        (track.angle[k] - track.angle[k - _STEPS]) / (track.time[k] - track.time[k - _STEPS])
+        - (track.angle[k + 1 + _STEPS] - track.angle[k + 1])
+        / (track.time[k + 1 + _STEPS] - track.time[k + 1])
+        for k in gaps
+    ]
+    hidden = [k for k, rate in zip(gaps, rates, strict=True) if abs(rate) * step[k] > np.pi]
+    if hidden:
+        found.append(
+            f"The number of turns of the {name} is not determined in {len(hidden)} gap(s), the first of "
+            f"{step[hidden[0]]:.3g} s at {track.time[hidden[0]]:.3f} s. The angular rates before and after the gap "
+            "predict angles that differ by more than half a turn."
+        )
+    return found
 
 
 def _unseen(scene: Scene) -> tuple[str, ...]:

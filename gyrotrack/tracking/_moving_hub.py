@@ -158,7 +158,8 @@ def track_free_body(
         if tracked.explained < _EXPLAINED or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
             continue
         steps = np.abs(np.diff(tracked.angle)) / np.diff(tracked.frame)
-        if np.median(steps) > _FASTEST:
+        # in a single step, another orientation fits the template better: what moves is not one rigid body
+        if np.max(steps) > _FASTEST:
             continue
         apart = tracked.halves[0] - tracked.halves[1]
         correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))

@@ -225,7 +225,7 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
     held = (polar - template.fixed)[rows]
     turned = start / ring.step
     area = ring.area[rows].astype(np.float32)
-    shift, gain, normal, misfit = np.zeros(2), 0.0, np.eye(1), 1.0
+    shift, gain = np.zeros(2), 0.0
     usable = template.allowed[rows].astype(np.float32)
     body_variance, fixed_variance = template.body_variance[rows], template.fixed_variance[rows]
     for _ in range(_ITERATIONS):
@@ -245,16 +245,14 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
         residual = seen - body
         clipped = 1.0 / np.maximum(1.0, residual**2 / np.maximum(9.0 * variance, 1e-6)) ** 0.5
         robust = weight * clipped
-        basis = np.stack([c.ravel() for c in columns])
-        weighted = basis * robust.ravel()
-        normal = (weighted @ basis.T).astype(np.float64)
+        basis = [c.ravel() for c in columns]
+        weighted = [c * robust.ravel() for c in basis]
+        normal = np.array([[np.dot(v, c) for c in basis] for v in weighted], dtype=np.float64)
+        right = np.array([np.dot(v, residual.ravel()) for v in weighted], dtype=np.float64)
         if len(columns) > 3 and template.hub_sigma:
             normal[3:, 3:] += np.eye(2) / template.hub_sigma**2
         normal += np.eye(len(normal)) * (1e-9 * np.trace(normal) / len(normal) + 1e-12)
-        solved = np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64))
-        misfit = float(
-            np.sum(robust * (residual - (basis.T @ solved).reshape(body.shape)) ** 2) / np.sum(area)
-        )
+        solved = np.linalg.solve(normal, right)
         moved = float(np.clip(solved[0], -1.5, 1.5))
         step = here + moved - turned
         turned = here + moved
@@ -264,6 +262,9 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
             shift = np.array([cos * solved[3] - sin * solved[4], sin * solved[3] + cos * solved[4]])
         if abs(step) < _CLOSE:
             break
+    for known, column in zip(solved, columns, strict=True):
+        residual -= np.float32(known) * column
+    misfit = float(np.sum(robust * residual**2, dtype=np.float64) / np.sum(area))
     covariance = np.linalg.inv(normal)
     formal = float(np.sqrt(covariance[0, 0])) * ring.step
     about = float(np.sqrt(max(covariance[3, 3], covariance[4, 4]))) if len(covariance) > 3 else float("inf")

@@ -507,7 +507,9 @@ def spindown_command(
     if document["ambiguous"]:
         return NOT_TRUSTED
     if document["diagnosis"] is None:
-        return NOT_TRUSTED if document["motion"].kind == "spin-down" else DONE
+        motion = document["motion"]
+        free = motion.kind == "steady" or motion.period is not None
+        return DONE if free else NOT_TRUSTED
     return NOT_TRUSTED if verdict == "unexplained" else DONE
 
 

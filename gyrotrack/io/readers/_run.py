@@ -153,7 +153,7 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
     more than 1 % of the period or 5 % of the amplitude. `value` is the angle or the angular velocity.
     """
     value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
-    crossings = _upward_crossings(value)
+    crossings = upward_crossings(value)
     if len(crossings) < _MIN_CROSSINGS:
         return 0
     below, above = value[crossings - 1], value[crossings]
@@ -180,9 +180,9 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
     return int(crossings[int(np.argmax(free))])
 
 
-def _upward_crossings(value: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the samples of the upward zero crossings of a curve, with hysteresis."""
-    least = 0.02 * float(np.ptp(value))
+def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the samples of the upward zero crossings of a curve, with a hysteresis of this share of its range."""
+    least = share * float(np.ptp(value))
     state = np.where(value > least, 1, np.where(value < -least, -1, 0))
     clear = np.flatnonzero(state)
     rising = clear[1:][(state[clear[1:]] > 0) & (state[clear[:-1]] < 0)]

@@ -1,8 +1,8 @@
-"""The end of a motion: a body that comes to rest, turns on, or swings."""
+"""The kind of a motion, and its end: a body that comes to rest, turns on, or swings."""
 
 import numpy as np
 
-from gyrotrack.apps._motion import end_of_motion
+from gyrotrack.apps._motion import end_of_motion, motion_of
 
 SIGMA = 1e-3
 
@@ -27,3 +27,21 @@ def test_a_body_that_turns_on_is_kept():
 def test_an_oscillation_is_kept():
     t = np.arange(0, 10, 0.005)
     assert end_of_motion(t, *noisy(0.4 * np.exp(-0.5 * t) * np.sin(8 * t))) == len(t)
+
+
+def test_beats_are_neither_a_steady_rotation_nor_one_oscillation():
+    """Two coupled pendulums exchange their energy: the sum of two normal modes."""
+    t = np.arange(0, 100, 0.02)
+    angle, sigma = noisy(0.05 * np.exp(-t / 300) * (np.cos(3.90 * t) + np.cos(4.05 * t)))
+    motion = motion_of(t, angle, sigma)
+    assert motion.kind == "oscillation"
+    assert motion.period is None
+
+
+def test_a_steady_rotation_is_one_also_with_noise_and_a_displaced_hub():
+    t = np.arange(0, 20, 0.02)
+    for rate in (3e-3, 3.49):
+        angle, sigma = noisy(rate * t + 0.01 * np.sin(rate * t))
+        motion = motion_of(t, angle, sigma)
+        assert motion.kind == "steady"
+        assert abs(motion.omega_mean.value - rate) < 4 * motion.omega_mean.stderr

@@ -144,6 +144,14 @@ def test_a_blank_disc_that_turns_is_refused():
         track_free_body(film(path, angle, marks=False))
 
 
+def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body():
+    """A glare on a record that turns under a lamp: its outline moves, and another orientation fits it suddenly."""
+    path, angle = sliding(turns=0.8)
+    angle[60:] += 2.0
+    with pytest.raises(TrackingError, match="No body that turns"):
+        track_free_body(film(path, angle))
+
+
 def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
@@ -181,6 +189,25 @@ def test_two_pendulums_are_never_one_body():
         return
     off = [np.std(tracked.angle - sign * one[tracked.frame]) for one in angles for sign in (1, -1)]
     assert min(off) < 3 * np.median(tracked.sigma) + 0.02 * angles.std()
+
+
+@pytest.mark.slow
+def test_a_camera_that_turns_about_a_point_outside_the_picture_is_no_body():
+    """The hub must be given for a body that fills the picture: the film does not differ from that of a camera."""
+    rng, hub = np.random.default_rng(5), np.array([-150.0, 60.0])
+    floor = cv2.GaussianBlur(rng.normal(0, 1, (700, 700)), (0, 0), 3)
+    angle = 0.25 * np.sin(2.2 * np.linspace(0, 1, 40))
+    frames = []
+    for c, s in zip(np.cos(angle), np.sin(angle), strict=True):
+        move = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        move[:, 2] = hub - move[:, :2] @ (hub + 250)
+        picture = 110 + 35 * cv2.warpAffine(floor / floor.std(), move, (160, 120), flags=cv2.INTER_CUBIC)
+        frames.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    shown = Rendered(frames)
+    with pytest.raises(TrackingError, match="the camera moves, or the body fills the picture"):
+        track_body(shown)
+    tracked = track_body(shown, tuple(hub))
+    assert np.std(error_of(tracked, angle)) < 2e-3
 
 
 @pytest.fixture(scope="module")
