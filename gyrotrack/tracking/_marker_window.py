@@ -148,9 +148,8 @@ class MarkerStrip:
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
         seen = np.stack([self.grid.around(frame, slice(None)) for frame in in_turn(frames)], axis=-1)
-        ranks = (len(frames) - 1) // 2, len(frames) // 2
-        seen.partition(ranks, axis=-1)
-        ground = 0.5 * (seen[..., ranks[0]] + seen[..., ranks[1]])
+        seen.sort(axis=-1)  # faster than a partition about two ranks
+        ground = 0.5 * (seen[..., (len(frames) - 1) // 2] + seen[..., len(frames) // 2])
         if self.marker.dwell > LONGEST_DWELL:
             ground[:] = np.median(ground, axis=1, keepdims=True)
         return ground

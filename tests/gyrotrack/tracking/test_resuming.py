@@ -14,6 +14,7 @@ import pytest
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
+from gyrotrack.tracking._film_parts import _second_start as second_start
 from gyrotrack.tracking._film_parts import frames_done, split, turns_between
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.video._container import Packets
@@ -143,6 +144,9 @@ def test_parts_join_without_a_step(long_film, monkeypatch):
         apart = parts.bodies[name].angle - body.angle
         assert np.abs(apart).max() < 8 * np.median(body.sigma)
         assert np.abs(apart.mean()) < 0.3 * np.median(body.sigma)
+    # as on a full disk: the first frames of each part are decoded a second time
+    monkeypatch.setattr("gyrotrack.tracking._film_parts._stored", lambda *_: None)
+    same(extract(film), parts)
 
 
 def packets(count, keys):
@@ -160,6 +164,16 @@ def test_parts_depend_on_the_film_alone():
     assert split(packets(700, range(0, 700, 50))) == (Part(),)
     assert split(packets(9000, [0])) == (Part(),)
     assert split(dataclasses.replace(packets(9000, range(0, 9000, 250)), complete=False)) == (Part(),)
+
+
+def test_a_part_continues_at_the_last_key_frame_of_its_first_batch():
+    def continues(every, *part):
+        return second_start(packets(3000, range(0, 3000, every)), Part(*part))
+
+    assert [continues(every) for every in (30, 250, 256, 300, 512)] == [510, 500, 512, 300, 512]
+    assert continues(600) is None
+    assert continues(250, 1500, 15_100) == 2000
+    assert continues(300, 0, None, 100 + 10 * 290) is None  # beyond the part
 
 
 def test_turns_between_parts():
