@@ -1,5 +1,5 @@
 /* Numerical kernels of tracking, in C without Python. `_compiled.pyx` checks nothing and calls them; `_kernels.py`
- * checks types and shapes; `_reference.py` says in NumPy what each of them computes. */
+ * checks types and shapes, and says in NumPy what each of them computes. */
 #include "kernels.h"
 
 #include <math.h>
