@@ -203,7 +203,10 @@ def running_quantile(x: npt.NDArray[Any], width: int, rank: int) -> npt.NDArray[
     """Return the value of a rank (from 0) among `width` neighbours (odd) of each point, extended by its end points."""
     around = sliding_window_view(np.pad(x, width // 2, mode="edge"), width)
     # the filters of scipy.ndimage do the same, but their import takes as long as the tracking of 1000 frames
-    return np.concatenate([np.partition(around[part], rank, axis=1)[:, rank] for part in row_blocks(len(x))])
+    out = np.empty_like(x)
+    for part in row_blocks(len(x)):
+        out[part] = np.partition(around[part], rank, axis=1)[:, rank]
+    return out
 
 
 def angular_velocity(
