@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
@@ -361,6 +361,14 @@ class PartWorkers:
             return _run(task, film, self.parts[index], 1, count)
 
 
+def _folder() -> AbstractContextManager[str]:
+    """Return a folder for the beginnings of parts; one that does not exist if none can be made."""
+    try:
+        return TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True)
+    except OSError:  # no space: the beginnings are decoded again
+        return nullcontext(f"{os.devnull}/absent")
+
+
 def frames_done(journal: CheckpointFile) -> int:
     """Return how many frames an unfinished run has done, according to its journal."""
     return sum(int(record.facts["frames"]) for record in journal.records())
@@ -383,7 +391,7 @@ def track_film(
     done, number = kept.frames, len(workers.parts)
     if progress is not None and done:
         progress(done, total)
-    with TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True) as folder:
+    with _folder() as folder:
         work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         film = Film(info, packets, timing, tracker, Path(folder))
