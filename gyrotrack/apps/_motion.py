@@ -32,8 +32,9 @@ _END = 0.05  # share of a record from which the angular velocity at its ends is 
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a body swings that passes the middle of its range upwards this often; range in standard uncertainties of an angle
-_SWINGS, _LEAST_SWING = 3, 40.0
+# a motion that is no damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
+# with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
+_PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         period, amplitude, decay, ends, curve = oscillation
         if _reverses(t, curve, period.value) and np.var(angle - curve) < 0.2 * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
-    if np.ptp(angle) > _LEAST_SWING * np.median(sigma):
-        passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), share=0.2)
-        if len(passages) >= _SWINGS:
+    if np.ptp(angle) > _LEAST_RANGE * np.median(sigma):
+        passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), _HYSTERESIS)
+        if len(passages) >= _PASSAGES:
             return BodyMotion("oscillation", turns, omega, mean, alpha)
     change = abs(omega["last"] - omega["first"])
     steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)

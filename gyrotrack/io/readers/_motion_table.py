@@ -348,22 +348,20 @@ def _assumed_units(
     """Return notes on columns whose unit is not stated and not implied by the symbol of the quantity."""
     quantity = "angle" if "angle" in columns else "omega"
     notes = []
-    for role, assumed, other in ((quantity, *_ASSUMED[quantity]), ("t", *_ASSUMED["t"])):
-        if role not in columns or units[role] or options.names:
+    for role in () if options.names else (quantity, "t"):
+        values = raw.numeric(columns[role]) if role in columns and not units[role] else None
+        name = raw.names[columns[role]] if values is not None else ""
+        if values is None or not name or set(re.split(r"[\s_.,\-:]+", name.casefold())) & _SYMBOLS:
             continue
-        name, values = raw.names[columns[role]], raw.numeric(columns[role])
-        words = set(re.split(r"[\s_.\-:]+", name.casefold()))
-        if not name or values is None or words & _SYMBOLS:
-            continue
-        # times that are not whole are hardly milliseconds; angles that wrap at 360 have a note of their own
-        implied = (
-            _wraps_at_360(values) if role == "angle" else (values % 1 != 0).any() if role == "t" else False
+        if role == "t" and (values % 1 != 0).any():
+            continue  # hardly milliseconds
+        if role == "angle" and _wraps_at_360(values):
+            continue  # a note of its own
+        assumed, other = _ASSUMED[role]
+        notes.append(
+            f"{raw.path.name}: the unit of '{name}' is not stated; {assumed} is assumed "
+            f"(another: --column '{role}={name} [{other}]')"
         )
-        if not implied:
-            notes.append(
-                f"{raw.path.name}: the unit of '{name}' is not stated; {assumed} is assumed "
-                f"(another: --column '{role}={name} [{other}]')"
-            )
     return notes
 
 

@@ -211,11 +211,10 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
         if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
             units, names, header_line = names, above[-2], lines[first - 2][0]
     # a title, separated from the samples by an empty line, may have as many words as there are columns
-    titled = bool(names) and delimiter is None and lines[first][0] > header_line + 1
-    if titled and not any(map(role_of, names)):
+    apart = bool(names) and delimiter is None and lines[first][0] > header_line + 1
+    titled = apart and not any(map(role_of, names))
+    if titled:
         names, header_line = [], lines[first][0]
-    else:
-        titled = False
     usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
     above_table = next((i for i, r in enumerate(rows) if len(r) == usual), 0)
     preamble: list[str] = []
