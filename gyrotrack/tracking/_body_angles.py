@@ -74,20 +74,31 @@ class BodyView:
         return away
 
     def flattening(self, centre: Floats) -> Flattening:
-        """Fit tilt and offsets to the orbits of the markers; one offset if each of them covers only a part."""
+        """Fit tilt and offsets to the orbits of the markers.
+
+        One offset for the coloured ones if each of them covers only a part of its orbit.
+        """
         orbits = self._orbits(centre)
         found = fit_flattening(orbits)
-        return found if found.offset else fit_common_offset({name: orbits[name] for name in self.coloured})
+        if any(name in found.offset for name in self.coloured):
+            return found
+        common = fit_common_offset({name: orbits[name] for name in self.coloured})
+        return replace(common, offset=found.offset | common.offset) if common.offset else found
+
+    def reference(self, flat: Flattening) -> list[str]:
+        """Return the markers whose offset is known, without white ones if there are others (see `coloured`)."""
+        return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
         """Add the offsets of the markers that cover only an arc; expected is the mean of those of the others."""
         absent = [name for name in self.observations if name not in flat.offset]
-        known = [name for name in self.coloured if name in flat.offset] or list(flat.offset)
         if not absent:
             return flat
         size = float(np.hypot(HEIGHT * flat.tilt * self.radius, LUMA_SHIFT))
         arcs = {name: self._trusted(name, centre) for name in absent}
-        arc = flattening_of_arc(flat, arcs, flat.shift(known), size, usual_error_by_place(self))
+        arc = flattening_of_arc(
+            flat, arcs, flat.shift(self.reference(flat)), size, usual_error_by_place(self)
+        )
         return replace(flat, offset=flat.offset | arc.offset, offset_covariance=arc.offset_covariance)
 
     def flattening_of_arc(
@@ -192,15 +203,14 @@ def correct_view(
 def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Flattening]:
     """Fit the flattening of each body's orbits; a body that covers an arc gets that of one with full orbits."""
     flat = {name: body_view.flattening(centre.centre) for name, body_view in views.items()}
-    known = [
-        name for name, body_view in views.items() if any(m in flat[name].offset for m in body_view.coloured)
-    ]
+    known = [name for name in views if flat[name].offset]
     if not known:
         return flat
     tilt = _common_tilt({name: flat[name] for name in known}, views)
     body_view, reference = views[known[0]], replace(flat[known[0]], p=tilt.real, q=tilt.imag)
     shift = _shrunk(
-        reference.shift(body_view.coloured), usual_error_of_harmonic(body_view, len(body_view.coloured))
+        reference.shift(body_view.reference(reference)),
+        usual_error_of_harmonic(body_view, len(body_view.coloured)),
     )
     found = {}
     for name, own in flat.items():
@@ -260,7 +270,7 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
     A small tilt is badly determined by the ellipses of the orbits. An offset e of the orbit of the rotor (`body_view`)
     by its depth indicates a tilt of e / depth.
     """
-    offset = float(np.hypot(*flat.shift(body_view.coloured)))
+    offset = float(np.hypot(*flat.shift(body_view.reference(flat))))
     tilt = max(flat.tilt, offset / (DEPTH * body_view.radius))
     return float(np.hypot(HEIGHT * tilt * radius, LEAST_SIGMA))
 
@@ -310,7 +320,7 @@ def separate_perspective(
     rotor, if the disc is above both; each within `_height_error`. All measurements have errors by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
-    if not own.offset or not any(m in reference.offset for m in body_view.coloured):
+    if not own.offset or not reference.offset:
         return own
     offset, error = axis_offset(body_view, reference, rotor), usual_error_of_harmonic(body_view)
     # Perspective acts along the tilt; the component across it is an error.
@@ -322,7 +332,7 @@ def separate_perspective(
     if off:
         error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
     offset = along * float(along @ offset)
-    axis = _shrunk(reference.shift(body_view.coloured) + offset, error)
+    axis = _shrunk(reference.shift(body_view.reference(reference)) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
     size = _height_error(reference, body_view, views["casing"].radius)

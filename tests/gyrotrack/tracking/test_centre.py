@@ -3,9 +3,10 @@ import re
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._body_angles import followed_path, view
-from gyrotrack.tracking._hub import fast_motion, marked_paths, smooth_path
+from gyrotrack.tracking._body_angles import correct_view, followed_path, view
+from gyrotrack.tracking._hub import CentrePath, fast_motion, marked_paths, smooth_path
 from gyrotrack.tracking._marker_tracker import MarkerObservations
+from gyrotrack.tracking._profile import PAPER
 from gyrotrack.tracking._scene import Marker
 
 
@@ -159,3 +160,31 @@ def test_the_uncertainty_in_a_gap_contains_the_motion_of_the_camera():
         path = min(marked_paths(measured), key=lambda p: p.reach if p.reach > 5 else np.inf)
         pulls.append((path.centre - true)[104:108] / path.sigma[104:108, None])
     assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_coloured_markers_with_gaps_in_their_orbits_are_followed_about_the_same_point_as_the_white_one():
+    """A bar and its shadow hide a coloured marker for a quarter of a turn, but never the white one."""
+    offset, radius, centre, n = np.array([-3.7, 6.5]), 64.0, np.array([320.0, 240.0]), 150
+    rng = np.random.default_rng(12)
+    markers, observations, truth = [], {}, {}
+    for name, mount, hidden in (("blue", 0.0, 1.6), ("green", 2.1, 1.6), ("white", 4.2, 0.0)):
+        truth[name] = theta = mount + 2.0 * np.pi * np.arange(n) / n
+        x, y = offset[:, None] + (radius + rng.normal(0.0, 0.2, n)) * np.stack([np.cos(theta), np.sin(theta)])
+        markers.append(Marker(name, "rotor", name, radius - 9, radius + 9, 0.1, (20.0, 20.0), 0.15, mount))
+        observations[name] = MarkerObservations(
+            angle=np.arctan2(y, x),
+            radius=np.hypot(x, y),
+            corner_angle=np.zeros((n, 2)),
+            corner_radius=np.zeros((n, 2)),
+            gain=np.ones(n),
+            misfit=np.full(n, 0.02),
+            weakness=np.ones(n),
+            open=np.mod(theta - 1.0, 2.0 * np.pi) >= hidden,
+            centre=np.tile(centre, (n, 1)),
+        )
+    views = {"rotor": view(tuple(markers), observations, (640, 480))}
+    path = CentrePath(np.tile(centre, (n, 1)), np.full(n, 0.05), 0)
+    _, flat = correct_view(path, views, PAPER, marked=True)
+    for name, found in views["rotor"].candidates(path, flat["rotor"]).items():
+        error = np.angle(np.exp(1j * (found.angle - truth[name])))[found.open]
+        assert np.std(error) < 3e-3, name  # 0.1 rad about the disc
