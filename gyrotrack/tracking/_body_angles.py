@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
-from gyrotrack._smoothing import TimeBase, jitter_is_real
+from gyrotrack._smoothing import TimeBase, jitter_is_real, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
@@ -27,6 +27,8 @@ from gyrotrack.tracking._hub import (
 )
 from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import (
+    LEAST_OBSERVATIONS,
+    MOST_OBSERVATIONS,
     NO_FLATTENING,
     Flattening,
     fit_common_offset,
@@ -163,26 +165,92 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
     """
     best = paths[0]
     flat = _flattening(best, views) if len(paths) > 1 else {}
-
-    def squares(path: CentrePath) -> Floats:
-        radii = [one for name, seen in views.items() for one in seen.radii(path.centre, flat[name])]
-        return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
-
-    before = squares(best) if len(paths) > 1 else np.zeros(0)
+    before = _squares(best, views, flat) if len(paths) > 1 else np.zeros(0)
     for path in paths[1:]:
-        after = squares(path)
-        gain = []
-        for one, other in zip(before, after, strict=True):
-            use = np.isfinite(one) & np.isfinite(other)
-            size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
-            # outliers, as of a marker that is mistaken for another one, are limited
-            change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
-            groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
-            gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
-        mean = np.mean(gain, axis=0)
-        if len(mean) > 2 and mean.mean() > _BETTER * mean.std() / np.sqrt(len(mean) - 1):
+        after = _squares(path, views, flat)
+        if _is_better(before, after):
             best, before = path, after
     return best
+
+
+LEAST_ARC = (
+    1.0  # angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
+)
+_CLIP = 4.0  # residual of a radius in robust standard deviations from which it is an outlier
+
+
+def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
+    """Correct the path of a disc that is fixed to the casing beside the axis of the rotor.
+
+    The disc then circles the axis by the angle c of the casing. Its offset d, constant on the casing, changes a radius
+    of the rotor's markers at the angle a by -d . r(a - c), with r the unit vector, and displaces it by |d| sin(a - c)
+    at most. The markers of the casing are displaced equally in all frames. d is fitted to the radii beside the offset
+    and the flattening of each orbit, and is subtracted if the radii then vary less.
+    """
+    if "casing" not in views or "rotor" not in views:
+        return path
+    casing = views["casing"]
+    name = max(casing.whole, key=lambda m: int(casing.whole[m].sum()))
+    v = casing.place(name, path.centre)
+    known = np.flatnonzero(casing.whole[name] & np.isfinite(v).all(axis=1) & np.isfinite(path.sigma))
+    angle = np.unwrap(np.arctan2(v[known, 1], v[known, 0]))
+    if len(known) < LEAST_OBSERVATIONS or np.ptp(angle) < LEAST_ARC:
+        return path
+    angle = np.interp(np.arange(len(v)), known, angle)
+    flat = _flattening(path, views)
+    normal, right = np.zeros((2, 2)), np.zeros(2)
+    for one in views["rotor"].radii(path.centre, flat["rotor"]):
+        own = _offset_on_casing(one, angle)
+        normal, right = normal + own[0], right + own[1]
+    offset = complex(*np.linalg.lstsq(normal, right, rcond=None)[0])
+    circle = offset * np.exp(1j * angle)
+    better = replace(path, centre=path.centre - np.stack([circle.real, -circle.imag], axis=1))
+    before, after = _squares(path, views, flat), _squares(better, views, _flattening(better, views))
+    return better if _is_better(before, after) else path
+
+
+def _offset_on_casing(radii: Radii, casing: Floats) -> tuple[Floats, Floats]:
+    """Return the normal equations, (2, 2) and (2,), of the disc's offset on the casing from one marker's radii."""
+    use = np.flatnonzero(np.isfinite(radii.excess) & np.isfinite(radii.direction))
+    use = use[:: max(len(use) // MOST_OBSERVATIONS, 1)]
+    a, excess = radii.direction[use], radii.excess[use]
+    relative = a - casing[use]
+    columns = [-np.cos(relative), -np.sin(relative), np.ones_like(a)]
+    design = np.stack([*columns, *(f(k * a) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)
+    keep = np.ones(len(a), dtype=np.bool_)
+    normal, right = np.zeros((2, 2)), np.zeros(2)
+    for _ in range(3):
+        if keep.sum() < LEAST_OBSERVATIONS:
+            return np.zeros((2, 2)), np.zeros(2)
+        apart = (
+            design[keep, :2]
+            - design[keep, 2:] @ np.linalg.lstsq(design[keep, 2:], design[keep, :2], rcond=None)[0]
+        )
+        normal, right = apart.T @ apart, apart.T @ excess[keep]
+        residual = excess - design @ np.linalg.lstsq(design[keep], excess[keep], rcond=None)[0]
+        scatter = max(spread(residual[keep]), 0.02)
+        keep = np.abs(residual) < _CLIP * scatter
+    return normal / scatter**2, right / scatter**2
+
+
+def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flattening]) -> Floats:
+    """Return the squared residuals of the radii of all markers about a path, (markers, n) [px^2]."""
+    radii = [one for name, seen in views.items() for one in seen.radii(path.centre, flat[name])]
+    return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
+
+
+def _is_better(before: Floats, after: Floats) -> bool:
+    """Tell whether squared residuals are significantly smaller than those before, on the mean over the markers."""
+    gain = []
+    for one, other in zip(before, after, strict=True):
+        use = np.isfinite(one) & np.isfinite(other)
+        size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
+        # outliers, as of a marker that is mistaken for another one, are limited
+        change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
+        groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
+        gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
+    mean = np.mean(gain, axis=0)
+    return len(mean) > 2 and bool(mean.mean() > _BETTER * mean.std() / np.sqrt(len(mean) - 1))
 
 
 def correct_view(
@@ -552,7 +620,7 @@ def _followed(
 
 def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
-        return followed_path(marked_paths(seen.disc), views)
+        return about_rotor(followed_path(marked_paths(seen.disc), views), views)
     observations = [s for body in seen.bodies.values() for s in body.markers.values()]
     best = max(observations, key=lambda s: int(plausible(s).sum()))
     good = plausible(best) & best.open
