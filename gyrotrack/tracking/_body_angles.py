@@ -590,12 +590,20 @@ def _followed(
         by_place = float(np.sqrt(np.mean(np.square([usual, *learnt]))))
         coarse = seen.bodies[name].coarse
         left = variance_left(coarse, range(1, 2), max(centre.reach, 1))
-        off_axis = np.hypot(
-            np.nan_to_num(centre.sigma) * np.sqrt(left),
-            offset_uncertainty(candidates[name], flattening[name]),
+        off_axis = np.nan_to_num(centre.sigma) * np.sqrt(left)
+        flat = flattening[name]
+        return join(
+            coarse,
+            candidates[name],
+            fps,
+            other,
+            by_place / radius,
+            off_axis / radius,
+            offset_uncertainty(candidates[name], flat) / radius,
+            arcs={marker: c / radius**2 for marker, c in flat.offset_covariance.items()},
+            above=above,
+            time_base=time_base,
         )
-        floor, axis = by_place / radius, off_axis / radius
-        return join(coarse, candidates[name], fps, other, floor, axis, above=above, time_base=time_base)
 
     warnings: list[str] = []
     for name in views:
