@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
-from gyrotrack._smoothing import TimeBase, jitter_is_real, spread
+from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
@@ -34,6 +34,7 @@ from gyrotrack.tracking._orbit import (
     fit_common_offset,
     fit_flattening,
     flattening_of_arc,
+    higher_harmonics,
     mixture,
 )
 from gyrotrack.tracking._profile import Profile
@@ -274,8 +275,11 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     known = [name for name in views if flat[name].offset]
     if not known:
         return flat
-    tilt = _common_tilt({name: flat[name] for name in known}, views)
-    body_view, reference = views[known[0]], replace(flat[known[0]], p=tilt.real, q=tilt.imag)
+    error = max(_error_of_harmonic(centre, views[name], flat[name]) / views[name].radius for name in known)
+    tilt = _common_tilt({name: flat[name] for name in known}, views, error)
+    for name in known:
+        flat[name] = replace(flat[name], p=tilt.real, q=tilt.imag, error=error)
+    body_view, reference = views[known[0]], flat[known[0]]
     shift = _shrunk(
         reference.shift(body_view.reference(reference)),
         usual_error_of_harmonic(body_view, len(body_view.coloured)),
@@ -284,7 +288,7 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     for name, own in flat.items():
         radius = views[name].radius
         if own.offset:
-            found[name] = views[name].with_arcs(replace(own, p=tilt.real, q=tilt.imag), centre.centre)
+            found[name] = views[name].with_arcs(own, centre.centre)
         elif name == "casing":
             expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, body_view, radius)
             found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
@@ -294,18 +298,35 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     return found
 
 
-def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView]) -> complex:
+def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
+    """Return the error by place of the radii of a body in one component of one harmonic [px].
+
+    Orders that neither an offset nor a tilt causes show it, on the mean over the markers, which shadows displace
+    equally at each place. They and the typical error are estimates of one variance.
+    """
+    usual = usual_error_of_harmonic(body_view)
+    found = []
+    for marker, one in zip(body_view.markers, body_view.radii(centre.centre, flat), strict=True):
+        known = np.isfinite(one.excess) & np.isfinite(one.direction)
+        if marker.name in body_view.reference(flat) and known.sum() >= LEAST_OBSERVATIONS:
+            found.append(higher_harmonics(one.direction[known], one.excess[known]))
+    if not found:
+        return usual
+    seen = np.mean(found, axis=0)
+    return float(np.sqrt((BORROWED_NU * usual**2 + seen @ seen) / (BORROWED_NU + len(seen))))
+
+
+def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
     """Return p + i q of all bodies: they are seen by one camera, and the ellipses of their orbits are equal.
 
     The component across the tilt is an error. That along it cannot be negative: it is the posterior mean for a normally
-    distributed error, the share of one harmonic in the errors by place, and a uniform prior from 0.
+    distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
         markers = sum(m in one.offset for m in views[name].observations)
         total, number = total + markers * complex(one.p, one.q), number + markers
     mean = total / number
-    error = max(usual_error_of_harmonic(views[n], number) / views[n].radius for n in flat)
     along = -np.exp(2j * _azimuth(mean, error, flat, views))
     ratio = max(float((mean * np.conj(along)).real) / error, -5.0)
     density = math.exp(-0.5 * ratio**2) / math.sqrt(2.0 * math.pi)
@@ -367,11 +388,14 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
     """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
-    off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
-    if not off:
-        return np.zeros(2)
-    error = usual_error_of_harmonic(body_view, len(off))
-    return _shrunk(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
+    off = _axis_by_angles(body_view, flat, body)
+    return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, len(body_view.reference(flat))))
+
+
+def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
+    """Return the mean of the axes of the markers by angles less those by radii, (2,) [px], y up; 0 if none is known."""
+    off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
+    return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
 
 def separate_perspective(
@@ -390,16 +414,17 @@ def separate_perspective(
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
         return own
-    offset, error = axis_offset(body_view, reference, rotor), usual_error_of_harmonic(body_view)
-    # Perspective acts along the tilt; the component across it is an error.
+    error = usual_error_of_harmonic(body_view)
+    # Perspective acts along the tilt; the component across it is an error, of one degree of freedom.
     azimuth = _azimuth(
         complex(reference.p, reference.q), error / body_view.radius, {"rotor": reference}, views
     )
     along = np.array([np.cos(azimuth), np.sin(azimuth)])
-    off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
-    if off:
-        error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
-    offset = along * float(along @ offset)
+    off = _axis_by_angles(body_view, reference, rotor)
+    if rotor.axis_off:
+        across = float(along[0] * off[1] - along[1] * off[0])
+        error = math.sqrt((BORROWED_NU * error**2 + across**2) / (BORROWED_NU + 1.0))
+    offset = along * float(along @ _shrunk(off, np.sqrt(2.0) * error))
     axis = _shrunk(reference.shift(body_view.reference(reference)) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
@@ -427,6 +452,12 @@ PERSPECTIVE = 0.05
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
     """Return the uncertainty of a body's markers along their orbit due to the offsets, (n,) in px."""
     own = [np.nan_to_num(flat.tangential_sigma(name, c.angle)) for name, c in candidates.items()]
+    return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
+
+
+def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
+    """Return the uncertainty of the angles of a body's markers due to the tilt of the camera, (n,) in rad."""
+    own = [np.nan_to_num(flat.tilt_sigma(c.angle)) for c in candidates.values()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
 
@@ -599,7 +630,9 @@ def _followed(
             other,
             by_place / radius,
             off_axis / radius,
-            offset_uncertainty(candidates[name], flat) / radius,
+            np.hypot(
+                offset_uncertainty(candidates[name], flat) / radius, _tilt_uncertainty(candidates[name], flat)
+            ),
             arcs={marker: c / radius**2 for marker, c in flat.offset_covariance.items()},
             above=above,
             time_base=time_base,

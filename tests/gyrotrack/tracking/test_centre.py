@@ -3,7 +3,8 @@ import re
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._body_angles import about_rotor, correct_view, followed_path, view
+from gyrotrack.tracking._body_angles import about_rotor, axis_offset, correct_view, followed_path, view
+from gyrotrack.tracking._fusion import BodyAngles
 from gyrotrack.tracking._hub import CentrePath, fast_motion, marked_paths, smooth_path
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER
@@ -217,3 +218,45 @@ def test_coloured_markers_with_gaps_in_their_orbits_are_followed_about_the_same_
     for name, found in views["rotor"].candidates(path, flat["rotor"]).items():
         error = np.angle(np.exp(1j * (found.angle - truth[name])))[found.open]
         assert np.std(error) < 3e-3, name  # 0.1 rad about the disc
+
+
+def _three_markers(radius, excess, offset, n=400):
+    """Views of a rotor whose markers circle `offset`, (x, y) in px, at radii with errors by place, and their centre."""
+    rng, centre = np.random.default_rng(3), np.array([320.0, 240.0])
+    markers, observations = [], {}
+    for name, mount in (("blue", 0.0), ("green", 2.1), ("white", 4.2)):
+        theta = mount + 0.11 * np.arange(n)
+        r = radius + excess(theta) + rng.normal(0.0, 0.15, n)
+        x, y = offset[0] + r * np.cos(theta), offset[1] + r * np.sin(theta)
+        markers.append(Marker(name, "rotor", name, radius - 9, radius + 9, 0.1, (20.0, 20.0), 0.15, mount))
+        every = np.ones(n, dtype=bool)
+        observations[name] = _observed(np.arctan2(y, x), np.hypot(x, y), centre, every)
+    path = CentrePath(np.tile(centre, (n, 1)), np.full(n, 0.05), 0)
+    return {"rotor": view(tuple(markers), observations, (640, 480))}, path
+
+
+@pytest.mark.parametrize("size", [0.03, 0.3])
+def test_shadows_that_displace_the_edges_of_markers_make_the_tilt_as_uncertain_as_claimed(size):
+    """Errors by place of the radii, of all orders and equal for all markers; the camera is tilted by 0.1 rad."""
+    z = []
+    for seed in range(12):
+        parts = np.random.default_rng(seed).normal(0.0, size, (2, 6))
+
+        def excess(theta, parts=parts):
+            k = np.outer(theta, np.arange(1, 7))
+            return np.cos(k) @ parts[0] + np.sin(k) @ parts[1] - 70.0 * 0.1**2 / 4 * np.cos(2.0 * theta)
+
+        views, path = _three_markers(70.0, excess, (3.0, 0.0))
+        _, flat = correct_view(path, views, PAPER, marked=True)
+        z.append(abs(complex(flat["rotor"].p + 0.1**2 / 4, flat["rotor"].q)) / flat["rotor"].error)
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_the_axis_of_a_rotor_is_that_of_its_coloured_markers():
+    """Glare displaces a white marker; axes by angles less those by radii, in radii of the orbit."""
+    views, path = _three_markers(70.0, np.zeros_like, (3.0, 0.0))
+    _, flat = correct_view(path, views, PAPER, marked=True)
+    nothing = np.zeros(1)
+    off = {"blue": 0.5 / 70.0, "green": 0.5 / 70.0, "white": -1.0j / 70.0}
+    rotor = BodyAngles(nothing, nothing, nothing, {}, axis_off=off)
+    np.testing.assert_allclose(axis_offset(views["rotor"], flat["rotor"], rotor), [0.5, 0.0], atol=0.02)
