@@ -150,6 +150,11 @@ class Samples:
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
+    def still(self) -> npt.NDArray[np.float32]:
+        """Median of `chroma` over the frames, shape (2, height, width)."""
+        return np.asarray(np.median(self.chroma, axis=1), dtype=np.float32)
+
+    @cached_property
     def spread(self) -> tuple[int, ...]:
         """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
 
