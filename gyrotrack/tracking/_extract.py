@@ -24,7 +24,7 @@ from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film import Shake, camera_shake
-from gyrotrack.tracking._film_parts import PartWorkers, frames_done, track_film
+from gyrotrack.tracking._film_parts import PartWorkers, available_cores, frames_done, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
     FilmTracker,
@@ -188,7 +188,7 @@ def _observe(
 ) -> tuple[Scene, FilmObservations, Shake | None]:
     """Find and track the markers; also the camera's motion if the background shows it."""
     with PartWorkers(video, workers) as processes, single_threaded():
-        samples = take_samples(video)
+        samples = take_samples(video, workers or available_cores())
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
         with Reader(video, threads) as reader:
