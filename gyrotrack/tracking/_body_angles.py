@@ -204,6 +204,8 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
         own = _offset_on_casing(one, angle)
         normal, right = normal + own[0], right + own[1]
     offset = complex(*np.linalg.lstsq(normal, right, rcond=None)[0])
+    if abs(offset) < LEAST_SIGMA:
+        return path
     circle = offset * np.exp(1j * angle)
     better = replace(path, centre=path.centre - np.stack([circle.real, -circle.imag], axis=1))
     before, after = _squares(path, views, flat), _squares(better, views, _flattening(better, views))
