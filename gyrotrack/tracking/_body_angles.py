@@ -27,6 +27,7 @@ from gyrotrack.tracking._hub import (
 )
 from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import (
+    CELL,
     LEAST_OBSERVATIONS,
     MOST_OBSERVATIONS,
     NO_FLATTENING,
@@ -177,6 +178,7 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
 LEAST_ARC = (
     1.0  # angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
 )
+SIGNIFICANT = 3.0  # offset of the disc, in errors of a harmonic of the radii, from which it is corrected
 _CLIP = 4.0  # residual of a radius in robust standard deviations from which it is an outlier
 
 
@@ -204,7 +206,7 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
         own = _offset_on_casing(one, angle)
         normal, right = normal + own[0], right + own[1]
     offset = complex(*np.linalg.lstsq(normal, right, rcond=None)[0])
-    if abs(offset) < LEAST_SIGMA:
+    if abs(offset) < SIGNIFICANT * _error_of_harmonic(path, views["rotor"], flat["rotor"]):
         return path
     circle = offset * np.exp(1j * angle)
     better = replace(path, centre=path.centre - np.stack([circle.real, -circle.imag], axis=1))
@@ -300,17 +302,23 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     return found
 
 
+# sectors of half a `CELL` in which the radius of a marker is known: more than the harmonics that are fitted
+LEAST_PLACES = 14
+
+
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
     """Return the error by place of the radii of a body in one component of one harmonic [px].
 
     Orders that neither an offset nor a tilt causes show it, on the mean over the markers, which shadows displace
-    equally at each place. They and the typical error are estimates of one variance.
+    equally at each place. They and the typical error are estimates of one variance. A marker that is seen at a few
+    places only, in step with the frames, shows nothing.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
     for marker, one in zip(body_view.markers, body_view.radii(centre.centre, flat), strict=True):
         known = np.isfinite(one.excess) & np.isfinite(one.direction)
-        if marker.name in body_view.reference(flat) and known.sum() >= LEAST_OBSERVATIONS:
+        places = np.unique(np.rint(one.direction[known] / (0.5 * CELL)))
+        if marker.name in body_view.reference(flat) and len(places) >= LEAST_PLACES:
             found.append(higher_harmonics(one.direction[known], one.excess[known]))
     if not found:
         return usual

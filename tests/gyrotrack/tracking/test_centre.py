@@ -192,6 +192,7 @@ def test_a_disc_beside_the_axis_of_the_rotor_circles_it_with_the_casing(sways):
     views = {body: view(tuple(markers[body]), seen[body], (640, 480)) for body in seen}
     disc = centre + np.stack([circle.real, -circle.imag], axis=1)
     path = about_rotor(CentrePath(disc, np.full(n, 0.05), 0), views)
+    assert np.array_equal(path.centre, disc) == sways
     true_path = centre + np.stack([axis.real, -axis.imag], axis=1)
     assert _error(path.centre - path.centre.mean(axis=0), true_path - true_path.mean(axis=0)) < 0.06
     flat = {body: one.flattening(path.centre) for body, one in views.items()}
