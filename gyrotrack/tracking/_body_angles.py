@@ -550,7 +550,8 @@ def _join_even(
 ) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
     path = _centre(seen, views, scene, profile)
-    centre, flattening = correct_view(path, views, profile, marked=seen.disc is not None)
+    axis = path if seen.disc is None else about_rotor(path, views)
+    centre, flattening = correct_view(axis, views, profile, marked=seen.disc is not None)
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
     if seen.disc is not None and (text := fast_motion(path, seen.disc)) is not None:
         warnings.append(text)
@@ -671,7 +672,7 @@ def _followed(
 
 def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:
     if seen.disc is not None:
-        return about_rotor(followed_path(marked_paths(seen.disc), views), views)
+        return followed_path(marked_paths(seen.disc), views)
     observations = [s for body in seen.bodies.values() for s in body.markers.values()]
     best = max(observations, key=lambda s: int(plausible(s).sum()))
     good = plausible(best) & best.open

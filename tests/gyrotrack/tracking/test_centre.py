@@ -1,14 +1,28 @@
+import importlib.util
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._body_angles import about_rotor, axis_offset, correct_view, followed_path, view
+from gyrotrack.tracking._body_angles import (
+    about_rotor,
+    axis_offset,
+    correct_view,
+    followed_path,
+    join_bodies,
+    view,
+)
 from gyrotrack.tracking._fusion import BodyAngles
 from gyrotrack.tracking._hub import CentrePath, fast_motion, marked_paths, smooth_path
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.tracking._scene import Marker
+
+_spec = importlib.util.spec_from_file_location("measured", Path(__file__).with_name("measured.py"))
+measured = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(measured)
 
 
 def _error(path, truth):
@@ -261,3 +275,14 @@ def test_the_axis_of_a_rotor_is_that_of_its_coloured_markers():
     off = {"blue": 0.5 / 70.0, "green": 0.5 / 70.0, "white": -1.0j / 70.0}
     rotor = BodyAngles(nothing, nothing, nothing, {}, axis_off=off)
     np.testing.assert_allclose(axis_offset(views["rotor"], flat["rotor"], rotor), [0.5, 0.0], atol=0.02)
+
+
+def test_a_disc_that_circles_the_axis_is_no_camera_that_shakes():
+    seen = measured.watched(800)
+    circle = 1.2 * np.exp(1j * np.nan_to_num(seen.bodies["casing"].coarse))
+    beside = replace(seen, disc=seen.disc + np.stack([circle.real, -circle.imag], axis=1))
+    for one in (seen, beside):
+        joint = join_bodies(one, measured.scene(), PAPER, measured.FPS)
+        assert not any("shakes" in text for text in joint.warnings)
+    moved = joint.centre.centre - beside.disc
+    assert np.std(moved) == pytest.approx(1.2 / np.sqrt(2), rel=0.1)
