@@ -356,7 +356,7 @@ def learn_neighbours(
     reach. Markers above it (`above`) have errors wherever its markers pass next to them. Such errors of unoccluded
     markers are learnt where the bodies pass each other too fast for a real motion. If they pass nearly in step with the
     frames, the error may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree)
-    fits is treated as motion and not removed.
+    fits is treated as motion and not removed from markers above.
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (state.speed(other - state.path) > FAST)
@@ -376,7 +376,7 @@ def learn_neighbours(
             state.absorbed[name][part] += found.leverage(difference[part], weight)
             shown = near[part] & (fast | ~c.open[part])
             state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
-        if fast:
+        if above:
             slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
 
