@@ -226,7 +226,24 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
     claimed = tracked.correlated / tracked.angle.std()
     assert abs(factor - 1.0) < 1.5 * claimed + 0.02
     assert claimed < (0.4 if wrong else 0.05)
-    assert any("distances of the hub" in w for w in tracked.warnings) or not wrong
+    assert any("distance of the hub" in w for w in tracked.warnings) or not wrong
+
+
+@pytest.mark.slow
+def test_a_picture_that_changes_once_is_no_rotation():
+    """Such as two places of a thing in a film of few frames; the angles before and after had sigmas of 20 urad."""
+    angle = np.where(np.arange(30) < 14, 0.0, 0.24)
+    with pytest.raises(TrackingError, match="changes once"):
+        track_body(film(np.full((30, 2), (150.0, 75.0)), angle, radius=40.0), (150.0, 75.0))
+
+
+@pytest.mark.slow
+def test_a_puck_that_slides_straight_does_not_turn_about_a_hub_far_away():
+    """Its small rotation alone determines the distance of a hub, about which its path would be curved."""
+    angle = 0.14 * np.linspace(0, 1, 40)
+    path = np.stack([np.linspace(50, 250, 40), np.full(40, 75.0)], axis=1)
+    with pytest.raises(TrackingError, match="straight line"):
+        track_body(film(path, angle, radius=20.0))
 
 
 @pytest.fixture(scope="module")
