@@ -55,7 +55,9 @@ _HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, i
 # the path of a body far from its hub: iterations for the displacement of a frame, largest step [px], and iterations for
 # the hub
 _PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
-_JUMP = 0.5  # share of the sum of all rotations from frame to frame, from which a single one is none
+_FEWEST_STEPS = (
+    4.0  # effective number (sum s)^2 / (sum s^2) of the steps from frame to frame in which a body turns
+)
 # error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
 _PATH_ERROR = 0.1
 _COARSE = 48.0
@@ -640,9 +642,9 @@ def _finish(
             f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
         )
     steps = np.abs(np.diff(angle[kept]))
-    if np.max(steps, initial=0.0) > _JUMP * np.sum(steps):
+    if np.sum(steps) ** 2 < _FEWEST_STEPS * np.sum(steps**2):
         raise TrackingError(
-            f"The picture of the body in {film.path.name} changes once, between two frames: this is no rotation.",
+            f"The picture of the body in {film.path.name} changes between a few frames only: this is no rotation.",
             "Check that it is the right film, or give the centre of rotation with --hub X,Y.",
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
