@@ -53,15 +53,26 @@ class Extent:
         return np.asarray(self.rows[:, None] & (np.abs(x) < 0.6 * self.half_width)[None, :])
 
 
-def aligned(score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_]) -> Floats:
-    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns)."""
-    columns = score.shape[2]
-    reach = int(REACH / (2.0 * np.pi) * columns)
-    index = (column[use][:, None] + np.arange(-reach, reach + 1)) % columns
-    patch = np.take_along_axis(score[use], index[:, None, :], axis=2)
+def aligned(
+    score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], reach: int | None = None
+) -> Floats:
+    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns).
+
+    It extends by `reach` columns to both sides of the marker, by default by the angle `REACH`.
+    """
+    rows, columns = score.shape[1:]
+    reach = _reach(columns) if reach is None else reach
+    chosen = np.flatnonzero(use)
+    patch = np.empty((len(chosen), rows, 2 * reach + 1), dtype=score.dtype)
+    for own, k in zip(patch, chosen, strict=True):
+        np.take(score[k], np.arange(column[k] - reach, column[k] + reach + 1), axis=1, out=own, mode="wrap")
     patch.sort(axis=0)
     tail = 3 * len(patch) // 8
     return np.asarray(patch[tail : len(patch) - tail].mean(axis=0), dtype=np.float64)
+
+
+def _reach(columns: int) -> int:
+    return int(REACH / (2.0 * np.pi) * columns)
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
@@ -175,9 +186,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         if found is None:
             return None
         extent = found
-        patches = [aligned(part, column, clear) for part in difference]
-        core = extent.core(patches[0].shape[1], ring.step)
-        u, v = (float(patch[core].mean()) for patch in patches)
+        u, v = (_mean_in(part, column, clear, extent, ring) for part in difference)
         size = float(np.hypot(u, v))
         own = _scores(difference, (u / size, v / size)) if size > 0.0 else score
         again, _ = _brightest(own[:, extent.rows].mean(axis=1), half)
@@ -190,6 +199,16 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
     angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
     marker = _marker(wanted, extent, (u, v), dwell=_dwell(angle, 1.3 * extent.half_width))
     return SampledMarker(marker, angle, clear)
+
+
+def _mean_in(
+    part: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], extent: Extent, ring: Ring
+) -> float:
+    """Return the mean of the strips well inside the marker."""
+    most = _reach(ring.columns)
+    reach = min(int(np.ceil(0.6 * extent.half_width / ring.step)) + abs(extent.lean), most)
+    patch = aligned(part, column, use, reach)
+    return float(patch[extent.core(patch.shape[1], ring.step)].mean())
 
 
 def _marker(wanted: MarkerProfile, extent: Extent, contrast: tuple[float, float], **place: Any) -> Marker:
@@ -543,7 +562,7 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
 
 def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
     chroma = samples.chroma
-    still = np.median(chroma, axis=1).astype(np.float32)
+    still = samples.still
     colours = {chroma_direction(m.colour, m.hue): m.colour for m in profile.marker if m.colour != "white"}
     found = []
     for direction in sorted(colours, key=colours.__getitem__):
@@ -597,7 +616,7 @@ def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blo
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
     """Find a disc whose chroma has the direction (U, V), well inside the orbit; None if there is none."""
-    still = np.median(samples.chroma, axis=1).astype(np.float32)
+    still = samples.still
     neutral = [_neutral(plane, samples, orbit) for plane in still]
     score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
     if orbit is not None:

@@ -24,7 +24,7 @@ from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film import Shake, camera_shake
-from gyrotrack.tracking._film_parts import PartWorkers, frames_done, track_film
+from gyrotrack.tracking._film_parts import PartWorkers, available_cores, frames_done, split, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
     FilmTracker,
@@ -35,7 +35,7 @@ from gyrotrack.tracking._fusion import BodyAngles, wrapped
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
-from gyrotrack.video._container import ClipInfo, file_sha256, probe
+from gyrotrack.video._container import ClipInfo, file_sha256, probe, read_packets
 from gyrotrack.video._decoder import Reader
 from gyrotrack.video._time_base import CaptureRate, FrameTimes, Timing, capture_rate
 
@@ -188,7 +188,7 @@ def _observe(
 ) -> tuple[Scene, FilmObservations, Shake | None]:
     """Find and track the markers; also the camera's motion if the background shows it."""
     with PartWorkers(video, workers) as processes, single_threaded():
-        samples = take_samples(video)
+        samples = take_samples(video, workers or available_cores())
         scene = acquire(samples, profile, str(video))
         tracker = FilmTracker(scene, samples)
         with Reader(video, threads) as reader:
@@ -477,8 +477,8 @@ class ExtractionJob:
     ) -> tuple[Recording, float]:
         """Track the film and write the output; return the recording and the frames tracked per second.
 
-        `tell` is called with messages: where a resumed run starts, and what is stored when the run is interrupted. With
-        `resume` the checkpoint of an earlier run is continued.
+        `tell` is called with messages: what limits the number of processes, where a resumed run starts, and what is
+        stored when the run is interrupted. With `resume` the checkpoint of an earlier run is continued.
         """
         with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
@@ -486,6 +486,8 @@ class ExtractionJob:
             taken = frames_done(journal)
             if resume:
                 tell(_resumed(journal, taken))
+            if limit := self._limit_of_processes():
+                tell(limit)
             start = perf_counter()
             try:
                 with bar() as progress:
@@ -499,6 +501,14 @@ class ExtractionJob:
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
             journal.discard()
         return recording, rate
+
+    def _limit_of_processes(self) -> str:
+        """Return a sentence if the film has fewer parts than processes may run, else nothing."""
+        allowed, parts = self.workers or available_cores(), len(split(read_packets(self.video)))
+        if allowed <= parts or (self.workers is None and parts == 1):
+            return ""
+        what = "one part" if parts == 1 else f"{parts} parts at key frames"
+        return f"The film is divided into {what} and tracked by {parts} of {allowed} processes."
 
 
 def _resumed(journal: CheckpointFile, taken: int) -> str:

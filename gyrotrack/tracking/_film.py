@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
+from gyrotrack._smoothing import running_quantile
 from gyrotrack.video._decoder import Reader
 
 Floats = npt.NDArray[np.float64]
@@ -245,14 +246,14 @@ class Film:
         self._threads = threads
         self._shake: Shake | None = None
         self._files: list[npt.NDArray[np.uint8]] = []
-        before: npt.NDArray[np.int16] | None = None
+        before: npt.NDArray[np.float32] | None = None
         changes = []
         kept = True
         with Reader(path, threads) as reader:
             for count, frame in enumerate(islice(reader, most)):
                 plane = np.ascontiguousarray(frame.y)
-                small = plane[::4, ::4].astype(np.int16)
-                changes.append(255.0 if before is None else float(np.mean(np.abs(small - before))))
+                small = plane[::4, ::4].astype(np.float32)
+                changes.append(255.0 if before is None else _change(before, small))
                 before = small
                 rows = max(_FILE // plane.nbytes, 1)
                 kept &= (count + 1) * plane.nbytes <= _HELD
@@ -310,8 +311,31 @@ class Film:
         return StoredPictures.of(len(wanted), chosen)
 
 
+def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
+    """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
+
+    Frames that a lamp lights alike differ less than their neighbours, as if they were repeated.
+    """
+    gain = float(after.mean()) / max(float(before.mean()), 1.0)
+    return float(np.mean(np.abs(after - np.float32(gain) * before)))
+
+
+_NEIGHBOURS, _MOVING = 9, 7  # frames about one, and the rank of the change that is typical of them
+_REPEATED = 0.1  # largest change of a repeated frame, relative to the typical one
+
+
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
-    """Return the numbers of the frames that do not repeat the previous frame."""
+    """Return the numbers of the frames that do not repeat the previous frame.
+
+    A frame is compared with its neighbours and with those of its run: where an oscillation reverses, all differ little.
+    """
     change = film.changes
-    usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
-    return np.flatnonzero(~(change < 0.1 * usual)).astype(np.int64) if usual > 0 else np.arange(len(change))
+    fresh = np.ones(len(change), dtype=np.bool_)
+    if len(change) < 2:
+        return np.arange(len(change))
+    usual = running_quantile(change[1:], _NEIGHBOURS, _MOVING)
+    alike = 1 + np.flatnonzero(change[1:] < _REPEATED * usual)
+    for run in np.split(alike, np.flatnonzero(np.diff(alike) > 1) + 1) if len(alike) else ():
+        around = [change[k] for k in (run[0] - 1, run[-1] + 1) if 0 < k < len(change)]
+        fresh[run] = change[run].max() >= _REPEATED * max(around, default=0.0)
+    return np.flatnonzero(fresh).astype(np.int64)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -150,6 +152,11 @@ class Samples:
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
+    def still(self) -> npt.NDArray[np.float32]:
+        """Median of `chroma` over the frames, shape (2, height, width)."""
+        return np.asarray(np.median(self.chroma, axis=1), dtype=np.float32)
+
+    @cached_property
     def spread(self) -> tuple[int, ...]:
         """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
 
@@ -177,8 +184,8 @@ class Samples:
         return np.stack([unroll(f.y, ring.luma_maps) for f in in_turn(some)])
 
 
-def take_samples(path: Path) -> Samples:
-    """Decode the samples of a film; a VideoError if no frame can be decoded."""
+def take_samples(path: Path, threads: int = 1) -> Samples:
+    """Decode the samples of a film in `threads`; a VideoError if no frame can be decoded."""
     head: list[Frame] = []
     keep = FrameStore()
     with Reader(path) as reader:
@@ -191,11 +198,15 @@ def take_samples(path: Path) -> Samples:
     if len(head) < FEWEST:
         what = f"{path} contains only {len(head)} frames; at least {FEWEST} are required to detect a motion."
         raise VideoError(what, "Give a longer film.")
-    later = [frame for frame in _later(path, len(head), head[0].y.size) if frame.y.shape == head[0].y.shape]
+    later = [
+        frame
+        for frame in _later(path, len(head), head[0].y.size, threads)
+        if frame.y.shape == head[0].y.shape
+    ]
     return Samples((*head, *later), len(head))
 
 
-def _later(path: Path, head: int, pixels: int) -> list[Frame]:
+def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
     """Decode frames spread over the film after the head: key frames, or, if these are few, frames between them.
 
     A frame is decoded from the previous key frame. If this takes too long, frames closer to the key frames are used.
@@ -211,8 +222,20 @@ def _later(path: Path, head: int, pixels: int) -> list[Frame]:
     start = keys[np.maximum(np.searchsorted(keys, wanted, side="right") - 1, 0)]
     cost = sum(int((wanted - start)[start == key].max()) for key in np.unique(start))
     share = min(DECODED * 1280 * 720 / pixels / max(cost, 1), 1.0)
-    wanted = np.unique(start + ((wanted - start) * share).astype(np.int64))
-    found = frames_at(path, packets.stamps[wanted].tolist(), FrameStore())
+    nearer = start + ((wanted - start) * share).astype(np.int64)
+    store, lock = FrameStore(), Lock()
+
+    def keep(frame: Frame) -> Frame:
+        with lock:
+            return store(frame)
+
+    def decode(keys: npt.NDArray[np.int64]) -> dict[int, Frame]:
+        return frames_at(path, packets.stamps[nearer[np.isin(start, keys)]].tolist(), keep)
+
+    used = np.unique(start)
+    parts = np.array_split(used, min(threads, len(used)))
+    with ThreadPoolExecutor(len(parts)) as pool:
+        found = {stamp: frame for part in pool.map(decode, parts) for stamp, frame in part.items()}
     return [found[stamp] for stamp in sorted(found)]
 
 

@@ -260,7 +260,10 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1."""
+    """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1.
+
+    Of the other frames only those to which frames refer are decoded.
+    """
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
     found: dict[int, Frame] = {}
@@ -269,7 +272,7 @@ def frames_at(
         packets = enumerate(packets_of(container.demux(stream)))
         for first, stop, start, end in ranges:
             last = max(stamp for stamp in wanted if start <= stamp < end)
-            for raw in _decoded(packets, first, stop, stream):
+            for raw in _decoded(packets, first, stop, stream, wanted):
                 orientation = orientation or orientation_of(raw)
                 if raw.pts in wanted:
                     found[int(raw.pts)] = keep(planes_of(raw, -1, orientation))
@@ -294,11 +297,15 @@ def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
     return found
 
 
-def _decoded(packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: Any) -> Iterator[Any]:
+def _decoded(
+    packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: Any, wanted: set[int]
+) -> Iterator[Any]:
     """Decode the packets from number `first` to before `stop`; the decoder is emptied at the end."""
     stream.codec_context.flush_buffers()
     for number, packet in packets:
         if number >= first:
+            needed = packet.pts is None or packet.pts in wanted
+            stream.codec_context.skip_frame = "DEFAULT" if needed else "NONREF"
             try:
                 yield from packet.decode()
             except av.error.FFmpegError:

@@ -3,6 +3,7 @@
 import itertools
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle
 from gyrotrack.tracking._registration import Ring, learn, register, rolled
 from gyrotrack.tracking._tracked import hub_error
@@ -254,3 +256,28 @@ def test_a_body_without_an_axle():
     error = -found.angle - angles[found.frame]
     assert np.std(error) < 0.005
     assert np.polyfit(angles[found.frame], -found.angle, 1)[0] == pytest.approx(1, abs=0.01)
+
+
+def test_flicker_and_reversals_are_not_repeated_frames(tmp_path):
+    """100 Hz at 60 fps lights two of three frames alike; an oscillation is at rest twice a period."""
+    time = np.arange(90) / 60.0
+    angle = 0.15 * np.cos(2.0 * np.pi * 1.2 * time)
+    angle[40] = angle[39]
+    texture = np.random.default_rng(4).uniform(60.0, 160.0, (12, 12)).astype(np.float32)
+    texture = cv2.resize(texture, (160, 120), interpolation=cv2.INTER_CUBIC)
+    light = 1.0 + 0.05 * np.cos(2.0 * np.pi * 100.0 * time + 1.0)
+    light[40] = light[39]
+    path = tmp_path / "flicker.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=60)
+        stream.width, stream.height, stream.pix_fmt, stream.options = 160, 120, "yuv420p", {"crf": "18"}
+        for one, gain in zip(angle, light, strict=True):
+            turn = cv2.getRotationMatrix2D((80.0, 60.0), float(np.rad2deg(one)), 1.0)
+            seen = gain * cv2.warpAffine(texture, turn, (160, 120), borderMode=cv2.BORDER_REFLECT)
+            grey = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), "bgr24"))
+            )
+        container.mux(stream.encode())
+    fresh = fresh_frames(Film(path))
+    assert sorted(set(range(90)) - set(fresh.tolist())) == [40]

@@ -39,9 +39,11 @@ def test_a_film_becomes_a_recording(film, tmp_path, capsys):
 def test_the_output_stands_beside_the_film_if_not_said_otherwise(film, tmp_path, capsys):
     copy = tmp_path / "spin.mp4"
     copy.write_bytes(film.read_bytes())
-    assert run(["extract", str(copy), "--body", "casing", "-q"]) == 0
+    assert run(["extract", str(copy), "--body", "casing", "--workers", "5"]) == 0
     assert (tmp_path / "spin.h5").exists()
-    assert "casing" in capsys.readouterr().out
+    captured = capsys.readouterr()
+    assert "casing" in captured.out
+    assert "tracked by 1 of 5 processes" in captured.err  # 260 frames are one part
 
 
 def test_an_existing_output_is_kept_without_force(film, tmp_path, capsys):
