@@ -154,6 +154,15 @@ def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body(
         track_free_body(film(path, angle))
 
 
+def test_an_outline_whose_picture_is_not_rigid_is_no_body():
+    """Such as a wave, or wires that trail behind a puck: marks that turn to both sides."""
+    path, angle = sliding(turns=0.8)
+    one, other = (film(path, turn).frames() for turn in (angle, -angle))
+    blend = [cv2.addWeighted(a, 0.6, b, 0.4, 0.0) for a, b in zip(one, other, strict=True)]
+    with pytest.raises(TrackingError, match="No body that turns"):
+        track_free_body(Rendered(blend))
+
+
 def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
