@@ -33,7 +33,7 @@ from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
-from gyrotrack.tracking._extract import extract, track_doubts
+from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._profile import load
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# range of the angle of the paper's markers to be used [rad]: coloured things at rest are none
-_LEAST_ANGLE = 0.1
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 _FILMS = (
     *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg", ".mpg", ".mpeg", ".wmv"),
@@ -197,7 +195,8 @@ def _film(
             with suppress(GyrotrackError):
                 found = extract(source, capture_fps=fps, body=options.body, progress=progress)
                 tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-                if any(float(np.ptp(b.angle)) >= _LEAST_ANGLE for b in tracks):
+                # coloured things at rest or in a hand are no markers
+                if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
                     note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
                     return replace(found, warnings=(*warnings, note, *found.warnings)), None
         with suppress(TrackingError):
@@ -348,6 +347,9 @@ def spindown(
         return _analysed(source, target, report, options, command=command, force=force, progress=progress)
 
 
+_LEAST_RANGE = 10  # smallest range of the angle of a rotation, in standard uncertainties
+
+
 def _analysed(
     source: Path,
     target: Path,
@@ -373,8 +375,15 @@ def _analysed(
     motion = motion_of(series.time, series.angle, series.sigma)
     if body is not None:
         motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
-    if motion.turns * TURN < 10 * float(np.median(series.sigma)):
-        raise TrackingError(f"No rotation was found in {source}.", "Check that it is the right file.")
+    usual = float(np.median(series.sigma))
+    if motion.turns * TURN < _LEAST_RANGE * usual:
+        what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
+        hint = (
+            "give the hub of a film with --hub X,Y." if body is not None else "state the unit of the angle."
+        )
+        raise TrackingError(
+            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
+        )
     settings = {
         "source": source,
         "hub": options.hub,

@@ -20,7 +20,14 @@ from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_c
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
-from gyrotrack.tracking._hub_search import Motion, Proposal, distance_from, propose_hubs, ring_for
+from gyrotrack.tracking._hub_search import (
+    FARTHEST,
+    Motion,
+    Proposal,
+    distance_from,
+    propose_hubs,
+    ring_for,
+)
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
     TURN,
@@ -44,7 +51,15 @@ Progress = Callable[[int, int | None], None]
 _TRIAL = 300  # frames on which a candidate for the hub is evaluated
 _EXCERPT = 300  # frames that `read_excerpt` reads
 _LEARNT = 300  # frames from which the template is learnt
-_HUB_FRAMES = 100  # frames from which the motion of the hub is measured
+_HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, is measured
+# the path of a body far from its hub: iterations for the displacement of a frame, largest step [px], and iterations for
+# the hub
+_PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
+_FEWEST_STEPS = (
+    4.0  # effective number (sum s)^2 / (sum s^2) of the steps from frame to frame in which a body turns
+)
+# error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
+_PATH_ERROR = 0.1
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
@@ -451,6 +466,18 @@ def _measure(
                 ring, pictures.at(few), angle[chosen][few], free, area, separate=separate
             )
             ring = _placed(ring, place)
+    distance = 0.0
+    if best.way != "given" and ring.span < TURN:
+        some = np.unique(np.linspace(0, len(chosen) - 1, _HUB_FRAMES).astype(int))
+        before = angle[chosen[some]]
+        ring, after, distance = _at_distance_of_path(ring, pictures.at(some), before, area, separate=separate)
+        if not math.isfinite(distance):
+            raise TrackingError(
+                f"The body in {film.path.name} moves along a straight line; its rotation is not that about a hub.",
+                "Give the centre of rotation with --hub X,Y.",
+            )
+        angle = np.asarray(np.polyval(np.polyfit(before, after, 1), angle), dtype=np.float64)
+        allowed = ring.inside(area)
     shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
     poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
@@ -458,8 +485,6 @@ def _measure(
     good = _good(poses)
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, counted=good)
     hub_sigma = _hub_motion(shown, angle[chosen], template) if best.way != "given" else 0.0
-    outside = best.way != "given" and ring.span < TURN
-    distance = _distance_error(shown, angle[chosen], template) if outside else 0.0
     template = replace(template, hub_sigma=hub_sigma)
     poses = []
     parts = template.halves()
@@ -502,28 +527,89 @@ def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> fl
     return size if gain < 0.8 and size > 3 * noise else 0.0
 
 
-def _distance_error(polars: StoredPictures, angle: Floats, template: Template) -> float:
-    """Return the relative error of the distance of a hub outside the picture, from the curvature of the path.
+@dataclass(frozen=True)
+class _BodyPath:
+    """The path of a body far from its hub, by displacements that are fitted frame by frame.
 
-    With a distance that is too large by d, the distance of the body from the hub decreases by d (1 - cos theta), for
-    displacements that are fitted frame by frame. The rotation of the body, which determines the distance as well, may
-    disagree: the ball of a pendulum need not turn with its thread. Below three standard errors 0 is returned.
+    From a place that the hub is off by (-b, c) towards and across the middle of the path, the distance of the body is
+    r + b (1 - cos theta) + c sin theta.
     """
-    use = np.unique(np.linspace(0, len(polars) - 1, _HUB_FRAMES).astype(int))
-    poses = [register(p, template, a, move=True) for p, a in zip(polars.at(use), angle[use], strict=True)]
-    ring, known = template.ring, template.information()
-    power = (known[:, None] * np.gradient(template.body, axis=1) ** 2).sum(axis=0)
-    towards = np.angle(np.sum(power * np.exp(1j * ring.angle)))
-    radius = float(np.average(ring.radius, weights=known))
-    turn = np.array([p.angle for p in poses])
-    away = radius * np.exp(1j * (towards + turn)) + np.array([complex(*p.shift) for p in poses])
-    theta = np.angle(away * np.exp(-1j * towards))
-    theta -= theta.mean()
-    rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
-    found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
-    variance = float(np.var(np.abs(away) - rows @ found))
-    error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
-    return abs(float(found[0])) / radius if abs(found[0]) > 3.0 * error else 0.0
+
+    middle: float  # direction from the hub to the middle of the path [rad]
+    radius: float  # r: distance of the body from the hub [px]
+    theta: Floats  # (n,) angle of the position about the hub, 0 in the middle [rad]
+    bend: float  # b [px]
+    bend_sigma: float  # its standard uncertainty, with correlated residuals and errors by position [px]
+    across: float  # c [px]
+
+    @classmethod
+    def of(cls, pictures: Sequence[Plane], angle: Floats, template: Template) -> _BodyPath:
+        ring, known = template.ring, template.information()
+        poses = []
+        for picture, start in zip(pictures, angle, strict=True):
+            shift, about = np.zeros(2), float(start)
+            for _ in range(_PATH_STEPS):  # the displacement may exceed the width of the details
+                pose = register(ring.unwrap(picture, tuple(shift)), template, about, move=True)
+                step = np.clip(pose.shift, -_PATH_STEP, _PATH_STEP)
+                shift, about = shift + step, pose.angle
+                if np.abs(step).max() < 0.02:
+                    break
+            poses.append((about, *shift))
+        turn, x, y = np.array(poses).T
+        power = (known[:, None] * np.gradient(template.body, axis=1) ** 2).sum(axis=0)
+        towards = float(np.angle(np.sum(power * np.exp(1j * ring.angle))))
+        radius = float(np.average(ring.radius, weights=known))
+        away = radius * np.exp(1j * (towards + turn)) + x + 1j * y
+        theta = np.angle(away * np.exp(-1j * towards))
+        middle = 0.5 * float(theta.min() + theta.max())
+        theta = theta - middle
+        rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
+        found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
+        rest = np.abs(away) - rows @ found
+        # an unsteady camera: n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
+        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
+        variance = float(np.var(rest)) * (1.0 + alike) / (1.0 - alike)
+        error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
+        error = math.hypot(error, _PATH_ERROR / max(float(rows[:, 0].max()), 1e-9))
+        return cls(towards + middle, radius, theta, float(found[0]), error, float(found[1]))
+
+
+def _at_distance_of_path(
+    ring: Ring, pictures: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
+) -> tuple[Ring, Floats, float]:
+    """Return ring and angles with the hub at the distance by the curvature of the path, and its relative uncertainty.
+
+    The displacements of a body far from its hub are precise, and its rotation, from which the distance is estimated
+    first, is not; the ball of a pendulum need not turn with its thread either. The hub is moved if the path differs by
+    more than three standard uncertainties. The uncertainty is infinite for a straight path.
+    """
+    plain, moved = True, False
+    for _ in range(_PATH_ROUNDS):
+        shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
+        # with the same variance for all samples first: those of a template about a wrong hub hide its radial blur
+        template = learn(shown, angle, ring.inside(area), ring, separate=separate, plain=plain)
+        path = _BodyPath.of(pictures, angle, template)
+        wrong, sigma = path.bend / path.radius, path.bend_sigma / path.radius
+        if abs(wrong) < 3.0 * sigma:
+            if not (moved and plain):
+                break
+            plain = False
+            continue
+        radius = path.radius / max(1.0 - wrong, 1e-9)
+        if radius > FARTHEST * max(pictures[0].shape):
+            return ring, angle, math.inf
+        move = (path.radius - radius + 1j * path.across) * np.exp(1j * path.middle)
+        scale = path.radius / radius
+        ring = Ring.about(
+            (float(ring.hub[0] + move.real), float(ring.hub[1] + move.imag)),
+            ring.inner + radius - path.radius,
+            ring.outer + radius - path.radius,
+            finest=_FINE,
+            start=path.middle + (ring.start - path.middle) * scale,
+            span=ring.span * scale,
+        )
+        angle, moved = path.theta * scale, True
+    return ring, angle, sigma if moved else 0.0
 
 
 def _finish(
@@ -555,6 +641,12 @@ def _finish(
         warnings.append(
             f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
         )
+    steps = np.abs(np.diff(angle[kept]))
+    if np.sum(steps) ** 2 < _FEWEST_STEPS * np.sum(steps**2):
+        raise TrackingError(
+            f"The picture of the body in {film.path.name} changes between a few frames only: this is no rotation.",
+            "Check that it is the right film, or give the centre of rotation with --hub X,Y.",
+        )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
     motion = float(np.std(angle[kept]))
     if best.way != "given" and correlated > _UNDETERMINED * motion:
@@ -566,8 +658,8 @@ def _finish(
     if distance * motion > correlated:
         correlated = distance * motion
         warnings.append(
-            f"Rotation and path of the body give distances of the hub that differ by {100 * distance:.2g} %; the "
-            f"uncertainty contains {1e3 * correlated:.2g} mrad for this."
+            f"The path of the body gives the distance of the hub within {100 * distance:.2g} %; the uncertainty "
+            f"contains {1e3 * correlated:.2g} mrad for this."
         )
     elif correlated > float(np.median(scale * inflated[kept])):
         warnings.append(

@@ -30,7 +30,7 @@ _STRAY = 8.0  # residual from the similarity at which a feature is discarded [px
 _NEAR = 640.0  # width of the picture over the largest residual of an inlier
 _FEWEST = 12  # features that a similarity needs
 _UNIFORM = 1.5  # grey levels by which a bar at the side of a picture may vary
-_FARTHEST = 6.0  # largest distance of the hub in picture sizes; beyond it the curvature is not measurable
+FARTHEST = 6.0  # largest distance of the hub in picture sizes; beyond it the curvature is not measurable
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
     ):
         if place is None or not np.all(np.isfinite(place)):
             continue
-        if np.hypot(place[0] - width / 2, place[1] - height / 2) > _FARTHEST * max(width, height):
+        if np.hypot(place[0] - width / 2, place[1] - height / 2) > FARTHEST * max(width, height):
             continue
         near = 0.004 * max(width, height)
         if all(np.hypot(place[0] - p.hub[0], place[1] - p.hub[1]) > near for p in found):

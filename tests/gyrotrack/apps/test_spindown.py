@@ -420,8 +420,9 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
         _spindown._film(Path("two.mp4"), _spindown.SpindownOptions(), None)
 
 
-def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch):
-    """A red shirt in a film of a pendulum was tracked as the casing of a gyroscope at rest."""
+@pytest.mark.parametrize("swing", [0.02, 0.23])
+def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch, swing):
+    """A red shirt was tracked as the casing of a gyroscope at rest, and a hand with a motor as one that turns."""
 
     def none(*_, **__):
         raise TrackingError("No body that turns about a hub is found.", "Give --hub X,Y.")
@@ -432,7 +433,7 @@ def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch):
         def __len__(self):
             return 200
 
-    shirt = SimpleNamespace(time=np.arange(200) / 30, angle=0.02 * np.sin(np.arange(200)))
+    shirt = SimpleNamespace(time=np.arange(200) / 30, angle=swing * np.sin(np.arange(200)))
     found = SimpleNamespace(bodies={"casing": shirt})
     monkeypatch.setattr(_spindown, "Film", lambda _: Frames())
     monkeypatch.setattr(_spindown, "film_recording", none)

@@ -154,6 +154,15 @@ def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body(
         track_free_body(film(path, angle))
 
 
+def test_an_outline_whose_picture_is_not_rigid_is_no_body():
+    """Such as a wave, or wires that trail behind a puck: marks that turn to both sides."""
+    path, angle = sliding(turns=0.8)
+    one, other = (film(path, turn).frames() for turn in (angle, -angle))
+    blend = [cv2.addWeighted(a, 0.6, b, 0.4, 0.0) for a, b in zip(one, other, strict=True)]
+    with pytest.raises(TrackingError, match="No body that turns"):
+        track_free_body(Rendered(blend))
+
+
 def test_a_film_in_which_nothing_moves_is_refused():
     path, _ = sliding()
     with pytest.raises(TrackingError):
@@ -226,7 +235,25 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
     claimed = tracked.correlated / tracked.angle.std()
     assert abs(factor - 1.0) < 1.5 * claimed + 0.02
     assert claimed < (0.4 if wrong else 0.05)
-    assert any("distances of the hub" in w for w in tracked.warnings) or not wrong
+    assert any("distance of the hub" in w for w in tracked.warnings) or not wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("back", [30, 22])
+def test_a_picture_that_changes_between_few_frames_is_no_rotation(back):
+    """Such as two places of a thing in a film of few frames; the angles before and after had sigmas of 20 urad."""
+    angle = np.where((np.arange(30) < 14) | (np.arange(30) >= back), 0.0, 0.24)
+    with pytest.raises(TrackingError, match="changes between a few frames"):
+        track_body(film(np.full((30, 2), (150.0, 75.0)), angle, radius=40.0), (150.0, 75.0))
+
+
+@pytest.mark.slow
+def test_a_puck_that_slides_straight_does_not_turn_about_a_hub_far_away():
+    """Its small rotation alone determines the distance of a hub, about which its path would be curved."""
+    angle = 0.14 * np.linspace(0, 1, 40)
+    path = np.stack([np.linspace(50, 250, 40), np.full(40, 75.0)], axis=1)
+    with pytest.raises(TrackingError, match="straight line"):
+        track_body(film(path, angle, radius=20.0))
 
 
 @pytest.fixture(scope="module")
