@@ -348,7 +348,7 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
 
 
 def learn_neighbours(
-    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
+    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool, last: bool
 ) -> None:
     """Learn the error of each marker as a function of its angle to the other body (see the module docstring).
 
@@ -369,16 +369,29 @@ def learn_neighbours(
         when = near & (passing if above else state.turning)
         found = _curve(state, name, difference, state.by_place[name], smooth, when)
         curve = found.values
+        clear = float(fast)
+        if last and fast and not above:
+            clear = _shown_share(found, difference, when & c.open)
         for part in row_blocks(len(near)):
-            weight = np.where(when[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
-            if not fast:
-                weight[state.candidates[name].open[part]] = 0.0
+            share = np.where(c.open[part], clear, 1.0) * near[part]
+            weight = np.where(when[part], share / state.sigma(name, part) ** 2, 0.0)
             state.absorbed[name][part] += found.leverage(difference[part], weight)
-            shown = near[part] & (fast | ~c.open[part])
-            state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
+            state.by_neighbour[name][part] = share * curve_at(curve, difference[part])
         if above:
             slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
+
+
+def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) -> float:
+    """Return the share of a curve's mean square at some angles that its own uncertainty does not explain, 0 to 1.
+
+    Times this share (James-Stein), a curve that is hardly significant adds less error than it removes.
+    """
+    if not use.any():
+        return 0.0
+    size = float(np.mean(curve_at(curve.values, angle[use]) ** 2))
+    noise = float(np.mean(curve.leverage(angle[use], np.ones(int(use.sum())))))
+    return max(1.0 - noise / max(size, 1e-12), 0.0)
 
 
 VIEW_ORDERS = (1, 2)  # harmonics of errors of the view: an offset of the axis, a tilt of the camera
@@ -646,7 +659,7 @@ def join(
     """
     state, arcs = Residuals(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(short)
         state.reject_outliers(short, leverage)
@@ -655,7 +668,8 @@ def join(
         learn_places(state, smooth)
         learn_view(state, floor, arcs)
         if other is not None:
-            learn_neighbours(state, smooth, other, (half, degree), above=above)
+            last = number == ROUNDS - 1
+            learn_neighbours(state, smooth, other, (half, degree), above=above, last=last)
     short, leverage = state.smooth(HALF_WINDOW)
     state.reject_outliers(short, leverage)
     of_view = learn_view(state, floor, arcs)
