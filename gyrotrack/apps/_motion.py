@@ -451,7 +451,10 @@ def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    return edges, speed, float(np.median(sigma)) * math.sqrt(12 / width) / duration
+    # uncertainties contain errors common to many samples, such as that of the hub, which do not change a speed
+    independent = float(np.sqrt(np.mean(np.diff(angle, 3) ** 2) / 20.0))
+    scatter = min(float(np.median(sigma)), independent)
+    return edges, speed, scatter * math.sqrt(12 / width) / duration
 
 
 def _turns_back(speed: Floats, error: float) -> bool:

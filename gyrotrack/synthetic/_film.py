@@ -98,6 +98,7 @@ def _encode(
             "preset": film.preset,
             "g": str(film.keyframe),
             "bf": str(film.bframes),
+            "x264-params": "mbtree=0",  # with it, the same pictures give other bits in each run
         }
         context = stream.codec_context
         context.thread_count, context.time_base = film.threads, 1 / rate

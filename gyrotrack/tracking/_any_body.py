@@ -186,7 +186,7 @@ def _track(
         raise TrackingError(f"No body that turns {where} is found in {film.path.name}.", hint)
     best = max(
         (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
-        key=lambda t: t.score,
+        key=lambda t: t.score * _steadiness(t),
     )
     height, width = motion.mean.shape
     outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
@@ -277,6 +277,20 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
         if len(kept) == 3:
             break
     return kept
+
+
+_LEAST_BEND = 3.0  # smallest change of the step from frame to frame that counts as a jump, in columns
+
+
+def _steadiness(trial: _Trial) -> float:
+    """Return the share of the frames without a jump: the step changes by no more than its typical size.
+
+    A body of alike parts, such as spokes with a shadow at rest, is explained at least as well by angles that jump back
+    by one part again and again.
+    """
+    step = np.diff(trial.angle)
+    limit = max(float(np.median(np.abs(step))), _LEAST_BEND * trial.ring.step)
+    return float((np.abs(np.diff(step)) <= limit).mean()) if len(step) > 1 else 1.0
 
 
 def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bool) -> _Trial:

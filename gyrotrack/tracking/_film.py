@@ -8,6 +8,7 @@ any other measurement.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -245,6 +246,7 @@ class Film:
         self.path = path
         self._threads = threads
         self._shake: Shake | None = None
+        flicker = _Flicker()
         self._files: list[npt.NDArray[np.uint8]] = []
         before: npt.NDArray[np.float32] | None = None
         changes = []
@@ -255,6 +257,8 @@ class Film:
                 small = plane[::4, ::4].astype(np.float32)
                 changes.append(255.0 if before is None else _change(before, small))
                 before = small
+                every = 1 + int(math.sqrt(small.size / _SAMPLED))
+                flicker.add(small[::every, ::every])
                 rows = max(_FILE // plane.nbytes, 1)
                 kept &= (count + 1) * plane.nbytes <= _HELD
                 if not kept:
@@ -267,6 +271,12 @@ class Film:
             self.info = reader.info
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
+        self._gain = flicker.gain
+        if self._gain is not None:
+            text = (
+                f"The illumination flickers by {100 * self._gain[1].std():.2g} % rms, which is compensated."
+            )
+            self.warnings = (*self.warnings, text)
         release_pages()
         release_memory()
         self.changes = np.array(changes)
@@ -301,6 +311,10 @@ class Film:
             release_memory()
 
     def _still(self, plane: Plane, index: int) -> Plane:
+        if self._gain is not None:
+            black, scale = self._gain[0], 1.0 / self._gain[1][index]
+            even = cv2.convertScaleAbs(plane, alpha=scale, beta=black * (1.0 - scale))
+            plane = np.asarray(even, dtype=np.uint8)
         return plane if self._shake is None else self._shake.stabilised(plane, index)
 
     def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> StoredPictures:
@@ -309,6 +323,62 @@ class Film:
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
         return StoredPictures.of(len(wanted), chosen)
+
+
+_DARK, _BRIGHT = 32, 235  # grey levels between which brightness is proportional to a power of the light
+_FEWEST_PIXELS, _SAMPLED = 50, 8000  # smallest and typical number of pixels for the gain of a frame
+# factor by which the standard deviation of the typical pixel in time must fall for a gain to be applied: the flicker
+# exceeds all other changes
+_FLICKERS = 1.5
+
+
+class _Flicker:
+    """Gain of each frame relative to the first one: the common ratio of most pixels, robust against moving bodies.
+
+    Brightness is measured from black, which is 0, or 16 in films of limited range (ITU-R BT.601); the one that leaves
+    the typical pixel more even is right.
+    """
+
+    def __init__(self) -> None:
+        self._first: npt.NDArray[np.float32] | None = None
+        self._gain: dict[float, list[float]] = {0.0: [], 16.0: []}
+        self._sums: dict[float | None, Floats] = {}
+
+    def add(self, picture: npt.NDArray[np.float32]) -> None:
+        """Measure the gain of the next frame, (height, width) in grey levels."""
+        if self._first is None:
+            self._first = picture.copy()
+            self._sums = {black: np.zeros((2, *picture.shape)) for black in (None, *self._gain)}
+        first = self._first
+        use = (np.minimum(first, picture) > _DARK) & (np.maximum(first, picture) < _BRIGHT)
+        self._sums[None] += np.stack([picture, picture**2])
+        for black, gains in self._gain.items():
+            gain = 1.0
+            if use.sum() > _FEWEST_PIXELS:
+                now, then = picture[use] - np.float32(black), first[use] - np.float32(black)
+                ratio = now / then
+                off = np.abs(ratio - np.median(ratio))
+                near = off <= 3.0 * 1.4826 * np.median(off)
+                gain = float(now[near].sum() / then[near].sum())
+            gains.append(gain)
+            even = black + (picture - np.float32(black)) / np.float32(gain)
+            self._sums[black] += np.stack([even, even**2])
+
+    @property
+    def gain(self) -> tuple[float, Floats] | None:
+        """Black level and gains (n,) of mean 1; None where the typical pixel does not flicker."""
+        variance = {}
+        for black, sums in self._sums.items():
+            mean, square = sums / max(len(self._gain[0.0]), 1)
+            variance[black] = max(float(np.median(square - mean**2)), _ROUNDING)
+        if not variance:
+            return None
+        best = min(self._gain, key=lambda black: variance[black])
+        gain = np.array(self._gain[best])
+        return (best, gain / gain.mean()) if variance[None] > _FLICKERS**2 * variance[best] else None
+
+
+_ROUNDING = 1.0 / 12.0  # variance of a brightness in whole grey levels
 
 
 def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:

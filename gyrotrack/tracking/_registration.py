@@ -375,6 +375,12 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
 
 
+# Alike parts of a body, such as the spokes of a wheel, are equally probable places for each of them. After so many
+# steps a change of the step by more than this part of it, and by more than so many columns, must raise the correlation
+# by this part of its maximum.
+_STEADY, _JUMP, _LEAST_JUMP, _UNLIKELY = 2, 1.5, 6.0, 0.3
+
+
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
     """Track a body by correlation, weighted and less `fixed`, with the mean of the earlier frames, (n,) [rad]."""
     size = ring.columns
@@ -397,6 +403,9 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         judged = found - (0.05 + 0.45 * trust) * found.max() * (away / (size / 2)) ** 2 * (
             4 if trust > 0.9 else 1
         )
+        if known >= _STEADY:
+            far = np.abs(away) > max(_JUMP * abs(speed), _LEAST_JUMP)
+            judged = judged - _UNLIKELY * found.max() * far
         best = int(np.argmax(judged))
         before, at, after = found[(best - 1) % size], found[best], found[(best + 1) % size]
         bend = before - 2 * at + after

@@ -87,7 +87,13 @@ def render(film: Film, path: Path, edit: Edit | None = None) -> Path:
         stream = container.add_stream(film.codec, rate=rate)
         stream.width, stream.height, stream.pix_fmt = film.width, film.height, film.pixel_format
         if film.codec == "libx264":
-            stream.options = {"crf": str(film.crf), "preset": "veryfast", "g": str(film.gop)}
+            # with mbtree the same pictures give another film in each run
+            stream.options = {
+                "crf": str(film.crf),
+                "preset": "veryfast",
+                "g": str(film.gop),
+                "x264-params": "mbtree=0",
+            }
         if film.tag is not None:
             container.metadata["com.android.capture.fps"] = str(film.tag)
         for k, t in enumerate(film.time):

@@ -230,7 +230,12 @@ def discs(path, bodies, frames=60):
     wall = np.clip(cv2.GaussianBlur(rng.normal(0, 1, (180, 320, 3)), (0, 0), 4) * 120 + 130, 0, 255)
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt, stream.options = 320, 180, "yuv420p", {"crf": "20"}
+        stream.width, stream.height, stream.pix_fmt, stream.options = (
+            320,
+            180,
+            "yuv420p",
+            {"crf": "20", "x264-params": "mbtree=0"},
+        )
         for k in range(frames):
             picture = wall.copy()
             for x, y, radius, step in bodies:

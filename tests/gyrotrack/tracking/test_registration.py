@@ -13,7 +13,7 @@ from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle
-from gyrotrack.tracking._registration import Ring, learn, register, rolled
+from gyrotrack.tracking._registration import Ring, follow, learn, register, rolled
 from gyrotrack.tracking._tracked import hub_error
 
 
@@ -270,7 +270,12 @@ def test_flicker_and_reversals_are_not_repeated_frames(tmp_path):
     path = tmp_path / "flicker.mp4"
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=60)
-        stream.width, stream.height, stream.pix_fmt, stream.options = 160, 120, "yuv420p", {"crf": "18"}
+        stream.width, stream.height, stream.pix_fmt, stream.options = (
+            160,
+            120,
+            "yuv420p",
+            {"crf": "18", "x264-params": "mbtree=0"},
+        )
         for one, gain in zip(angle, light, strict=True):
             turn = cv2.getRotationMatrix2D((80.0, 60.0), float(np.rad2deg(one)), 1.0)
             seen = gain * cv2.warpAffine(texture, turn, (160, 120), borderMode=cv2.BORDER_REFLECT)
@@ -281,3 +286,47 @@ def test_flicker_and_reversals_are_not_repeated_frames(tmp_path):
         container.mux(stream.encode())
     fresh = fresh_frames(Film(path))
     assert sorted(set(range(90)) - set(fresh.tolist())) == [40]
+
+
+def test_spokes_that_shadows_at_rest_modulate_are_followed_without_jumps():
+    """Twelve alike spokes under a shading at rest match best after a jump back by one of them."""
+    ring = Ring.about((0.0, 0.0), 20.0, 100.0, finest=100.0)
+    angle = ring.step * (np.arange(ring.columns) + 0.5)
+    shade = 1.0 + 0.9 * np.cos(angle - 1.0) + 0.5 * np.cos(2.0 * angle)
+    true = 0.15 * np.arange(80) - 0.0002 * np.arange(80) ** 2
+    profile = np.stack([shade * np.cos(12.0 * (angle - one)) ** 9 for one in true]).astype(np.float32)
+    polars = np.repeat(profile[:, None], ring.rows, axis=1) * 40.0
+    polars += np.random.default_rng(1).normal(0.0, 1.0, polars.shape).astype(np.float32)
+    weight = np.broadcast_to(ring.area, polars.shape[1:]).astype(np.float32)
+    found = follow(polars, weight, polars.mean(axis=0), ring, band="low")
+    assert np.ptp(found) == pytest.approx(np.ptp(true), abs=0.1)
+
+
+def test_a_flickering_lamp_is_compensated(tmp_path):
+    """Against the same film without flicker: the gains are those that were drawn."""
+    rng = np.random.default_rng(6)
+    wall = np.tile(np.linspace(60.0, 210.0, 160, dtype=np.float32), (120, 1))
+    gain = 1.0 + 0.04 * np.cos(2.0 * np.pi * 100.0 / 240.0 * np.arange(60) + 0.7)
+    for name, light in (("even", np.ones(60)), ("flicker", gain)):
+        with av.open(str(tmp_path / f"{name}.mp4"), "w") as container:
+            stream = container.add_stream("libx264", rate=240)
+            stream.width, stream.height, stream.pix_fmt, stream.options = (
+                160,
+                120,
+                "yuv420p",
+                {"crf": "18", "x264-params": "mbtree=0"},
+            )
+            for k, one in enumerate(light):
+                seen = cv2.circle(one * wall, (40 + k, 60), 18, 230.0 * one, -1) + rng.normal(
+                    0, 0.5, wall.shape
+                )
+                grey = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+                container.mux(
+                    stream.encode(av.VideoFrame.from_ndarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), "bgr24"))
+                )
+            container.mux(stream.encode())
+    assert not Film(tmp_path / "even.mp4").warnings
+    film = Film(tmp_path / "flicker.mp4")
+    assert any("flickers by 2.8 % rms" in text for text in film.warnings)
+    corner = np.array([frame[:30].mean() for frame in film.frames()])
+    assert corner.std() / corner.mean() < 0.002
