@@ -55,9 +55,8 @@ _HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, i
 # the path of a body far from its hub: iterations for the displacement of a frame, largest step [px], and iterations for
 # the hub
 _PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
-_FEWEST_STEPS = (
-    4.0  # effective number (sum s)^2 / (sum s^2) of the steps from frame to frame in which a body turns
-)
+# effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns
+_FEWEST_STEPS = 4.0
 # error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
 _PATH_ERROR = 0.1
 _COARSE = 48.0
@@ -167,15 +166,14 @@ def _track(
         raise NothingMovesError(f"Nothing moves in {film.path.name}.", "Check that it is the right film.")
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
-    if hub is not None:
-        if not all(math.isfinite(v) for v in hub):
-            what = "The coordinates of the hub are not finite numbers."
-            raise UsageError(what, "Give the hub as --hub X,Y in px.")
-        proposals = [Proposal(hub, "given")]
-    elif (loose := track_by_features(film, usable, motion, progress)) is not None:
+    if hub is not None and not all(math.isfinite(v) for v in hub):
+        what = "The coordinates of the hub are not finite numbers."
+        raise UsageError(what, "Give the hub as --hub X,Y in px.")
+    loose = track_by_features(film, usable, motion, progress)
+    # a body without an axle, such as a suspended table, does not turn about a given place on it
+    if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
-    else:
-        proposals = propose_hubs(block, motion)
+    proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     where, hint = "about a hub", "Give the centre of rotation with --hub X,Y."

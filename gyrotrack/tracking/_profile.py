@@ -148,7 +148,10 @@ def _blob(
     return Blob(x, y, area, total, fill)
 
 
-_ANY_MARKS = 'a single body with any marks is tracked by `gyrotrack spindown FILM --hub X,Y` ("single body" in the workbench)'
+_ANY_MARKS = (  # what to do instead of a profile
+    "a single body with any marks is tracked by `gyrotrack spindown FILM --hub X,Y` "
+    '("single body" in the workbench)'
+)
 Colour = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"]
 Body = Literal["casing", "rotor"]
 

@@ -239,6 +239,31 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
 
 
 @pytest.mark.slow
+def test_a_given_hub_of_a_suspended_table_may_move():
+    """Its angles were those about a fixed hub, with errors as large as a quarter of the swing."""
+    rng = np.random.default_rng(4)
+    grain = cv2.GaussianBlur(rng.normal(0, 1, (240, 240)), (0, 0), 3)
+    grain, disc = 120 + 40 * grain / grain.std(), np.hypot(*(np.indices((240, 240)) - 119.5)) < 65
+    step = np.arange(70)
+    angle, sway = 0.08 * np.sin(0.35 * step), 5.0 * np.sin(0.21 * step)
+    frames = []
+    for c, s, x in zip(np.cos(angle), np.sin(angle), sway, strict=True):
+        move = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        move[:, 2] = [150 + x, 75 + 0.3 * x] - move[:, :2] @ [119.5, 119.5]
+        shown, mask = (
+            cv2.warpAffine(p, move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+            for p in (grain, disc.astype(float))
+        )
+        frames.append(
+            np.clip(60 + (shown - 60) * mask + rng.normal(0, 2, mask.shape), 0, 255).astype(np.uint8)
+        )
+    tracked = track_body(Rendered(frames), (151.0, 74.0))
+    off = error_of(tracked, angle)
+    assert np.std(off) < 0.02 * np.std(angle)
+    assert np.std(off) < 2.0 * np.median(tracked.sigma)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("back", [30, 22])
 def test_a_picture_that_changes_between_few_frames_is_no_rotation(back):
     """Such as two places of a thing in a film of few frames; the angles before and after had sigmas of 20 urad."""
