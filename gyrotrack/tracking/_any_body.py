@@ -57,6 +57,8 @@ _HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, i
 _PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
 # effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns
 _FEWEST_STEPS = 4.0
+# distance of a better hub from the given one, in radii of the ring, from which the given one is doubted
+_DISPLACED = 0.05
 # error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
 _PATH_ERROR = 0.1
 _COARSE = 48.0
@@ -149,7 +151,8 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
         f"features of the background are used to compensate this. "
         f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
-    return replace(found, sigma=np.hypot(found.sigma, share), warnings=(*found.warnings, text))
+    # the last warning is the doubt, if there is one
+    return replace(found, sigma=np.hypot(found.sigma, share), warnings=(text, *found.warnings))
 
 
 def _track(
@@ -182,10 +185,9 @@ def _track(
         hint = "Check the hub. The axis of rotation must point at the camera, and the body must show marks or texture."
     if not trials or trials[0].score < 0.02:
         raise TrackingError(f"No body that turns {where} is found in {film.path.name}.", hint)
-    best = max(
-        (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
-        key=lambda t: t.score,
-    )
+    distinct = _distinct(trials)
+    refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
+    best = max(refined, key=lambda t: t.score)
     height, width = motion.mean.shape
     outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
     needed = _OUTSIDE if outside else _EXPLAINED
@@ -209,7 +211,33 @@ def _track(
             f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
             "Give the centre of the body to track with --hub X,Y.",
         )
-    return _measure(film, usable, first, best, motion, progress)
+    tracked = _measure(film, usable, first, best, motion, progress)
+    if hub is None:
+        return tracked
+    doubt = _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
+    return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
+
+
+def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
+    """Return a warning if rotation about another place near the given hub explains the film much better."""
+    starts = [trial]
+    if given.score < _AS_GOOD:  # perhaps too far from it for a local search
+        near = [
+            p
+            for p in propose_hubs(block, motion)
+            if math.dist(p.hub, given.ring.hub) < 0.5 * given.ring.outer
+        ]
+        others = [other for p in near for other in _trials(p, block, motion)]
+        starts += sorted(others, key=lambda t: -t.score)[:1]
+    free = max((_refined_trial(t, block, motion.area, keep=False) for t in starts), key=lambda t: t.score)
+    away = math.dist(free.ring.hub, given.ring.hub)
+    if away < _DISPLACED * given.ring.outer or 1.0 - free.score > 0.5 * (1.0 - given.score):
+        return None
+    x, y = free.ring.hub
+    return (
+        f"Rotation about ({x:.0f}, {y:.0f}) px, {away:.0f} px from the given hub, explains {100 * free.score:.0f} % of "
+        f"the change of brightness in place of {100 * given.score:.0f} %: the angles may be wrong. Correct --hub X,Y."
+    )
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:

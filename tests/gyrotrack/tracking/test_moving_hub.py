@@ -239,6 +239,17 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("off", "doubt"), [(0.3, False), (12.0, True)])
+def test_a_given_hub_that_is_not_the_centre_is_doubted(off, doubt):
+    """12 px off, the angles were wrong by 370 mrad with a sigma of 3 mrad."""
+    angle = 0.1 * np.arange(60)
+    tracked = track_body(film(np.full((60, 2), (150.0, 75.0)), angle, radius=55.0), (150.0 + off, 75.0))
+    assert tracked.ambiguous == doubt
+    assert not doubt or "Rotation about (150, 75) px" in tracked.warnings[-1]
+    assert doubt or np.std(error_of(tracked, angle)) < 0.01
+
+
+@pytest.mark.slow
 def test_a_given_hub_of_a_suspended_table_may_move():
     """Its angles were those about a fixed hub, with errors as large as a quarter of the swing."""
     rng = np.random.default_rng(4)
