@@ -347,6 +347,9 @@ def spindown(
         return _analysed(source, target, report, options, command=command, force=force, progress=progress)
 
 
+_LEAST_RANGE = 10  # smallest range of the angle of a rotation, in standard uncertainties
+
+
 def _analysed(
     source: Path,
     target: Path,
@@ -372,8 +375,15 @@ def _analysed(
     motion = motion_of(series.time, series.angle, series.sigma)
     if body is not None:
         motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
-    if motion.turns * TURN < 10 * float(np.median(series.sigma)):
-        raise TrackingError(f"No rotation was found in {source}.", "Check that it is the right file.")
+    usual = float(np.median(series.sigma))
+    if motion.turns * TURN < _LEAST_RANGE * usual:
+        what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
+        hint = (
+            "give the hub of a film with --hub X,Y." if body is not None else "state the unit of the angle."
+        )
+        raise TrackingError(
+            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
+        )
     settings = {
         "source": source,
         "hub": options.hub,

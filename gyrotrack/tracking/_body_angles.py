@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
-from gyrotrack._smoothing import TimeBase, jitter_is_real
+from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
@@ -27,11 +27,15 @@ from gyrotrack.tracking._hub import (
 )
 from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
 from gyrotrack.tracking._orbit import (
+    CELL,
+    LEAST_OBSERVATIONS,
+    MOST_OBSERVATIONS,
     NO_FLATTENING,
     Flattening,
     fit_common_offset,
     fit_flattening,
     flattening_of_arc,
+    higher_harmonics,
     mixture,
 )
 from gyrotrack.tracking._profile import Profile
@@ -74,20 +78,31 @@ class BodyView:
         return away
 
     def flattening(self, centre: Floats) -> Flattening:
-        """Fit tilt and offsets to the orbits of the markers; one offset if each of them covers only a part."""
+        """Fit tilt and offsets to the orbits of the markers.
+
+        One offset for the coloured ones if each of them covers only a part of its orbit.
+        """
         orbits = self._orbits(centre)
         found = fit_flattening(orbits)
-        return found if found.offset else fit_common_offset({name: orbits[name] for name in self.coloured})
+        if any(name in found.offset for name in self.coloured):
+            return found
+        common = fit_common_offset({name: orbits[name] for name in self.coloured})
+        return replace(common, offset=found.offset | common.offset) if common.offset else found
+
+    def reference(self, flat: Flattening) -> list[str]:
+        """Return the markers whose offset is known, without white ones if there are others (see `coloured`)."""
+        return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
         """Add the offsets of the markers that cover only an arc; expected is the mean of those of the others."""
         absent = [name for name in self.observations if name not in flat.offset]
-        known = [name for name in self.coloured if name in flat.offset] or list(flat.offset)
         if not absent:
             return flat
         size = float(np.hypot(HEIGHT * flat.tilt * self.radius, LUMA_SHIFT))
         arcs = {name: self._trusted(name, centre) for name in absent}
-        arc = flattening_of_arc(flat, arcs, flat.shift(known), size, usual_error_by_place(self))
+        arc = flattening_of_arc(
+            flat, arcs, flat.shift(self.reference(flat)), size, usual_error_by_place(self)
+        )
         return replace(flat, offset=flat.offset | arc.offset, offset_covariance=arc.offset_covariance)
 
     def flattening_of_arc(
@@ -152,26 +167,95 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
     """
     best = paths[0]
     flat = _flattening(best, views) if len(paths) > 1 else {}
-
-    def squares(path: CentrePath) -> Floats:
-        radii = [one for name, seen in views.items() for one in seen.radii(path.centre, flat[name])]
-        return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
-
-    before = squares(best) if len(paths) > 1 else np.zeros(0)
+    before = _squares(best, views, flat) if len(paths) > 1 else np.zeros(0)
     for path in paths[1:]:
-        after = squares(path)
-        gain = []
-        for one, other in zip(before, after, strict=True):
-            use = np.isfinite(one) & np.isfinite(other)
-            size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
-            # outliers, as of a marker that is mistaken for another one, are limited
-            change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
-            groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
-            gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
-        mean = np.mean(gain, axis=0)
-        if len(mean) > 2 and mean.mean() > _BETTER * mean.std() / np.sqrt(len(mean) - 1):
+        after = _squares(path, views, flat)
+        if _is_better(before, after):
             best, before = path, after
     return best
+
+
+LEAST_ARC = (
+    1.0  # angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
+)
+SIGNIFICANT = 3.0  # offset of the disc, in errors of a harmonic of the radii, from which it is corrected
+_CLIP = 4.0  # residual of a radius in robust standard deviations from which it is an outlier
+
+
+def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
+    """Correct the path of a disc that is fixed to the casing beside the axis of the rotor.
+
+    The disc then circles the axis by the angle c of the casing. Its offset d, constant on the casing, changes a radius
+    of the rotor's markers at the angle a by -d . r(a - c), with r the unit vector, and displaces it by |d| sin(a - c)
+    at most. The markers of the casing are displaced equally in all frames. d is fitted to the radii beside the offset
+    and the flattening of each orbit, and is subtracted if the radii then vary less.
+    """
+    if "casing" not in views or "rotor" not in views:
+        return path
+    casing = views["casing"]
+    name = max(casing.whole, key=lambda m: int(casing.whole[m].sum()))
+    v = casing.place(name, path.centre)
+    known = np.flatnonzero(casing.whole[name] & np.isfinite(v).all(axis=1) & np.isfinite(path.sigma))
+    angle = np.unwrap(np.arctan2(v[known, 1], v[known, 0]))
+    if len(known) < LEAST_OBSERVATIONS or np.ptp(angle) < LEAST_ARC:
+        return path
+    angle = np.interp(np.arange(len(v)), known, angle)
+    flat = _flattening(path, views)
+    normal, right = np.zeros((2, 2)), np.zeros(2)
+    for one in views["rotor"].radii(path.centre, flat["rotor"]):
+        own = _offset_on_casing(one, angle)
+        normal, right = normal + own[0], right + own[1]
+    offset = complex(*np.linalg.lstsq(normal, right, rcond=None)[0])
+    if abs(offset) < SIGNIFICANT * _error_of_harmonic(path, views["rotor"], flat["rotor"]):
+        return path
+    circle = offset * np.exp(1j * angle)
+    better = replace(path, centre=path.centre - np.stack([circle.real, -circle.imag], axis=1))
+    before, after = _squares(path, views, flat), _squares(better, views, _flattening(better, views))
+    return better if _is_better(before, after) else path
+
+
+def _offset_on_casing(radii: Radii, casing: Floats) -> tuple[Floats, Floats]:
+    """Return the normal equations, (2, 2) and (2,), of the disc's offset on the casing from one marker's radii."""
+    use = np.flatnonzero(np.isfinite(radii.excess) & np.isfinite(radii.direction))
+    use = use[:: max(len(use) // MOST_OBSERVATIONS, 1)]
+    a, excess = radii.direction[use], radii.excess[use]
+    relative = a - casing[use]
+    columns = [-np.cos(relative), -np.sin(relative), np.ones_like(a)]
+    design = np.stack([*columns, *(f(k * a) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)
+    keep = np.ones(len(a), dtype=np.bool_)
+    normal, right = np.zeros((2, 2)), np.zeros(2)
+    for _ in range(3):
+        if keep.sum() < LEAST_OBSERVATIONS:
+            return np.zeros((2, 2)), np.zeros(2)
+        apart = (
+            design[keep, :2]
+            - design[keep, 2:] @ np.linalg.lstsq(design[keep, 2:], design[keep, :2], rcond=None)[0]
+        )
+        normal, right = apart.T @ apart, apart.T @ excess[keep]
+        residual = excess - design @ np.linalg.lstsq(design[keep], excess[keep], rcond=None)[0]
+        scatter = max(spread(residual[keep]), 0.02)
+        keep = np.abs(residual) < _CLIP * scatter
+    return normal / scatter**2, right / scatter**2
+
+
+def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flattening]) -> Floats:
+    """Return the squared residuals of the radii of all markers about a path, (markers, n) [px^2]."""
+    radii = [one for name, seen in views.items() for one in seen.radii(path.centre, flat[name])]
+    return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
+
+
+def _is_better(before: Floats, after: Floats) -> bool:
+    """Tell whether squared residuals are significantly smaller than those before, on the mean over the markers."""
+    gain = []
+    for one, other in zip(before, after, strict=True):
+        use = np.isfinite(one) & np.isfinite(other)
+        size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
+        # outliers, as of a marker that is mistaken for another one, are limited
+        change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
+        groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
+        gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
+    mean = np.mean(gain, axis=0)
+    return len(mean) > 2 and bool(mean.mean() > _BETTER * mean.std() / np.sqrt(len(mean) - 1))
 
 
 def correct_view(
@@ -192,21 +276,23 @@ def correct_view(
 def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Flattening]:
     """Fit the flattening of each body's orbits; a body that covers an arc gets that of one with full orbits."""
     flat = {name: body_view.flattening(centre.centre) for name, body_view in views.items()}
-    known = [
-        name for name, body_view in views.items() if any(m in flat[name].offset for m in body_view.coloured)
-    ]
+    known = [name for name in views if flat[name].offset]
     if not known:
         return flat
-    tilt = _common_tilt({name: flat[name] for name in known}, views)
-    body_view, reference = views[known[0]], replace(flat[known[0]], p=tilt.real, q=tilt.imag)
+    error = max(_error_of_harmonic(centre, views[name], flat[name]) / views[name].radius for name in known)
+    tilt = _common_tilt({name: flat[name] for name in known}, views, error)
+    for name in known:
+        flat[name] = replace(flat[name], p=tilt.real, q=tilt.imag, error=error)
+    body_view, reference = views[known[0]], flat[known[0]]
     shift = _shrunk(
-        reference.shift(body_view.coloured), usual_error_of_harmonic(body_view, len(body_view.coloured))
+        reference.shift(body_view.reference(reference)),
+        usual_error_of_harmonic(body_view, len(body_view.coloured)),
     )
     found = {}
     for name, own in flat.items():
         radius = views[name].radius
         if own.offset:
-            found[name] = views[name].with_arcs(replace(own, p=tilt.real, q=tilt.imag), centre.centre)
+            found[name] = views[name].with_arcs(own, centre.centre)
         elif name == "casing":
             expected, size = np.stack([np.zeros(2), shift]), _height_error(reference, body_view, radius)
             found[name] = views[name].flattening_of_arc(centre.centre, reference, expected, size)
@@ -216,18 +302,41 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     return found
 
 
-def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView]) -> complex:
+# sectors of half a `CELL` in which the radius of a marker is known: more than the harmonics that are fitted
+LEAST_PLACES = 14
+
+
+def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
+    """Return the error by place of the radii of a body in one component of one harmonic [px].
+
+    Orders that neither an offset nor a tilt causes show it, on the mean over the markers, which shadows displace
+    equally at each place. They and the typical error are estimates of one variance. A marker that is seen at a few
+    places only, in step with the frames, shows nothing.
+    """
+    usual = usual_error_of_harmonic(body_view)
+    found = []
+    for marker, one in zip(body_view.markers, body_view.radii(centre.centre, flat), strict=True):
+        known = np.isfinite(one.excess) & np.isfinite(one.direction)
+        places = np.unique(np.rint(one.direction[known] / (0.5 * CELL)))
+        if marker.name in body_view.reference(flat) and len(places) >= LEAST_PLACES:
+            found.append(higher_harmonics(one.direction[known], one.excess[known]))
+    if not found:
+        return usual
+    seen = np.mean(found, axis=0)
+    return float(np.sqrt((BORROWED_NU * usual**2 + seen @ seen) / (BORROWED_NU + len(seen))))
+
+
+def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
     """Return p + i q of all bodies: they are seen by one camera, and the ellipses of their orbits are equal.
 
     The component across the tilt is an error. That along it cannot be negative: it is the posterior mean for a normally
-    distributed error, the share of one harmonic in the errors by place, and a uniform prior from 0.
+    distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
         markers = sum(m in one.offset for m in views[name].observations)
         total, number = total + markers * complex(one.p, one.q), number + markers
     mean = total / number
-    error = max(usual_error_of_harmonic(views[n], number) / views[n].radius for n in flat)
     along = -np.exp(2j * _azimuth(mean, error, flat, views))
     ratio = max(float((mean * np.conj(along)).real) / error, -5.0)
     density = math.exp(-0.5 * ratio**2) / math.sqrt(2.0 * math.pi)
@@ -260,7 +369,7 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
     A small tilt is badly determined by the ellipses of the orbits. An offset e of the orbit of the rotor (`body_view`)
     by its depth indicates a tilt of e / depth.
     """
-    offset = float(np.hypot(*flat.shift(body_view.coloured)))
+    offset = float(np.hypot(*flat.shift(body_view.reference(flat))))
     tilt = max(flat.tilt, offset / (DEPTH * body_view.radius))
     return float(np.hypot(HEIGHT * tilt * radius, LEAST_SIGMA))
 
@@ -289,11 +398,14 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
     """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
-    off = [z * body_view.radius for m, z in body.axis_off.items() if m in flat.offset]
-    if not off:
-        return np.zeros(2)
-    error = usual_error_of_harmonic(body_view, len(off))
-    return _shrunk(np.mean([(z.real, z.imag) for z in off], axis=0), np.sqrt(2.0) * error)
+    off = _axis_by_angles(body_view, flat, body)
+    return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, len(body_view.reference(flat))))
+
+
+def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
+    """Return the mean of the axes of the markers by angles less those by radii, (2,) [px], y up; 0 if none is known."""
+    off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
+    return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
 
 def separate_perspective(
@@ -310,19 +422,20 @@ def separate_perspective(
     rotor, if the disc is above both; each within `_height_error`. All measurements have errors by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
-    if not own.offset or not any(m in reference.offset for m in body_view.coloured):
+    if not own.offset or not reference.offset:
         return own
-    offset, error = axis_offset(body_view, reference, rotor), usual_error_of_harmonic(body_view)
-    # Perspective acts along the tilt; the component across it is an error.
+    error = usual_error_of_harmonic(body_view)
+    # Perspective acts along the tilt; the component across it is an error, of one degree of freedom.
     azimuth = _azimuth(
         complex(reference.p, reference.q), error / body_view.radius, {"rotor": reference}, views
     )
     along = np.array([np.cos(azimuth), np.sin(azimuth)])
-    off = [z * body_view.radius for m, z in rotor.axis_off.items() if m in reference.offset]
-    if off:
-        error = max(error, abs(along[0] * np.mean(off).imag - along[1] * np.mean(off).real))
-    offset = along * float(along @ offset)
-    axis = _shrunk(reference.shift(body_view.coloured) + offset, error)
+    off = _axis_by_angles(body_view, reference, rotor)
+    if rotor.axis_off:
+        across = float(along[0] * off[1] - along[1] * off[0])
+        error = math.sqrt((BORROWED_NU * error**2 + across**2) / (BORROWED_NU + 1.0))
+    offset = along * float(along @ _shrunk(off, np.sqrt(2.0) * error))
+    axis = _shrunk(reference.shift(body_view.reference(reference)) + offset, error)
     more = (views["casing"].radius / body_view.radius) ** 2
     perspective = -more * offset
     size = _height_error(reference, body_view, views["casing"].radius)
@@ -349,6 +462,12 @@ PERSPECTIVE = 0.05
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
     """Return the uncertainty of a body's markers along their orbit due to the offsets, (n,) in px."""
     own = [np.nan_to_num(flat.tangential_sigma(name, c.angle)) for name, c in candidates.items()]
+    return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
+
+
+def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
+    """Return the uncertainty of the angles of a body's markers due to the tilt of the camera, (n,) in rad."""
+    own = [np.nan_to_num(flat.tilt_sigma(c.angle)) for c in candidates.values()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
 
@@ -431,7 +550,8 @@ def _join_even(
 ) -> TrackedBodies:
     views = {name: view(scene.of(name), body.markers, seen.size) for name, body in seen.bodies.items()}
     path = _centre(seen, views, scene, profile)
-    centre, flattening = correct_view(path, views, profile, marked=seen.disc is not None)
+    axis = path if seen.disc is None else about_rotor(path, views)
+    centre, flattening = correct_view(axis, views, profile, marked=seen.disc is not None)
     bodies, warnings = _followed(seen, views, centre, flattening, fps, time_base)
     if seen.disc is not None and (text := fast_motion(path, seen.disc)) is not None:
         warnings.append(text)
@@ -512,12 +632,22 @@ def _followed(
         by_place = float(np.sqrt(np.mean(np.square([usual, *learnt]))))
         coarse = seen.bodies[name].coarse
         left = variance_left(coarse, range(1, 2), max(centre.reach, 1))
-        off_axis = np.hypot(
-            np.nan_to_num(centre.sigma) * np.sqrt(left),
-            offset_uncertainty(candidates[name], flattening[name]),
+        off_axis = np.nan_to_num(centre.sigma) * np.sqrt(left)
+        flat = flattening[name]
+        return join(
+            coarse,
+            candidates[name],
+            fps,
+            other,
+            by_place / radius,
+            off_axis / radius,
+            np.hypot(
+                offset_uncertainty(candidates[name], flat) / radius, _tilt_uncertainty(candidates[name], flat)
+            ),
+            arcs={marker: c / radius**2 for marker, c in flat.offset_covariance.items()},
+            above=above,
+            time_base=time_base,
         )
-        floor, axis = by_place / radius, off_axis / radius
-        return join(coarse, candidates[name], fps, other, floor, axis, above=above, time_base=time_base)
 
     warnings: list[str] = []
     for name in views:

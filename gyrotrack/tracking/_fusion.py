@@ -21,7 +21,9 @@ otherwise the common harmonics of orders 1 and 2 in the angle of the body are no
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -317,6 +319,7 @@ def once_a_turn(curve: Floats) -> complex:
 
 
 LEAST_TURNING = 0.5  # smallest share of frames within whole turns for which errors by place are known
+MOST_FRAMES = 2000  # number of frames from which errors of the view are learnt
 LEAST_FAST = 0.2  # smallest share of fast frames for which curves are learnt from these alone
 
 
@@ -374,6 +377,95 @@ def learn_neighbours(
         if above:
             slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
+
+
+VIEW_ORDERS = (
+    1,
+    2,
+)  # orders of the harmonics of errors of the view: an offset of the axis, a tilt of the camera
+
+
+_VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+
+
+def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Floats | None:
+    """Learn errors of the view from the disagreement of markers; return their uncertainty in the body's angle, (n,).
+
+    Within less than two turns errors by place look like motion, but motion is common to all markers of a body in each
+    frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The coefficients of
+    the harmonics `VIEW_ORDERS` of each marker's angle have a part common to all markers and one of its own. They are
+    fitted with the mount angles to the residuals less their mean in each frame. Errors by place of standard deviation
+    `floor` [rad] count once per `CELL`. The standard deviations of both parts are the most likely of a few multiples of
+    a harmonic's share in `floor`; to these are added the covariances of the offsets, (2, 2) [rad^2], of markers that
+    cover only an `arc`. None if there is only one marker, or if errors by place are learnt from whole turns.
+    """
+    names, n = list(state.candidates), len(state.path)
+    known = np.isfinite(state.path)
+    if len(names) < 2 or floor <= 0.0 or state.turning.any() or not known.any():
+        return None
+    count, orders = len(names), 2 * len(VIEW_ORDERS)
+    size = count * orders
+    alike = known.sum() / max(float(np.ptp(state.path[known])) / CELL, 1.0)
+    few = np.arange(0, n, max(n // MOST_FRAMES, 1))
+    alike *= len(few) / n
+    normal, right = np.zeros((size + count, size + count)), np.zeros(size + count)
+    normal[size:, size:] = np.eye(count)  # rad; a mount angle common to all markers has no effect
+    total, summed, seen = np.zeros(len(few)), np.zeros((len(few), size + count)), np.zeros(len(few))
+    for k, name in enumerate(names):
+        own, residual, weight = _view_rows(state, name, few, alike * floor**2)
+        rows = np.zeros((len(few), size + count))
+        rows[:, k * orders : (k + 1) * orders], rows[:, size + k] = own, 1.0
+        weighted = weight[:, None] * rows
+        normal += weighted.T @ rows
+        right += weighted.T @ residual
+        total, summed, seen = total + weight, summed + weighted, seen + weight * residual
+    safe = np.where(total > 0.0, total, 1.0)
+    normal -= (summed / safe[:, None]).T @ summed
+    right -= summed.T @ (seen / safe)
+    usual, offsets = floor / math.sqrt(len(PLACE_ORDERS)), np.zeros((size, size))
+    turn = np.array(
+        [[0.0, 1.0], [-1.0, 0.0]]
+    )  # an offset e displaces a marker at the angle a by e_y cos a - e_x sin a
+    for k, name in enumerate(names):
+        if name in arcs:
+            offsets[k * orders : k * orders + 2, k * orders : k * orders + 2] = turn @ arcs[name] @ turn.T
+    best = (-math.inf, normal)
+    for common, each in product(_VIEW_SIZES, _VIEW_SIZES):
+        sizes = (each * usual) ** 2 * np.eye(count) + (common * usual) ** 2
+        prior = np.linalg.inv(np.kron(sizes, np.eye(orders)) + offsets)
+        full = normal.copy()
+        full[:size, :size] += prior
+        fit = float(right @ np.linalg.solve(full, right))
+        evidence = 0.5 * (fit + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(full)[1])
+        best = max(best, (evidence, full), key=lambda one: one[0])
+    normal = best[1]
+    covariance = np.linalg.inv(normal)
+    solution = (covariance @ right)[:size].reshape(count, orders)
+    effect, total = np.zeros((n, size)), np.zeros(n)
+    for k, name in enumerate(names):
+        own, _, weight = _view_rows(state, name, np.arange(n), 0.0)
+        state.by_place[name][:] = own @ solution[k]
+        effect[:, k * orders : (k + 1) * orders] = weight[:, None] * own
+        total += weight
+    effect /= np.where(total > 0.0, total, 1.0)[:, None]
+    effect -= effect[total > 0.0].mean(axis=0) if (total > 0.0).any() else 0.0
+    return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", effect, covariance[:size, :size], effect)))
+
+
+def _view_rows(
+    state: Residuals, name: str, frames: npt.NDArray[np.int64], more: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return harmonics (k, orders), residuals and weights (k,) of a marker; `more` is added to the variances."""
+    c = state.candidates[name]
+    angle = np.nan_to_num(c.angle[frames])
+    own = np.stack([f(k * angle) for k in VIEW_ORDERS for f in (np.cos, np.sin)], axis=1)
+    residual = wrapped(
+        np.nan_to_num(
+            c.angle[frames] - state.path[frames] - state.mounts[name] - state.by_neighbour[name][frames]
+        )
+    )
+    weight = np.where(state.use[name][frames], 1.0 / (state.sigma(name)[frames] ** 2 + more), 0.0)
+    return own, residual, weight
 
 
 def places_passed(state: Residuals) -> float:
@@ -542,18 +634,21 @@ def join(
     other: Floats | None = None,
     floor: float = 0.0,
     axis: float | Floats = 0.0,
+    orbit: float | Floats = 0.0,
     *,
+    arcs: dict[str, Floats] | None = None,
     above: bool = False,
     time_base: TimeBase | None = None,
 ) -> BodyAngles:
     """Join the markers of one body; its zero is the angle of the first one.
 
     `coarse` (n,) is its unwrapped coarse angle as seen [rad], NaN where it was lost; `other` that of the body that
-    occludes the markers at times, or passes beneath them (`above`). `floor` and `axis` are uncertainties [rad] that are
-    not visible as scatter outside whole turns: errors by place, as far as they are not observed, and the displacement
-    of the axis.
+    occludes the markers at times, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties [rad]
+    that are not visible as scatter outside whole turns: errors by place, as far as they are not observed, the
+    displacement of the axis, and that of the orbits about it, which markers determine together (`arcs`: see
+    `learn_view`).
     """
-    state = Residuals(coarse, candidates, fps, time_base)
+    state, arcs = Residuals(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
     for _ in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
@@ -562,10 +657,13 @@ def join(
         smooth, _ = state.smooth(half, degree)
         state.mark_whole_turns(short, smooth, half)
         learn_places(state, smooth)
+        learn_view(state, floor, arcs)
         if other is not None:
             learn_neighbours(state, smooth, other, (half, degree), above=above)
     short, leverage = state.smooth(HALF_WINDOW)
     state.reject_outliers(short, leverage)
+    of_view = learn_view(state, floor, arcs)
+    axis = np.hypot(axis, orbit if of_view is None else of_view)
     return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 

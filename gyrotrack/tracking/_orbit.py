@@ -165,13 +165,15 @@ _ROUNDS = 6  # smallest angle [rad] covered by the observations for which the or
 class Flattening:
     """Effect of an oblique view on an orbit: offsets e per marker in px (y up), and (p, q).
 
-    `offset_covariance` holds the covariance of e in px^2, (2, 2), of markers that cover only an arc.
+    `offset_covariance` holds the covariance of e in px^2, (2, 2), of markers that cover only an arc; `error` is the
+    standard uncertainty of p and q.
     """
 
     offset: dict[str, tuple[float, float]]
     p: float
     q: float
     offset_covariance: dict[str, Floats] = field(default_factory=dict, compare=False)
+    error: float = field(default=0.0, compare=False)
 
     @property
     def tilt(self) -> float:
@@ -200,6 +202,12 @@ class Flattening:
         along = np.stack([-np.sin(angle), np.cos(angle)])
         along -= np.nanmean(along, axis=1, keepdims=True)
         return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.offset_covariance[name], along)))
+
+    def tilt_sigma(self, angle: Floats) -> Floats:
+        """Return the uncertainty of an angle due to p and q, without its mean over the frames, (n,) in rad."""
+        along = np.stack([-np.sin(2.0 * angle), np.cos(2.0 * angle)])
+        along -= np.nanmean(along, axis=1, keepdims=True)
+        return np.asarray(self.error * np.hypot(*along))
 
 
 NO_FLATTENING = Flattening({}, 0.0, 0.0)
@@ -242,6 +250,26 @@ def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
     return found
 
 
+_HIGHER = range(3, 7)  # orders of harmonics of radii that neither an offset nor a tilt causes
+
+
+def higher_harmonics(theta: Floats, radius: Floats) -> Floats:
+    """Return the cosines and sines of the orders 3 to 6 of radii over the angle, (8,), in their unit."""
+    few = slice(None, None, max(len(theta) // MOST_OBSERVATIONS, 1))
+    theta, off = theta[few], radius[few] - median_of(radius[few])
+    design = np.stack([f(k * theta) for k in (0, 1, 2, *_HIGHER) for f in (np.cos, np.sin)], axis=1)[
+        :, [0, *range(2, 14)]
+    ]
+    keep = np.ones(len(off), dtype=np.bool_)
+    for _ in range(3):
+        kept = design[keep]
+        # a gap leaves some combinations undetermined; a harmonic of 1 px is large
+        solution = np.linalg.solve(kept.T @ kept + 0.04 * np.eye(kept.shape[1]), kept.T @ off[keep])
+        left = np.abs(off - design @ solution)
+        keep = left < 4.0 * 1.4826 * median_of(left[keep]) + 1e-9
+    return np.asarray(solution[5:])
+
+
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float, usual: float
 ) -> Flattening:
@@ -254,7 +282,7 @@ def flattening_of_arc(
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
-    found = Flattening(dict.fromkeys(positions, mean), reference.p, reference.q)
+    found = Flattening(dict.fromkeys(positions, mean), reference.p, reference.q, error=reference.error)
     for name, v in positions.items():
         found.offset_covariance[name] = covariance
         if len(v) >= LEAST_OBSERVATIONS:

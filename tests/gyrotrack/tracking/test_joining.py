@@ -172,6 +172,34 @@ def test_motion_and_errors_by_place_of_two_turns_are_told_apart_as_badly_as_clai
     assert np.std(np.concatenate(ends)) == pytest.approx(1.0, abs=0.12)
 
 
+def _seen_beside_the_axis(seed, common, own, turns=1.6, frames=150):
+    """Three markers, each hidden for a third of every turn, about an axis that is off by so much of their radius."""
+    rng = np.random.default_rng(seed)
+    truth = 1.0 + 2 * np.pi * turns * np.arange(frames) / frames
+    axis = rng.normal(0.0, common, 2)
+    markers = {}
+    for name, mount in MOUNTS.items():
+        e, place = axis + rng.normal(0.0, own, 2), truth + mount
+        angle = place + e[1] * np.cos(place) - e[0] * np.sin(place) + rng.normal(0.0, 1e-3, frames)
+        good = np.mod(place - 0.5, 2 * np.pi) > 2.1
+        markers[name] = Candidate(
+            wrapped(angle), good, np.ones(frames, dtype=bool), np.ones(frames), np.zeros(frames), mount
+        )
+    body = join(truth + rng.normal(0, 0.01, frames), markers, 1000.0, floor=1e-3)
+    error = body.angle - truth
+    error -= np.nanmedian(error)
+    return error, error / body.sigma
+
+
+@pytest.mark.parametrize(("common", "own"), [(0.0, 0.0), (12e-3, 0.5e-3), (6e-3, 3e-3)])
+def test_markers_of_a_body_show_together_where_its_axis_is(common, own):
+    """In less than two turns: what one marker shows as motion, three show as an axis beside the one assumed."""
+    errors, z = zip(*(_seen_beside_the_axis(seed, common, own) for seed in range(30)), strict=True)
+    # errors of its own of each marker move the mean of the markers like a motion
+    assert np.nanstd(errors) < 1.0e-3 + 0.8 * own  # 13 mrad about the axis assumed, with common = 12 mrad
+    assert 0.7 < np.nanstd(z) < 1.25
+
+
 def test_an_error_that_hardly_changes_along_an_arc_is_a_zero():
     turn = np.linspace(0.0, 2 * np.pi, 200, endpoint=False)
     assert variance_left(turn, range(1, 7)) == pytest.approx(1.0, abs=1e-9)
