@@ -74,6 +74,7 @@ _WHOLE = 0.9
 _UNDETERMINED = 0.25
 # explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
 _AS_GOOD = 0.8
+_HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the slowest step
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
@@ -248,12 +249,14 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
         return None
     rest = replace(motion, moving=outside)
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
-    if not trials:
+    needed = max(_EXPLAINED, _AS_GOOD * best.score)
+    start = max(trials, key=lambda t: t.score, default=None)
+    if start is None or start.score < _HOPELESS * needed:
         return None
-    found = _refined_trial(max(trials, key=lambda t: t.score), block, motion.area, keep=False)
+    found = _refined_trial(start, block, motion.area, keep=False)
     apart = math.dist(found.ring.hub, best.ring.hub)
     clear = apart > best.ring.outer and apart > found.ring.outer
-    return found if clear and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
+    return found if clear and found.score > needed else None
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:
@@ -296,7 +299,7 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
     """Return the best candidates whose motions differ, at most three."""
     kept: list[_Trial] = []
     for trial in trials:
-        if trial.score > 0.3 * trials[0].score and all(
+        if trial.score > _HOPELESS * trials[0].score and all(
             np.std(trial.angle - other.angle) > 0.1 * np.std(other.angle) for other in kept
         ):
             kept.append(trial)

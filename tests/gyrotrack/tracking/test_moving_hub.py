@@ -12,7 +12,7 @@ import pytest
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking import _any_body
+from gyrotrack.tracking import _any_body, _hub_search
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._hub_search import Proposal
 from gyrotrack.tracking._moving_hub import track_free_body
@@ -236,6 +236,21 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
     assert abs(factor - 1.0) < 1.5 * claimed + 0.02
     assert claimed < (0.4 if wrong else 0.05)
     assert any("distance of the hub" in w for w in tracked.warnings) or not wrong
+
+
+def test_a_hopeless_second_body_is_not_refined(monkeypatch):
+    """Its refinement took 40 % of the time of a film of a record player."""
+    hub = Proposal((150.0, 75.0), "test")
+    still = np.zeros((150, 300), dtype=np.float32)
+    moving = np.zeros((150, 300), dtype=bool)
+    moving[:, :100] = True
+    motion = _hub_search.Motion(still, still, 1.0, moving, (0, 0, 300, 150))
+    ring = _hub_search.Ring.about((250.0, 75.0), 5.0, 40.0)
+    best, weak = (_any_body._Trial(ring, "test", "low", True, np.zeros(3), s, False) for s in (0.9, 0.1))
+    monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [hub])
+    monkeypatch.setattr(_any_body, "_trials", lambda *_: [weak])
+    monkeypatch.setattr(_any_body, "_refined_trial", lambda *_, **__: pytest.fail("refined"))
+    assert _any_body._second_body(None, motion, best) is None
 
 
 @pytest.mark.slow
