@@ -348,18 +348,20 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
 
 
 def learn_neighbours(
-    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool
+    state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool, last: bool
 ) -> None:
     """Learn the error of each marker as a function of its angle to the other body (see the module docstring).
 
-    Markers below the other body have errors where they are partly occluded. Markers above it (`above`) have errors
-    wherever its markers pass next to them; these are learnt from frames in which the markers pass too fast for a real
-    motion. If they pass nearly in step with the frames, the error may vary as slowly as a motion: the part that a local
-    polynomial (`window`: half width and degree) fits is treated as motion and not removed.
+    Markers below the other body have errors where they are partly occluded, and where its shadow and its blurred edge
+    reach. Markers above it (`above`) have errors wherever its markers pass next to them. Such errors of unoccluded
+    markers are learnt where the bodies pass each other too fast for a real motion. If they pass nearly in step with the
+    frames, the error may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree)
+    fits is treated as motion and not removed from markers above.
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (state.speed(other - state.path) > FAST)
-    if above and passing.sum() <= LEAST_FAST * state.turning.sum():
+    fast = bool(passing.sum() > LEAST_FAST * state.turning.sum())
+    if above and not fast:
         return
     for name, c in state.candidates.items():
         difference = np.nan_to_num(c.angle - other)
@@ -367,25 +369,33 @@ def learn_neighbours(
         when = near & (passing if above else state.turning)
         found = _curve(state, name, difference, state.by_place[name], smooth, when)
         curve = found.values
+        clear = float(fast)
+        if last and fast and not above:
+            clear = _shown_share(found, difference, when & c.open)
         for part in row_blocks(len(near)):
-            weight = np.where(when[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
-            if not above:
-                weight[state.candidates[name].open[part]] = 0.0
+            share = np.where(c.open[part], clear, 1.0) * near[part]
+            weight = np.where(when[part], share / state.sigma(name, part) ** 2, 0.0)
             state.absorbed[name][part] += found.leverage(difference[part], weight)
-            shown = near[part] & (above | ~c.open[part])
-            state.by_neighbour[name][part] = np.where(shown, curve_at(curve, difference[part]), 0.0)
+            state.by_neighbour[name][part] = share * curve_at(curve, difference[part])
         if above:
             slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
             state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
 
 
-VIEW_ORDERS = (
-    1,
-    2,
-)  # orders of the harmonics of errors of the view: an offset of the axis, a tilt of the camera
+def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) -> float:
+    """Return the share of a curve's mean square at some angles that its own uncertainty does not explain, 0 to 1.
+
+    Times this share (James-Stein), a curve that is hardly significant adds less error than it removes.
+    """
+    if not use.any():
+        return 0.0
+    size = float(np.mean(curve_at(curve.values, angle[use]) ** 2))
+    noise = float(np.mean(curve.leverage(angle[use], np.ones(int(use.sum())))))
+    return max(1.0 - noise / max(size, 1e-12), 0.0)
 
 
-_VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+VIEW_ORDERS = (1, 2)  # harmonics of errors of the view: an offset of the axis, a tilt of the camera
+_VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # standard deviations that are tried, in typical ones
 
 
 def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Floats | None:
@@ -423,9 +433,8 @@ def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Float
     normal -= (summed / safe[:, None]).T @ summed
     right -= summed.T @ (seen / safe)
     usual, offsets = floor / math.sqrt(len(PLACE_ORDERS)), np.zeros((size, size))
-    turn = np.array(
-        [[0.0, 1.0], [-1.0, 0.0]]
-    )  # an offset e displaces a marker at the angle a by e_y cos a - e_x sin a
+    # an offset e displaces a marker at the angle a by e_y cos a - e_x sin a
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
     for k, name in enumerate(names):
         if name in arcs:
             offsets[k * orders : k * orders + 2, k * orders : k * orders + 2] = turn @ arcs[name] @ turn.T
@@ -650,7 +659,7 @@ def join(
     """
     state, arcs = Residuals(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
         state.replace_mounts(short)
         state.reject_outliers(short, leverage)
@@ -659,7 +668,8 @@ def join(
         learn_places(state, smooth)
         learn_view(state, floor, arcs)
         if other is not None:
-            learn_neighbours(state, smooth, other, (half, degree), above=above)
+            last = number == ROUNDS - 1
+            learn_neighbours(state, smooth, other, (half, degree), above=above, last=last)
     short, leverage = state.smooth(HALF_WINDOW)
     state.reject_outliers(short, leverage)
     of_view = learn_view(state, floor, arcs)
