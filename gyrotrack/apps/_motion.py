@@ -13,6 +13,7 @@ from gyrotrack._correlated_noise import correlated_least_squares
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._pulses import Passages
 from gyrotrack.io.readers._run import start_of_oscillation, upward_crossings
+from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
 
@@ -451,10 +452,9 @@ def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    # uncertainties contain errors common to many samples, such as that of the hub, which do not change a speed
-    independent = float(np.sqrt(np.mean(np.diff(angle, 3) ** 2) / 20.0))
-    scatter = min(float(np.median(sigma)), independent)
-    return edges, speed, scatter * math.sqrt(12 / width) / duration
+    # an uncertainty that all angles share, such as that of the hub, is no error of a difference
+    noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
+    return edges, speed, float(noise) * math.sqrt(12 / width) / duration
 
 
 def _turns_back(speed: Floats, error: float) -> bool:

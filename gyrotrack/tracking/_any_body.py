@@ -55,9 +55,10 @@ _HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, i
 # the path of a body far from its hub: iterations for the displacement of a frame, largest step [px], and iterations for
 # the hub
 _PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
-_FEWEST_STEPS = (
-    4.0  # effective number (sum s)^2 / (sum s^2) of the steps from frame to frame in which a body turns
-)
+# effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns
+_FEWEST_STEPS = 4.0
+# distance of a better hub from the given one, in radii of the ring, from which the given one is doubted
+_DISPLACED = 0.05
 # error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
 _PATH_ERROR = 0.1
 _COARSE = 48.0
@@ -73,6 +74,7 @@ _WHOLE = 0.9
 _UNDETERMINED = 0.25
 # explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
 _AS_GOOD = 0.8
+_HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the slowest step
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
@@ -150,7 +152,8 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
         f"features of the background are used to compensate this. "
         f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
-    return replace(found, sigma=np.hypot(found.sigma, share), warnings=(*found.warnings, text))
+    # the last warning is the doubt, if there is one
+    return replace(found, sigma=np.hypot(found.sigma, share), warnings=(text, *found.warnings))
 
 
 def _track(
@@ -167,15 +170,14 @@ def _track(
         raise NothingMovesError(f"Nothing moves in {film.path.name}.", "Check that it is the right film.")
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
-    if hub is not None:
-        if not all(math.isfinite(v) for v in hub):
-            what = "The coordinates of the hub are not finite numbers."
-            raise UsageError(what, "Give the hub as --hub X,Y in px.")
-        proposals = [Proposal(hub, "given")]
-    elif (loose := track_by_features(film, usable, motion, progress)) is not None:
+    if hub is not None and not all(math.isfinite(v) for v in hub):
+        what = "The coordinates of the hub are not finite numbers."
+        raise UsageError(what, "Give the hub as --hub X,Y in px.")
+    loose = track_by_features(film, usable, motion, progress)
+    # a body without an axle, such as a suspended table, does not turn about a given place on it
+    if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
-    else:
-        proposals = propose_hubs(block, motion)
+    proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     where, hint = "about a hub", "Give the centre of rotation with --hub X,Y."
@@ -184,10 +186,9 @@ def _track(
         hint = "Check the hub. The axis of rotation must point at the camera, and the body must show marks or texture."
     if not trials or trials[0].score < 0.02:
         raise TrackingError(f"No body that turns {where} is found in {film.path.name}.", hint)
-    best = max(
-        (_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in _distinct(trials)),
-        key=lambda t: t.score * _steadiness(t),
-    )
+    distinct = _distinct(trials)
+    refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
+    best = max(refined, key=lambda t: t.score * _steadiness(t))
     height, width = motion.mean.shape
     outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
     needed = _OUTSIDE if outside else _EXPLAINED
@@ -211,7 +212,33 @@ def _track(
             f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
             "Give the centre of the body to track with --hub X,Y.",
         )
-    return _measure(film, usable, first, best, motion, progress)
+    tracked = _measure(film, usable, first, best, motion, progress)
+    if hub is None:
+        return tracked
+    doubt = _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
+    return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
+
+
+def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
+    """Return a warning if rotation about another place near the given hub explains the film much better."""
+    starts = [trial]
+    if given.score < _AS_GOOD:  # perhaps too far from it for a local search
+        near = [
+            p
+            for p in propose_hubs(block, motion)
+            if math.dist(p.hub, given.ring.hub) < 0.5 * given.ring.outer
+        ]
+        others = [other for p in near for other in _trials(p, block, motion)]
+        starts += sorted(others, key=lambda t: -t.score)[:1]
+    free = max((_refined_trial(t, block, motion.area, keep=False) for t in starts), key=lambda t: t.score)
+    away = math.dist(free.ring.hub, given.ring.hub)
+    if away < _DISPLACED * given.ring.outer or 1.0 - free.score > 0.5 * (1.0 - given.score):
+        return None
+    x, y = free.ring.hub
+    return (
+        f"Rotation about ({x:.0f}, {y:.0f}) px, {away:.0f} px from the given hub, explains {100 * free.score:.0f} % of "
+        f"the change of brightness in place of {100 * given.score:.0f} %: the angles may be wrong. Correct --hub X,Y."
+    )
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
@@ -222,12 +249,14 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
         return None
     rest = replace(motion, moving=outside)
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
-    if not trials:
+    needed = max(_EXPLAINED, _AS_GOOD * best.score)
+    start = max(trials, key=lambda t: t.score, default=None)
+    if start is None or start.score < _HOPELESS * needed:
         return None
-    found = _refined_trial(max(trials, key=lambda t: t.score), block, motion.area, keep=False)
+    found = _refined_trial(start, block, motion.area, keep=False)
     apart = math.dist(found.ring.hub, best.ring.hub)
     clear = apart > best.ring.outer and apart > found.ring.outer
-    return found if clear and found.score > max(_EXPLAINED, _AS_GOOD * best.score) else None
+    return found if clear and found.score > needed else None
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:
@@ -270,7 +299,7 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
     """Return the best candidates whose motions differ, at most three."""
     kept: list[_Trial] = []
     for trial in trials:
-        if trial.score > 0.3 * trials[0].score and all(
+        if trial.score > _HOPELESS * trials[0].score and all(
             np.std(trial.angle - other.angle) > 0.1 * np.std(other.angle) for other in kept
         ):
             kept.append(trial)

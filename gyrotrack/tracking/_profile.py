@@ -148,6 +148,10 @@ def _blob(
     return Blob(x, y, area, total, fill)
 
 
+_ANY_MARKS = (  # what to do instead of a profile
+    "a single body with any marks is tracked by `gyrotrack spindown FILM --hub X,Y` "
+    '("single body" in the workbench)'
+)
 Colour = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"]
 Body = Literal["casing", "rotor"]
 
@@ -198,9 +202,12 @@ class Profile(BaseModel):
         for body in ("casing", "rotor"):
             colours = [marker.colour for marker in self.marker if marker.body == body]
             if len(set(colours)) < len(colours):
-                raise ValueError(f"two markers on the {body} have the same colour and are indistinguishable")
+                fault = f"two markers on the {body} have the same colour and are indistinguishable"
+                raise ValueError(f"{fault}; {_ANY_MARKS}")
             if colours == ["white"]:
-                raise ValueError(f"the {body} has only a white marker; it needs a coloured one too")
+                raise ValueError(
+                    f"the {body} has only a white marker; it needs a coloured one too; {_ANY_MARKS}"
+                )
         return self
 
     def of(self, body: str) -> tuple[MarkerProfile, ...]:

@@ -357,7 +357,8 @@ def name_bodies(
         why = (
             "it has the colour of the disc"
             if casing
-            else "no other coloured marker turns (a body with white markers only is not found: add a coloured one)"
+            else "no other coloured marker turns (a body with white markers only is not found: add a coloured "
+            "one, or track it by `gyrotrack spindown`)"
         )
         notes.append(f"Only one body turns; it is assumed to be the {name}, because {why}.")
         return {name: one}, notes

@@ -29,6 +29,13 @@ def test_an_oscillation_is_kept():
     assert end_of_motion(t, *noisy(0.4 * np.exp(-0.5 * t) * np.sin(8 * t))) == len(t)
 
 
+def test_a_common_uncertainty_of_all_angles_hides_no_oscillation():
+    """The ball of a pendulum in 10 s of film: noise of SIGMA, and 11 mrad for the distance of the hub."""
+    t = np.arange(305) / 29.75
+    angle, _ = noisy(0.168 * np.exp(-0.03 * t) * np.cos(2.39 * t))
+    assert end_of_motion(t, angle, np.full(len(t), 0.011)) == len(t)
+
+
 def test_beats_are_neither_a_steady_rotation_nor_one_oscillation():
     """Two coupled pendulums exchange their energy: the sum of two normal modes."""
     t = np.arange(0, 100, 0.02)

@@ -12,7 +12,7 @@ import pytest
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking import _any_body
+from gyrotrack.tracking import _any_body, _hub_search
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._hub_search import Proposal
 from gyrotrack.tracking._moving_hub import track_free_body
@@ -236,6 +236,57 @@ def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkey
     assert abs(factor - 1.0) < 1.5 * claimed + 0.02
     assert claimed < (0.4 if wrong else 0.05)
     assert any("distance of the hub" in w for w in tracked.warnings) or not wrong
+
+
+def test_a_hopeless_second_body_is_not_refined(monkeypatch):
+    """Its refinement took 40 % of the time of a film of a record player."""
+    hub = Proposal((150.0, 75.0), "test")
+    still = np.zeros((150, 300), dtype=np.float32)
+    moving = np.zeros((150, 300), dtype=bool)
+    moving[:, :100] = True
+    motion = _hub_search.Motion(still, still, 1.0, moving, (0, 0, 300, 150))
+    ring = _hub_search.Ring.about((250.0, 75.0), 5.0, 40.0)
+    best, weak = (_any_body._Trial(ring, "test", "low", True, np.zeros(3), s, False) for s in (0.9, 0.1))
+    monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [hub])
+    monkeypatch.setattr(_any_body, "_trials", lambda *_: [weak])
+    monkeypatch.setattr(_any_body, "_refined_trial", lambda *_, **__: pytest.fail("refined"))
+    assert _any_body._second_body(None, motion, best) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("off", "doubt"), [(0.3, False), (12.0, True)])
+def test_a_given_hub_that_is_not_the_centre_is_doubted(off, doubt):
+    """12 px off, the angles were wrong by 370 mrad with a sigma of 3 mrad."""
+    angle = 0.1 * np.arange(60)
+    tracked = track_body(film(np.full((60, 2), (150.0, 75.0)), angle, radius=55.0), (150.0 + off, 75.0))
+    assert tracked.ambiguous == doubt
+    assert not doubt or "Rotation about (150, 75) px" in tracked.warnings[-1]
+    assert doubt or np.std(error_of(tracked, angle)) < 0.01
+
+
+@pytest.mark.slow
+def test_a_given_hub_of_a_suspended_table_may_move():
+    """Its angles were those about a fixed hub, with errors as large as a quarter of the swing."""
+    rng = np.random.default_rng(4)
+    grain = cv2.GaussianBlur(rng.normal(0, 1, (240, 240)), (0, 0), 3)
+    grain, disc = 120 + 40 * grain / grain.std(), np.hypot(*(np.indices((240, 240)) - 119.5)) < 65
+    step = np.arange(70)
+    angle, sway = 0.08 * np.sin(0.35 * step), 5.0 * np.sin(0.21 * step)
+    frames = []
+    for c, s, x in zip(np.cos(angle), np.sin(angle), sway, strict=True):
+        move = np.array([[c, s, 0.0], [-s, c, 0.0]])
+        move[:, 2] = [150 + x, 75 + 0.3 * x] - move[:, :2] @ [119.5, 119.5]
+        shown, mask = (
+            cv2.warpAffine(p, move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+            for p in (grain, disc.astype(float))
+        )
+        frames.append(
+            np.clip(60 + (shown - 60) * mask + rng.normal(0, 2, mask.shape), 0, 255).astype(np.uint8)
+        )
+    tracked = track_body(Rendered(frames), (151.0, 74.0))
+    off = error_of(tracked, angle)
+    assert np.std(off) < 0.02 * np.std(angle)
+    assert np.std(off) < 2.0 * np.median(tracked.sigma)
 
 
 @pytest.mark.slow

@@ -58,6 +58,11 @@ def test_a_profile_survives_toml(tmp_path):
             "two markers are named",
         ),
         ({"marker": [{"name": "a", "colour": "white", "body": "rotor"}]}, "profile", "only a white marker"),
+        (
+            {"marker": [{"name": n, "colour": "white", "body": "casing"} for n in "ab"]},
+            "profile",
+            "gyrotrack spindown FILM --hub",
+        ),
         ({"capture_fps": -1}, "capture_fps", "greater than 0"),
         ({"sense": 2}, "sense", "1"),
         ({"hue": 3}, "hue", "not permitted"),
