@@ -175,7 +175,10 @@ def _recording_in(path: Path) -> Recording | None:
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, tuple[Film, Tracked] | None]:
-    """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body."""
+    """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
+
+    The paper's markers are first where one of their bodies is selected.
+    """
     if options.profile is not None:
         return extract(
             source,
@@ -185,25 +188,38 @@ def _film(
             progress=progress,
         ), None
     film = Film(source)
+    # the texture of a film of the paper's gyroscope may be followed about either body
+    if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
+        return found, None
     try:
         recording, tracked = film_recording(film, options, progress)
     except SeveralBodiesError:  # the user selects one
         raise
     except TrackingError:
-        if options.hub is None:
-            fps, _, warnings = _rate(film, options.capture_fps)
-            with suppress(GyrotrackError):
-                found = extract(source, capture_fps=fps, body=options.body, progress=progress)
-                tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-                # coloured things at rest or in a hand are no markers
-                if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
-                    note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
-                    return replace(found, warnings=(*warnings, note, *found.warnings)), None
+        if options.body is None and (found := _papers_markers(source, film, options, progress)) is not None:
+            return found, None
         with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
         raise
     return recording, (film, tracked)
+
+
+def _papers_markers(
+    source: Path, film: Film, options: SpindownOptions, progress: Progress | None
+) -> Recording | None:
+    """Track the paper's markers; None with a hub, or where no body is tracked that turns."""
+    if options.hub is not None:
+        return None
+    fps, _, warnings = _rate(film, options.capture_fps)
+    with suppress(GyrotrackError):
+        found = extract(source, capture_fps=fps, body=options.body, progress=progress)
+        tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
+        # coloured things at rest or in a hand are no markers
+        if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
+            note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
+            return replace(found, warnings=(*warnings, note, *found.warnings))
+    return None
 
 
 def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
+from gyrotrack._smoothing import running_quantile
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._registration import (
@@ -69,6 +70,7 @@ _WITHIN = 0.9  # share of the radius within which the picture is that of the bod
 _BODIES = 4  # paths of which the rotation is measured, at most
 # largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense
 _FASTEST = 0.25 * TURN
+_SUDDEN = 0.1 * TURN  # largest difference of the rotation in one frame from that in its neighbours [rad]
 # smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle
 _TURNS = 5.0
 
@@ -160,9 +162,10 @@ def track_free_body(
         tracked = _along_path(film, path.frame, ring, theta, shift, None, progress)
         if tracked.explained < _RIGID or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
             continue
-        steps = np.abs(np.diff(tracked.angle)) / np.diff(tracked.frame)
+        steps = np.diff(tracked.angle) / np.diff(tracked.frame)
+        sudden = np.abs(steps - running_quantile(steps, 5, 2))
         # in a single step, another orientation fits the template better: what moves is not one rigid body
-        if np.max(steps) > _FASTEST:
+        if np.max(np.abs(steps)) > _FASTEST or np.max(sudden) > _SUDDEN:
             continue
         apart = tracked.halves[0] - tracked.halves[1]
         correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))

@@ -261,7 +261,7 @@ def test_a_body_without_an_axle():
 def test_flicker_and_reversals_are_not_repeated_frames(tmp_path):
     """100 Hz at 60 fps lights two of three frames alike; an oscillation is at rest twice a period."""
     time = np.arange(90) / 60.0
-    angle = 0.15 * np.cos(2.0 * np.pi * 1.2 * time)
+    angle = 0.3 * np.cos(2.0 * np.pi * 1.2 * time + 0.4)
     angle[40] = angle[39]
     texture = np.random.default_rng(4).uniform(60.0, 160.0, (12, 12)).astype(np.float32)
     texture = cv2.resize(texture, (160, 120), interpolation=cv2.INTER_CUBIC)
