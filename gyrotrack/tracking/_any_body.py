@@ -64,8 +64,9 @@ _PATH_ERROR = 0.1
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
-# the same for a hub outside the picture that is not given, for which rotation resembles translation
-_OUTSIDE = 0.85
+# the same for a hub that is not given and outside the picture, or of whose ring only this share is inside (as in a
+# corner): rotation resembles translation
+_OUTSIDE, _SHOWN = 0.85, 0.33
 # share of the picture that moves, from which it may be the camera that turns about a hub outside the picture
 _WHOLE = 0.9
 # error of the angles due to the centre of rotation, relative to their standard deviation, from which they are
@@ -190,7 +191,8 @@ def _track(
     refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
     best = max(refined, key=lambda t: t.score * _steadiness(t))
     height, width = motion.mean.shape
-    outside = hub is None and not (0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height)
+    inside = 0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height
+    outside = hub is None and not (inside and best.ring.inside(motion.area).mean() > _SHOWN)
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         raise TrackingError(

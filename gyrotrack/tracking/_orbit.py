@@ -197,7 +197,7 @@ class Flattening:
 
     def tangential_sigma(self, name: str, angle: Floats) -> Floats:
         """Return the uncertainty of a marker along its orbit due to e, without its mean over the frames, (n,) in px."""
-        if name not in self.offset_covariance:
+        if name not in self.offset_covariance or not np.isfinite(angle).any():
             return np.zeros(len(angle))
         along = np.stack([-np.sin(angle), np.cos(angle)])
         along -= np.nanmean(along, axis=1, keepdims=True)
@@ -205,6 +205,8 @@ class Flattening:
 
     def tilt_sigma(self, angle: Floats) -> Floats:
         """Return the uncertainty of an angle due to p and q, without its mean over the frames, (n,) in rad."""
+        if not np.isfinite(angle).any():
+            return np.zeros(len(angle))
         along = np.stack([-np.sin(2.0 * angle), np.cos(2.0 * angle)])
         along -= np.nanmean(along, axis=1, keepdims=True)
         return np.asarray(self.error * np.hypot(*along))
