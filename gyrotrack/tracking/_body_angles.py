@@ -175,9 +175,8 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
     return best
 
 
-LEAST_ARC = (
-    1.0  # angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
-)
+# angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
+LEAST_ARC = 1.0
 SIGNIFICANT = 3.0  # offset of the disc, in errors of a harmonic of the radii, from which it is corrected
 _CLIP = 4.0  # residual of a radius in robust standard deviations from which it is an outlier
 
