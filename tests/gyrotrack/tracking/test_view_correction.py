@@ -20,17 +20,18 @@ NEAR = 1.0 / 250.0
     ("turn", "fps", "perspective"), [(1.2, 1000.0, 0.0), (3.0, 1000.0, NEAR), (20.0, 260.0, NEAR)]
 )
 def test_a_slow_casing_is_as_exact_as_seen_from_above(tmp_path, turn, fps, perspective):
-    frames = 240
+    frames, errors = 240, {}
     camera = replace(CAMERA, fps=fps, perspective=perspective)
     motion = Motion.constant(330.0, turn * fps / frames, 0.3, 0.9)
     scene = Scene(wobble=Wobble(0.08, 3.0))
-    film = tmp_path / "film.mp4"
-    truth = render_clip(film, scene, motion, camera, LIGHT, frames=frames, seed=3)
-
-    recording = extract(film, capture_fps=fps, threads=1)
-
-    for body, track in recording.bodies.items():
-        error = track.angle - truth.angle[body][np.rint(track.time * fps).astype(int)]
-        error -= np.median(error)
-        assert np.std(error) < 2.2e-3, body
-        assert 0.4 < np.std(error / track.sigma) < 1.5, body
+    for seed in (3, 4):  # the centre of an arc is one draw in each film
+        film = tmp_path / f"film_{seed}.mp4"
+        truth = render_clip(film, scene, motion, camera, LIGHT, frames=frames, seed=seed)
+        recording = extract(film, capture_fps=fps, threads=1)
+        for body, track in recording.bodies.items():
+            error = track.angle - truth.angle[body][np.rint(track.time * fps).astype(int)]
+            error -= np.median(error)
+            assert 0.4 < np.std(error / track.sigma) < 1.5, body
+            errors.setdefault(body, []).append(np.std(error))
+    for body, each in errors.items():
+        assert np.sqrt(np.mean(np.square(each))) < 2.2e-3, body
