@@ -52,11 +52,3 @@ def test_a_steady_rotation_is_one_also_with_noise_and_a_displaced_hub():
         motion = motion_of(t, angle, sigma)
         assert motion.kind == "steady"
         assert abs(motion.omega_mean.value - rate) < 4 * motion.omega_mean.stderr
-
-
-def test_an_error_common_to_all_angles_is_no_rest():
-    """The uncertainty of the hub scales all angles; from frame to frame it cancels."""
-    time = np.arange(150) / 60.0
-    noise = np.random.default_rng(2).normal(0.0, 1e-4, 150)
-    angle = 0.14 * np.exp(-time / 3.0) * np.cos(2.0 * np.pi * time / 1.25 + 0.5) + noise
-    assert end_of_motion(time, angle, np.full(150, 0.0055)) == 150
