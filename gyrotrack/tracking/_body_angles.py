@@ -10,12 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
-from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, spread
+from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, local_fit, median_of, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
-from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
+from gyrotrack.tracking._film_tracker import FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
-from gyrotrack.tracking._fusion import PLACE_ORDERS, BodyAngles, MarkerAngles, join, variance_left
+from gyrotrack.tracking._fusion import (
+    PLACE_ORDERS,
+    VIEW_ORDERS,
+    BodyAngles,
+    MarkerAngles,
+    join,
+    variance_left,
+    wrapped,
+)
 from gyrotrack.tracking._hub import (
     LEAST_SIGMA,
     CentrePath,
@@ -25,7 +33,14 @@ from gyrotrack.tracking._hub import (
     refine_centre,
     wandering_centre,
 )
-from gyrotrack.tracking._marker_tracker import Candidate, MarkerObservations, candidate, plausible, spread_out
+from gyrotrack.tracking._marker_tracker import (
+    Candidate,
+    MarkerObservations,
+    candidate,
+    excess_misfit,
+    plausible,
+    spread_out,
+)
 from gyrotrack.tracking._orbit import (
     CELL,
     LEAST_OBSERVATIONS,
@@ -40,6 +55,7 @@ from gyrotrack.tracking._orbit import (
 )
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
+from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
 from gyrotrack.video._time_base import FrameTimes
 
 Floats = npt.NDArray[np.float64]
@@ -501,10 +517,7 @@ def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 def _picked(seen: FilmObservations, index: Integers) -> FilmObservations:
     """Return the observations of the frames `index`."""
-    bodies = {
-        name: BodyObservations(body.coarse[index], {m: s.picked(index) for m, s in body.markers.items()})
-        for name, body in seen.bodies.items()
-    }
+    bodies = {name: body.picked(index) for name, body in seen.bodies.items()}
     disc = None if seen.disc is None else seen.disc[index]
     return replace(seen, bodies=bodies, disc=disc, times=seen.times.at(index))
 
@@ -666,7 +679,90 @@ def _followed(
     if len(bodies) == 2:
         better = joined("casing", bodies["rotor"].angle, above=True)
         bodies["casing"] = better if _credible(better) else bodies["casing"]
+    for name, body in bodies.items():
+        texture, flat = seen.bodies[name].texture, flattening[name]
+        if texture is None:
+            continue
+        bodies[name] = by_texture(body, texture, centre, flat, seen.bodies[name].coarse, fps, time_base)
     return bodies, warnings
+
+
+# half width of the parabolas by which the slow part of the difference between texture and markers is fitted [frames]:
+# several batches, whose templates have slightly different zeros, and more than the seconds for which a neighbour can
+# pass in step with the frames
+SLOW_PART = 2560
+# number of turns from which errors of the markers that repeat with the turn do not affect such parabolas
+MANY_TURNS = 10.0
+
+
+def by_texture(
+    body: BodyAngles,
+    texture: TextureObservations,
+    centre: CentrePath,
+    flat: Flattening,
+    coarse: Floats,
+    fps: float,
+    time_base: TimeBase | None = None,
+) -> BodyAngles:
+    """Return a body with the angles of its texture where these are better than those of its markers.
+
+    The zeros of the templates follow from the markers: the slow part of the difference is that of the markers, the fast
+    one that of the texture. Errors that repeat with the angle are learnt and the uncertainty is calibrated as for a
+    marker (`join`).
+    """
+    angle = texture.levelled(centre.centre, flat.p, flat.q)
+    off = wrapped(body.angle - angle)
+    if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
+        return body
+    slow = _slow_part(off, parabolas=abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi)
+    good = np.isfinite(angle)
+    columns = {
+        "angle": wrapped(np.nan_to_num(angle + slow)),
+        "good": good,
+        "open": good,
+        "weak": np.where(good, texture.sigma / median_of(texture.sigma[good]), 1.0),
+        "misfit_excess": excess_misfit(np.sqrt(texture.misfit), 1.0),
+    }
+    first, second = (np.hypot(m[:, 0], m[:, 1]) for m in (texture.first, texture.second))
+    of_view = np.hypot(np.hypot(centre.sigma, CENTRE_ERROR) * first, flat.error * second)
+    found = join(
+        coarse,
+        {"texture": Candidate(mount=0.0, **columns)},
+        fps,
+        floor=median_of(texture.slow[good]),
+        axis=np.nan_to_num(of_view) * math.sqrt(variance_left(coarse, VIEW_ORDERS)),
+        time_base=time_base,
+    )
+    new = np.isfinite(found.angle)
+    both = new & np.isfinite(body.angle)
+    if not both.any() or median_of(found.sigma[both]) >= median_of(body.sigma[both]):
+        return body
+    return replace(
+        body, angle=np.where(new, found.angle, body.angle), sigma=np.where(new, found.sigma, body.sigma)
+    )
+
+
+_ALIKE = 64  # frames that are averaged: errors beside a neighbour that passes in step with the frames are alike in them
+_ROUNDS, _FEWEST_MEANS = 10, 12
+_FAR_OFF = 4.0  # robust standard deviations from which such a mean does not enter the slow part
+
+
+def _slow_part(off: Floats, *, parabolas: bool) -> Floats:
+    """Return the slow part of differences of two angles (n,) [rad], NaN where unknown, or their median."""
+    middle = median_of(off[np.isfinite(off)])
+    off = middle + wrapped(off - middle)
+    pieces = np.array_split(off, max(len(off) // _ALIKE, 1))
+    mean = np.array([median_of(p[np.isfinite(p)]) if np.isfinite(p).any() else np.nan for p in pieces])
+    weight: Floats = np.isfinite(mean).astype(np.float64)
+    if not parabolas or len(mean) < _FEWEST_MEANS:
+        return np.full(len(off), median_of(mean[np.isfinite(mean)]))
+    for _ in range(_ROUNDS):
+        fitted, _ = local_fit(mean, weight, SLOW_PART // _ALIKE)
+        far = np.nan_to_num((mean - fitted) / (_FAR_OFF * spread(mean - fitted)), nan=1.0)
+        weight = np.where(np.abs(far) < 1.0, (1.0 - far**2) ** 2, 0.0)  # Tukey's bisquare
+    place = (np.arange(len(mean)) + 0.5) * len(off) / len(mean)
+    known = np.isfinite(fitted)
+    return np.asarray(np.interp(np.arange(len(off)), place[known], fitted[known]))
 
 
 def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:

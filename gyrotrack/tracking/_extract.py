@@ -214,7 +214,10 @@ def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
             m: replace(own, angle=own.angle + shake.roll, centre=shake.still(own.centre))
             for m, own in body.markers.items()
         }
-        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers)
+        texture = body.texture and replace(
+            body.texture, angle=body.texture.angle + shake.roll, centre=shake.still(body.texture.centre)
+        )
+        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers, texture=texture)
     return replace(seen, bodies=bodies, disc=None if seen.disc is None else shake.still(seen.disc))
 
 

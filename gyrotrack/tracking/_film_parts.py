@@ -35,6 +35,7 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
+from gyrotrack._smoothing import median_of
 from gyrotrack.io._atomic import CheckpointFile
 from gyrotrack.tracking import _film_tracker
 from gyrotrack.tracking._film_tracker import (
@@ -48,6 +49,7 @@ from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._profile import single_threaded
 from gyrotrack.tracking._scene import Scene
+from gyrotrack.tracking._texture import TextureObservations
 from gyrotrack.video._container import ClipInfo, Frame, Packets, probe, read_packets
 from gyrotrack.video._decoder import Part, Reader, RepeatDetector, film_warnings, pts_seconds
 from gyrotrack.video._time_base import Timing
@@ -63,6 +65,7 @@ OVERLAP = 64  # frames that two neighbouring parts share
 LEARNT, MOST_LEARNT = 256, 8
 _RATE = 24
 _STAMPS = "stamps"
+_TEXTURE = "texture/angle"
 
 
 def available_cores() -> int:
@@ -422,7 +425,12 @@ def track_film(
             )
             for marker in scene.of(name)
         }
-        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers)
+        texture = None
+        if f"{name}/{_TEXTURE}" in rows:
+            texture = TextureObservations(
+                **{f.name: rows.pop(f"{name}/texture/{f.name}") for f in fields(TextureObservations)}
+            )
+        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers, texture)
     times, warnings = timing.of(seconds, tick), film_warnings(info, seconds, *kept.damage)
     return FilmObservations(bodies, rows.get("disc"), seconds, times, warnings, work.size, rows["again"])
 
@@ -482,6 +490,7 @@ class _PartResults:
         out: Rows = {}
         place = 0
         last: dict[str, tuple[Floats, Floats]] = {}
+        textures: dict[str, tuple[Floats, Floats]] = {}
         for index in range(len(self._parts)):
             rows, stamps = self._part(index)
             if not len(stamps):
@@ -497,8 +506,13 @@ class _PartResults:
                             key = f"{name}/{marker.name}/{column}"
                             rows[key] = rows[key] + (turns if rows[key].ndim == 1 else turns[:, None])
                     rows[f"{name}/coarse"] = coarse
+                    if (key := f"{name}/{_TEXTURE}") in rows:
+                        rows[key] = rows[key] + turns
+                        rows[key] = rows[key] + zero_between(*textures[name], frame, rows[key])
                 if np.isfinite(coarse).any():
                     last[name] = frame, coarse
+                if (key := f"{name}/{_TEXTURE}") in rows:
+                    textures[name] = frame, rows[key]
             own = self._own(index, stamps)
             rows[_STAMPS] = stamps
             if not out:
@@ -518,6 +532,14 @@ class _PartResults:
             return rows, rows.pop(_STAMPS)
         found = self._memory.pop(index)
         return dict(found.rows), found.stamps
+
+
+def zero_between(frame: Floats, angle: Floats, next_frame: Floats, next_angle: Floats) -> float:
+    """Return the zero of the angles of a part relative to the previous one, by the frames of both [rad]."""
+    _, a, b = np.intersect1d(frame, next_frame, return_indices=True)
+    apart = angle[a] - next_angle[b]
+    known = apart[np.isfinite(apart)]
+    return median_of(known) if len(known) else 0.0
 
 
 def turns_between(frame: Floats, coarse: Floats, next_frame: Floats, next_coarse: Floats) -> Floats:

@@ -27,6 +27,7 @@ from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker
 from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, Occlusion, common_columns
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples, Scene
+from gyrotrack.tracking._texture import TextureObservations, TextureTracker
 from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes
@@ -74,6 +75,10 @@ class BodyTracker:
         """Move all rings to a centre."""
         for tracker in self.markers.values():
             tracker.strip.centre_on(centre)
+
+    def coarse(self, place: int, count: int) -> Floats:
+        """Return the coarse angles of `count` frames of the batch [rad]."""
+        return self._coarse[place : place + count]
 
     @property
     def maps(self) -> list[AngleMap]:
@@ -242,11 +247,18 @@ class BodyObservations:
 
     coarse: Floats
     markers: dict[str, MarkerObservations]
+    texture: TextureObservations | None = None
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
         """Place the frames at `index` of `count` frames; the others are NaN or False."""
         markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
-        return BodyObservations(spread_out(self.coarse, index, count), markers)
+        texture = self.texture and self.texture.spread_out(index, count)
+        return BodyObservations(spread_out(self.coarse, index, count), markers, texture)
+
+    def picked(self, index: npt.NDArray[np.int64]) -> BodyObservations:
+        """Return the frames `index`."""
+        markers = {name: m.picked(index) for name, m in self.markers.items()}
+        return BodyObservations(self.coarse[index], markers, self.texture and self.texture.picked(index))
 
 
 @dataclass(frozen=True)
@@ -278,6 +290,11 @@ class FilmTracker:
                 scene.offsets.get(b, (0.0, 0.0)),
             )
             for b in scene.bodies
+        }
+        self.textures = {
+            b: TextureTracker(scene.axis(b), max(m.outer for m in scene.of(b)), samples.size, BATCH)
+            for b in scene.bodies
+            if b == "casing"
         }
         self.disc = DiscWindow(scene.disc, BATCH) if scene.disc else None
         self.centre = scene.centre
@@ -330,6 +347,8 @@ class FilmTracker:
         self._new = False
         for body in self.bodies.values():
             body.take(self.held, self.filled, advance)
+        for name, texture in self.textures.items():
+            texture.take(self.held, self.filled, self.bodies[name].coarse(self.filled, len(self.held)))
         if self.disc is not None:
             self.disc.take(self.held, self.filled)
         self.filled += len(self.held)
@@ -361,6 +380,11 @@ class FilmTracker:
                 }
             if name == "casing":
                 casing = coarse
+            if name in self.textures:
+                found = self.textures[name].measure(self.filled, _by_markers(coarse, markers, body))
+                rows |= {
+                    f"{name}/texture/{f.name}": getattr(found, f.name) for f in fields(TextureObservations)
+                }
         if self.disc is not None:
             rows["disc"] = self.disc.centres(self.filled)
             self._move(rows["disc"])
@@ -377,3 +401,19 @@ class FilmTracker:
             for name, body in self.bodies.items():
                 dx, dy = self._offsets[name]
                 body.centre_on((self.centre[0] + dx, self.centre[1] + dy))
+                if name in self.textures:
+                    self.textures[name].centre = (self.centre[0] + dx, self.centre[1] + dy)
+
+
+def _by_markers(coarse: Floats, markers: dict[str, MarkerObservations], body: BodyTracker) -> Floats:
+    """Return the angle of a body (n,) as seen, the mean over its unoccluded markers, or the coarse angle."""
+    off = [
+        np.where(
+            seen.open & np.isfinite(seen.angle), seen.angle - coarse - body.markers[m].marker.mount, np.nan
+        )
+        for m, seen in markers.items()
+    ]
+    ahead = np.mod(np.stack(off) + np.pi, 2.0 * np.pi) - np.pi
+    known = np.isfinite(ahead) & (np.abs(ahead) < MARGIN)
+    total = np.where(known, ahead, 0.0).sum(axis=0)
+    return np.asarray(coarse + total / np.maximum(known.sum(axis=0), 1))

@@ -394,7 +394,7 @@ def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) 
     return max(1.0 - noise / max(size, 1e-12), 0.0)
 
 
-VIEW_ORDERS = (1, 2)  # harmonics of errors of the view: an offset of the axis, a tilt of the camera
+VIEW_ORDERS = range(1, 3)  # harmonics of errors of the view: an offset of the axis, a tilt of the camera
 _VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # standard deviations that are tried, in typical ones
 
 

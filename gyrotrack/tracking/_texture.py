@@ -1,0 +1,369 @@
+"""Angle of a body from the texture of a whole ring about its hub, zone by zone.
+
+A marker covers a few hundred pixels; the bar, the rim and the screws of a body cover some ten thousand. They are
+sampled in polar coordinates that turn with the body, in `ZONES` zones of radius. In these coordinates the picture of
+the body is constant. In each batch of frames a zone has a template T(r, theta), the mean of the frames, and a variance
+v(r, theta) of each sample, which is large where something else is visible: another body below, the table, a reflection.
+The rotation d of a frame follows from least squares, weight 1 / v, for
+
+    I(r, theta) = b + (1 + g) T(r, theta - d) + noise,
+
+with gain g and offset b of the illumination. Templates and rotations are estimated in alternation.
+
+Errors that all samples of a zone share are not visible in v: markers of the rotor that pass below the bar, the shadow
+of the bar, the blocks of the encoder. They are visible in the differences between zones. The zones are combined by the
+best linear unbiased mean, with weights w = C^-1 1 / (1' C^-1 1) that are not negative; C is the covariance of their angles
+about a smooth motion. What all zones share, the motion, adds a multiple of 1 1' to C, which does not change w.
+
+The zero of a template is arbitrary. That of each batch is referred to the previous one by registering their templates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial.legendre import legvander
+
+from gyrotrack._smoothing import median_of, spread
+from gyrotrack.tracking._marker_tracker import spread_out
+from gyrotrack.video._container import Frame
+
+Floats = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
+Complexes = npt.NDArray[np.complex128]
+
+TURN = 2.0 * np.pi
+
+ZONES = 8  # more zones separate errors more finely, and each determines the angle less well
+ROWS = 4  # of a zone; a bar or a rim extends over many pixels in radius
+COLUMNS = 360  # of a turn; motion blur and the lens smooth details below a degree
+MARGIN = 6  # columns beyond a turn on both sides, for rotations before the registration
+INNERMOST = (
+    0.15  # radius of the first zone relative to the outer end of the markers: the hub itself turns too little
+)
+OUTERMOST = 1.35  # radius of the last zone relative to it: the rim of the body is beyond the markers
+FEWEST, LEARNT = 48, 256  # frames from which templates are learnt: the first ones of a film, and later ones
+LEAST_REACH = 0.7  # smallest radius inside the picture, relative to the outer end of the markers
+LEAST_VARIANCE = 0.25  # of a grey level: that of its rounding and a little noise
+FINENESS = 32  # parts of a column to which OpenCV interpolates
+# mean square residual of a zone, relative to the typical one, from which a frame does not enter its template, and from
+# which the zone has no angle: another body below that stands still for some frames changes a zone less than a hand does
+UNUSUAL, LARGEST_MISFIT = 4.0, 25.0
+LEAST_ZONES = 3  # zones with information about the angle, from which their errors are known
+# frames that are averaged to find slow errors of a zone. Such errors act as a torque, unlike those that differ from
+# frame to frame, and count as often as they are alike
+TOGETHER = 16
+MANY_TURNS = 3.0  # from which errors that repeat with the turn are distinguishable from a motion
+# standard uncertainty of the centre of a ring in luma [px]: centres are measured in chroma, whose samples are displaced
+# by half a pixel in each direction between the conventions of encoders
+CENTRE_ERROR = 0.3
+_ROUNDS = 2
+_LEAST_SHARE = 0.1  # smallest variance of a zone relative to that of its differences
+DEGREE = 3  # of the polynomial that describes the motion in a batch, about a second
+FAR = 5.0  # robust standard deviations to which outliers are limited
+SHRINKAGE = 0.05  # relative increase of variances that are estimated from some hundred frames
+
+
+@dataclass(frozen=True)
+class TextureObservations:
+    """The angle of a body by its texture in consecutive frames; NaN where it is not known."""
+
+    angle: Floats  # shape (n,); as seen, about the zero of the first template, unwrapped [rad]
+    sigma: Floats  # shape (n,); its standard uncertainty from the differences between zones [rad]
+    slow: Floats  # shape (n,); the part of it that neighbouring frames share [rad]
+    misfit: Floats  # shape (n,); mean square residual relative to the typical one
+    centre: Floats  # shape (n, 2); centre of the polar coordinates [px]
+    # shape (n, 2); mean of exp(-i theta) / r [1/px] and of exp(-2 i theta) over the samples, weighted by their
+    # information about the angle, as (real, imaginary): response to a displaced centre, and to an oblique view
+    first: Floats
+    second: Floats
+
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> TextureObservations:
+        """Place the frames at `index` of `count` frames; the others are NaN."""
+        return TextureObservations(
+            **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(self)}
+        )
+
+    def picked(self, index: npt.NDArray[np.int64]) -> TextureObservations:
+        """Return the frames `index`."""
+        return TextureObservations(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def levelled(self, centre: Floats, p: float, q: float) -> Floats:
+        """Return the angles about the centres (n, 2) [px], corrected for the flattening (p, q) of an oblique view.
+
+        A centre displaced by z = x + i y (y up) and the flattening turn the picture of a sample at the angle a by
+        Im(z exp(-i a)) / r and Im((p + i q) exp(-2 i a)). With a = theta + psi, the mean over the samples is
+        Im(z m_1 exp(-i psi)) + Im((p + i q) m_2 exp(-2 i psi)), with `first` m_1 and `second` m_2.
+        """
+        off = centre - self.centre
+        z = off[:, 0] - 1j * off[:, 1]
+        turn = np.exp(-1j * self.angle)
+        m1, m2 = (m[:, 0] + 1j * m[:, 1] for m in (self.first, self.second))
+        return np.asarray(self.angle - (z * m1 * turn).imag - ((p + 1j * q) * m2 * turn**2).imag)
+
+
+@dataclass(frozen=True)
+class _Zones:
+    """Templates of all zones, learnt from one batch of frames."""
+
+    # shape (ZONES, ROWS * COLUMNS); the mean picture, the variance of a sample, its weight in a fit
+    picture: Singles
+    variance: Singles
+    weight: Singles
+    # shape (ZONES, ROWS * COLUMNS, 3); changes of the picture per rad, with the offset and with the gain
+    basis: Singles
+    usual: Floats  # shape (ZONES,); typical weighted mean square residual of a frame
+    # shape (ZONES,); moments of the information about the angle of each zone (see `TextureObservations`)
+    first: Complexes
+    second: Complexes
+    share: Floats  # shape (ZONES,); weight of each zone, 0 for one that does not turn with the body
+    # standard uncertainty of the mean [rad], and the part of it that neighbouring frames share
+    sigma: float = math.nan
+    slow: float = math.nan
+
+    def fit(self, strips: Singles) -> tuple[Floats, Floats]:
+        """Return the rotation [rad] and the relative misfit of each zone in each frame, both (ZONES, n)."""
+        found, misfit = (np.empty((ZONES, len(strips))) for _ in range(2))
+        for z, seen in enumerate(_by_zone(strips)):
+            parts, left = _fitted(seen, self.picture[z], self.basis[z], self.weight[z])
+            found[z] = parts[:, 0]
+            misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
+        return np.where(misfit < LARGEST_MISFIT, found, np.nan), misfit
+
+    def ahead_of(self, other: _Zones) -> float:
+        """Return the angle by which the pictures of the body are turned against those of another batch [rad]."""
+        each, share = np.zeros(ZONES), np.sqrt(self.share * other.share)
+        for z in np.flatnonzero(share):
+            variance = self.variance[z] + other.variance[z]
+            mean = 0.5 * (self.picture[z] + other.picture[z])
+            basis = _basis(mean, self.weight[z])
+            each[z] = _fitted(self.picture[z][None], other.picture[z], basis, 1.0 / variance)[0][0, 0]
+        return float(share @ each / share.sum()) if share.any() else 0.0
+
+
+def _by_zone(strips: Singles) -> Iterator[Singles]:
+    """Yield the samples of each zone, (n, ROWS * COLUMNS)."""
+    for z in range(ZONES):
+        yield strips[:, ROWS * z : ROWS * (z + 1)].reshape(len(strips), -1)
+
+
+def _basis(picture: Singles, weight: Singles) -> Singles:
+    """Return the changes of a zone's picture per rad of rotation, with an offset and with the gain, (P, 3)."""
+    slope = _slope(picture.reshape(ROWS, COLUMNS)).ravel()
+    level = float(weight @ picture / weight.sum())
+    return np.stack([-slope, np.ones_like(slope), picture - level], axis=1)
+
+
+def _fitted(seen: Singles, picture: Singles, basis: Singles, weight: Singles) -> tuple[Floats, Singles]:
+    """Fit the changes of a picture to samples (n, P) by weighted least squares; return them (n, 3) and residuals."""
+    weighted = basis * weight[:, None]
+    normal = (weighted.T @ basis).astype(np.float64)
+    normal += np.diag(1e-9 * np.trace(normal) * np.ones(3) + 1e-12)  # a zone without details
+    right = (seen @ weighted - picture @ weighted).astype(np.float64)
+    found = np.linalg.solve(normal, right.T).T
+    left = seen - picture - found.astype(np.float32) @ basis.T
+    return np.asarray(found, dtype=np.float64), np.asarray(left, dtype=np.float32)
+
+
+def learn_zones(strips: Singles, angle: Floats, radius: Floats) -> tuple[_Zones, Floats, Floats]:
+    """Learn templates from strips (n, rows, COLUMNS) at the angles (n,) [rad]; return also what `_Zones.fit` returns.
+
+    `radius` are the radii of the rows [px].
+    """
+    theta = np.arange(COLUMNS) * TURN / COLUMNS
+    area = radius / radius.mean()
+    picture, variance, weight = np.empty((3, ZONES, ROWS * COLUMNS), dtype=np.float32)
+    basis = np.empty((ZONES, ROWS * COLUMNS, 3), dtype=np.float32)
+    first, second = np.zeros((2, ZONES), dtype=np.complex128)
+    usual = np.ones(ZONES)
+    for z, seen in enumerate(_by_zone(strips)):
+        rows = radius[ROWS * z : ROWS * (z + 1)]
+        size = np.repeat(area[ROWS * z : ROWS * (z + 1)], COLUMNS).astype(np.float32)
+        good = np.ones(len(seen), dtype=np.bool_)
+        mean, scatter = seen.mean(axis=0), seen.var(axis=0)
+        for _ in range(_ROUNDS):
+            own = size / np.maximum(scatter, max(float(np.quantile(scatter, 0.1)), LEAST_VARIANCE))
+            _, left = _fitted(seen, mean, _basis(mean, own), own)
+            square = np.asarray((left**2) @ own, dtype=np.float64)
+            good = square < UNUSUAL * median_of(square)
+            left = left if good.all() else left[good]
+            mean, scatter = mean + left.mean(axis=0), np.einsum("np,np->p", left, left) / len(left)
+        picture[z], variance[z], weight[z], basis[z] = mean, scatter, own, _basis(mean, own)
+        usual[z] = median_of(square)
+        information = (basis[z, :, 0] ** 2 * own).reshape(ROWS, COLUMNS).astype(np.float64)
+        information /= max(float(information.sum()), 1e-12)
+        first[z] = np.sum(information / rows[:, None] * np.exp(-1j * theta))
+        second[z] = np.sum(information * np.exp(-2j * theta))
+    found = _Zones(picture, variance, weight, basis, usual, first, second, np.zeros(ZONES))
+    turned, misfit = found.fit(strips)
+    share, sigma = zone_weights(angle + turned, first)
+    apart = _zone_variances(_means(turned))
+    slow = math.sqrt(float(share**2 @ np.where(share > 0, apart, 0.0)))
+    return replace(found, share=share, sigma=sigma, slow=slow), turned, misfit
+
+
+class TextureTracker:
+    """Samples the ring of one body in each frame, and measures its rotation batch by batch."""
+
+    def __init__(
+        self, centre: tuple[float, float], outer: float, size: tuple[int, int], capacity: int
+    ) -> None:
+        x, y = centre
+        inside = min(x, y, size[0] - 1 - x, size[1] - 1 - y) - 2.0  # the last zone is within the picture
+        self.centre = centre
+        edges = np.linspace(INNERMOST * outer, min(OUTERMOST * outer, inside), ZONES * ROWS + 1)
+        self._radius = 0.5 * (edges[1:] + edges[:-1])
+        self._useful = inside > LEAST_REACH * outer
+        theta = (np.arange(COLUMNS + 2 * MARGIN) - MARGIN) * TURN / COLUMNS
+        self._x = (self._radius[:, None] * np.cos(theta)).astype(np.float32)
+        self._y = (self._radius[:, None] * np.sin(theta)).astype(np.float32)
+        self._strips = np.zeros((capacity, *self._x.shape), dtype=np.uint8)
+        self._angle = np.full(capacity, np.nan)
+        self._centre = np.zeros((capacity, 2))
+        self._used = False
+        self._zero = 0.0
+        self._last: _Zones | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_strips": self._strips if self._used else self._strips.shape}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if not self._used:
+            self._strips = np.zeros(state["_strips"], dtype=np.uint8)
+
+    def take(self, frames: list[Frame], place: int, coarse: Floats) -> None:
+        """Sample the ring at the coarse angles (n,) of the body [rad], NaN where it is lost."""
+        self._used = True
+        self._angle[place : place + len(frames)] = coarse
+        self._centre[place : place + len(frames)] = self.centre
+        for k in np.flatnonzero(np.isfinite(coarse)) if self._useful else ():
+            c, s = np.float32(np.cos(coarse[k])), np.float32(np.sin(coarse[k]))
+            x = np.float32(self.centre[0]) + c * self._x - s * self._y
+            y = np.float32(self.centre[1]) - s * self._x - c * self._y
+            cv2.remap(
+                frames[k].y, x, y, cv2.INTER_LINEAR, self._strips[place + k], borderMode=cv2.BORDER_REPLICATE
+            )
+
+    def measure(self, count: int, angle: Floats) -> TextureObservations:
+        """Measure the first `count` frames, whose angles (count,) [rad] are known to some mrad."""
+        angle_, sigma, slow, misfit_ = (np.full(count, np.nan) for _ in range(4))
+        first, second = np.zeros((2, count, 2))
+        out = TextureObservations(angle_, sigma, slow, misfit_, self._centre[:count].copy(), first, second)
+        step = TURN / COLUMNS
+        ahead = np.rint((angle - self._angle[:count]) / step * FINENESS) / FINENESS
+        use = np.flatnonzero(np.abs(ahead) < MARGIN - 1)
+        if not self._useful or len(use) < (FEWEST if self._last is None else 1):
+            return out
+        # in floats: a displacement of a faint edge by a part of a pixel is lost in rounded grey levels
+        strips = np.empty((len(use), len(self._radius), COLUMNS), dtype=np.float32)
+        for k, at in enumerate(use):
+            shift = np.array([[1.0, 0.0, -MARGIN - ahead[at]], [0.0, 1.0, 0.0]])
+            strip = self._strips[at].astype(np.float32)
+            cv2.warpAffine(strip, shift, strips.shape[:0:-1], strips[k], cv2.INTER_LINEAR)
+        if self._last is None or len(use) >= LEARNT:
+            zones, turned, misfit = learn_zones(strips, self._angle[use] + ahead[use] * step, self._radius)
+            self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
+            self._last = zones
+        else:  # the last frames of a part of the film
+            zones = self._last
+            turned, misfit = zones.fit(strips)
+        weight = zones.share[:, None] * np.isfinite(turned)
+        total = weight.sum(axis=0)
+        total = np.where(
+            total > 0.5, total, np.nan
+        )  # else the zones that usually determine the angle are not known
+        mean = np.sum(weight * np.nan_to_num(turned), axis=0) / total
+        out.angle[use] = self._angle[use] + ahead[use] * step + mean + self._zero
+        out.sigma[use], out.slow[use] = zones.sigma / total, zones.slow / total
+        out.misfit[use] = np.sum(weight * misfit, axis=0) / total
+        for found, each in ((out.first, zones.first), (out.second, zones.second)):
+            found[:] = (zones.share @ each).real, (zones.share @ each).imag
+        return out
+
+
+def _slope(template: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the derivative of a polar picture with respect to the angle [1/rad]."""
+    size = template.shape[1]
+    factor = 1j * np.fft.rfftfreq(size, 1.0 / size)
+    factor[-1] = 0.0
+    return np.asarray(
+        np.fft.irfft(np.fft.rfft(template, axis=1) * factor, size, axis=1), dtype=template.dtype
+    )
+
+
+def zone_weights(angle: Floats, first: Complexes) -> tuple[Floats, float]:
+    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and its uncertainty [rad].
+
+    See the module docstring; the smooth motion is a polynomial and, over many turns, harmonics of the angle, which
+    contain errors of the centre and of the view that are removed later. To the covariance of single frames are added
+    that of the means of `TOGETHER` frames, times their number, and that of an error of the centre by `CENTRE_ERROR` in
+    each coordinate, which turns a zone at the angle psi by Im(z m_1 exp(-i psi)) (`first` m_1 [1/px]). All weights are
+    0 if too few zones are known.
+    """
+    weights = np.zeros(len(angle))
+    known = np.flatnonzero(np.isfinite(angle).mean(axis=1) > 0.5)
+    if len(known) < LEAST_ZONES:
+        return weights, math.nan
+    n = angle.shape[1]
+    middle = np.nanmedian(angle[known], axis=0)
+    basis = legvander(np.linspace(-1.0, 1.0, n), min(DEGREE, n // (2 * TOGETHER)))
+    if np.ptp(middle) > MANY_TURNS * TURN:
+        harmonics = [f(k * middle) for k in (1, 2) for f in (np.cos, np.sin)]
+        basis = np.concatenate([basis, np.stack(harmonics, axis=1)], axis=1)
+    off = np.where(np.isfinite(angle[known]), angle[known], middle)
+    off -= (basis @ np.linalg.lstsq(basis, off.T, rcond=None)[0]).T
+    limit = FAR * np.array([[spread(one)] for one in off])
+    off = np.clip(off, -limit, limit)
+    covariance = np.cov(off) + TOGETHER * np.cov(_means(off))
+    covariance += CENTRE_ERROR**2 * np.outer(first[known], first[known].conj()).real
+    covariance += SHRINKAGE * np.diag(np.diag(covariance))
+    while True:
+        found = np.linalg.solve(covariance, np.ones(len(known)))
+        if (found > 0).all():
+            break
+        kept = np.arange(len(known)) != np.argmin(found)
+        known, covariance = known[kept], covariance[np.ix_(kept, kept)]
+    weights[known] = found / found.sum()
+    return weights, 1.0 / math.sqrt(found.sum())
+
+
+def _means(turned: Floats) -> Floats:
+    """Return the means of `TOGETHER` frames each."""
+    whole = turned.shape[1] // TOGETHER * TOGETHER
+    parts = turned[:, :whole].reshape(len(turned), -1, TOGETHER)
+    known = np.isfinite(parts)
+    total = np.where(known, parts, 0.0).sum(axis=2)
+    return np.where(known.sum(axis=2) > TOGETHER // 2, total / np.maximum(known.sum(axis=2), 1), np.nan)
+
+
+def _zone_variances(turned: Floats) -> Floats:
+    """Return the variance of the error of each zone [rad^2], inf for one that is hardly ever known.
+
+    The robust variances of the differences D_ij of the rotations `turned` (zones, n) [rad] of zones that are not
+    adjacent are fitted by s_i^2 + s_j^2, with relative errors of equal size: the three-cornered hat of frequency
+    metrology (J. E. Gray and D. W. Allan 1974).
+    """
+    count = len(turned)
+    known = np.isfinite(turned).mean(axis=1) > 0.5
+    apart = np.full((count, count), np.nan)
+    for i in range(count):
+        for j in range(i + 2, count):
+            if known[i] and known[j]:
+                off = turned[i] - turned[j]
+                apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)) ** 2, 1e-14)
+    pairs = np.isfinite(apart)
+    if known.sum() < LEAST_ZONES or not pairs.any():
+        return np.full(count, np.inf)
+    variance = np.where(pairs.any(axis=1), 0.5 * np.nanmin(np.where(pairs, apart, np.inf), axis=1), np.inf)
+    for _ in range(100):
+        for k in np.flatnonzero(pairs.any(axis=1)):
+            d, w = apart[k, pairs[k]], apart[k, pairs[k]] ** -2
+            variance[k] = max(float(w @ (d - variance[pairs[k]]) / w.sum()), _LEAST_SHARE * float(d.min()))
+    return variance
