@@ -683,7 +683,10 @@ def _followed(
         texture, flat = seen.bodies[name].texture, flattening[name]
         if texture is None:
             continue
-        bodies[name] = by_texture(body, texture, centre, flat, seen.bodies[name].coarse, fps, time_base)
+        usual = usual_error_by_place(views[name]) / views[name].radius
+        bodies[name] = by_texture(
+            body, texture, centre, flat, seen.bodies[name].coarse, fps, usual, time_base
+        )
     return bodies, warnings
 
 
@@ -702,13 +705,15 @@ def by_texture(
     flat: Flattening,
     coarse: Floats,
     fps: float,
+    usual: float,
     time_base: TimeBase | None = None,
 ) -> BodyAngles:
     """Return a body with the angles of its texture where these are better than those of its markers.
 
     The zeros of the templates follow from the markers: the slow part of the difference is that of the markers, the fast
     one that of the texture. Errors that repeat with the angle are learnt and the uncertainty is calibrated as for a
-    marker (`join`).
+    marker (`join`). Errors by place that the zones share are at least `usual` [rad] if they cannot be learnt: an
+    encoder keeps a body at rest fixed in the picture, in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     off = wrapped(body.angle - angle)
@@ -729,7 +734,7 @@ def by_texture(
         coarse,
         {"texture": Candidate(mount=0.0, **columns)},
         fps,
-        floor=median_of(texture.slow[good]),
+        floor=max(median_of(texture.slow[good]), usual),
         axis=np.nan_to_num(of_view) * math.sqrt(variance_left(coarse, VIEW_ORDERS)),
         time_base=time_base,
     )

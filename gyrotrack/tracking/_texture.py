@@ -12,8 +12,8 @@ with gain g and offset b of the illumination. Templates and rotations are estima
 
 Errors that all samples of a zone share are not visible in v: markers of the rotor that pass below the bar, the shadow
 of the bar, the blocks of the encoder. They are visible in the differences between zones. The zones are combined by the
-best linear unbiased mean, with weights w = C^-1 1 / (1' C^-1 1) that are not negative; C is the covariance of their angles
-about a smooth motion. What all zones share, the motion, adds a multiple of 1 1' to C, which does not change w.
+best linear unbiased mean, with weights w = C^-1 1 / (1' C^-1 1) that are not negative; C is the covariance of their
+angles about a smooth motion. What all zones share, the motion, adds a multiple of 1 1' to C, which does not change w.
 
 The zero of a template is arbitrary. That of each batch is referred to the previous one by registering their templates.
 """
