@@ -55,6 +55,7 @@ FINENESS = 32  # parts of a column to which OpenCV interpolates
 # mean square residual of a zone, relative to the typical one, from which a frame does not enter its template, and from
 # which the zone has no angle: another body below that stands still for some frames changes a zone less than a hand does
 UNUSUAL, LARGEST_MISFIT = 4.0, 25.0
+LEAST_CONTRAST = 0.5  # of a zone relative to its template, below which it is covered
 LEAST_ZONES = 3  # zones with information about the angle, from which their errors are known
 # frames that are averaged to find slow errors of a zone. Such errors act as a torque, unlike those that differ from
 # frame to frame, and count as often as they are alike
@@ -132,9 +133,11 @@ class _Zones:
         found, misfit = (np.empty((ZONES, len(strips))) for _ in range(2))
         for z, seen in enumerate(_by_zone(strips)):
             parts, left = _fitted(seen, self.picture[z], self.basis[z], self.weight[z])
-            found[z] = parts[:, 0]
             misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
-        return np.where(misfit < LARGEST_MISFIT, found, np.nan), misfit
+            # a hand of one brightness fits the template without contrast
+            similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
+            found[z] = np.where(similar, parts[:, 0], np.nan)
+        return found, misfit
 
     def ahead_of(self, other: _Zones) -> float:
         """Return the angle by which the pictures of the body are turned against those of another batch [rad]."""
@@ -189,9 +192,10 @@ def learn_zones(strips: Singles, angle: Floats, radius: Floats) -> tuple[_Zones,
         mean, scatter = seen.mean(axis=0), seen.var(axis=0)
         for _ in range(_ROUNDS):
             own = size / np.maximum(scatter, max(float(np.quantile(scatter, 0.1)), LEAST_VARIANCE))
-            _, left = _fitted(seen, mean, _basis(mean, own), own)
+            parts, left = _fitted(seen, mean, _basis(mean, own), own)
             square = np.asarray((left**2) @ own, dtype=np.float64)
-            good = square < UNUSUAL * median_of(square)
+            good = (square < UNUSUAL * median_of(square)) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
+            good |= not good.any()
             left = left if good.all() else left[good]
             mean, scatter = mean + left.mean(axis=0), np.einsum("np,np->p", left, left) / len(left)
         picture[z], variance[z], weight[z], basis[z] = mean, scatter, own, _basis(mean, own)
@@ -311,6 +315,7 @@ def zone_weights(angle: Floats, first: Complexes) -> tuple[Floats, float]:
     known = np.flatnonzero(np.isfinite(angle).mean(axis=1) > 0.5)
     if len(known) < LEAST_ZONES:
         return weights, math.nan
+    angle = angle[:, np.isfinite(angle[known]).any(axis=0)]
     n = angle.shape[1]
     middle = np.nanmedian(angle[known], axis=0)
     basis = legvander(np.linspace(-1.0, 1.0, n), min(DEGREE, n // (2 * TOGETHER)))

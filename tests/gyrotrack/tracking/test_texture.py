@@ -1,0 +1,219 @@
+"""The angle of a body from the texture of its ring, on pictures drawn with a known rotation."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _texture as texture
+from gyrotrack.tracking._texture import TextureObservations, TextureTracker, learn_zones, zone_weights
+from gyrotrack.video._container import Frame
+
+SIZE, HUB, OUTER = (240, 220), (118.0, 107.0), 70.0
+TURN = 2.0 * np.pi
+
+
+def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=2):
+    """Return a disc with a bar and screws, turned counter-clockwise by `angle`, in grey levels."""
+    x, y = np.meshgrid(np.arange(SIZE[0]) - hub[0], hub[1] - np.arange(SIZE[1]))
+    p, q = stretch
+    u, v = np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])
+    along = (np.cos(angle) * u + np.sin(angle) * v).reshape(x.shape)
+    across = (np.cos(angle) * v - np.sin(angle) * u).reshape(x.shape)
+    r, theta = np.hypot(along, across), np.arctan2(across, along)
+    soft = lambda d: 1.0 / (1.0 + np.exp(-d / 0.8))  # noqa: E731 - an edge, as of a lens
+    light = 60.0 + (0.0 if below is None else 40.0 * np.cos(3.0 * (theta + angle - below)))
+    bar = soft(9.0 - np.abs(across)) * (1.0 if arms == 2 else soft(along))
+    paper = soft(6.0 - np.abs(across)) * soft(along - 30.0) * soft(66.0 - along)
+    rim = soft(r - 74.0) * soft(90.0 - r)
+    light = light + bar * (170.0 - light)
+    light = light - 90.0 * paper
+    light = light + rim * (150.0 + 40.0 * np.cos(5.0 * theta) - light)
+    light = light + soft(r - 92.0) * (90.0 - light)
+    return light if grain is None else light + grain.standard_normal(light.shape) * 2.0
+
+
+def frames_of(pictures):
+    return [
+        Frame(k, k, np.clip(np.rint(p), 0, 255).astype(np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.uint8))
+        for k, p in enumerate(pictures)
+    ]
+
+
+def measured(angle, start, pictures, *, batches=1, centre=HUB):
+    """Track frames whose angles are known roughly (`start`), in equal batches."""
+    tracker = TextureTracker(centre, OUTER, SIZE, len(angle) // batches)
+    frames, found = frames_of(pictures), []
+    for part in np.array_split(np.arange(len(angle)), batches):
+        tracker.take(frames[part[0] : part[-1] + 1], 0, start[part] + 0.02)
+        found.append(tracker.measure(len(part), start[part]))
+    return TextureObservations(*(np.concatenate([getattr(f, n) for f in found]) for n in vars(found[0])))
+
+
+@pytest.fixture(scope="module")
+def spun():
+    """A disc above another one that turns three times as fast; the rough angles err by 3 mrad with the faster one."""
+    rng = np.random.default_rng(3)
+    angle = 0.19 * np.arange(192) + 1e-5 * np.arange(192) ** 2
+    below = 3.1 * angle
+    start = angle + 3e-3 * np.cos(3.0 * (below - angle)) + 1e-3 * rng.standard_normal(192)
+    pictures = [picture(a, below=b, grain=rng) for a, b in zip(angle, below, strict=True)]
+    return angle, start, measured(angle, start, pictures), below
+
+
+class TestAngle:
+    def test_it_grows_counter_clockwise_and_is_right(self, spun):
+        angle, start, found, _ = spun
+        error = found.angle - angle
+        error -= error.mean()
+        assert error.std() < 0.6e-3 < 2e-3 < (start - angle).std()
+
+    def test_a_faster_body_below_causes_no_errors(self, spun):
+        angle, _, found, below = spun
+        error = found.angle - angle
+        for k in range(1, 13):
+            wave = np.exp(1j * k * (below - angle))
+            assert 2.0 * abs(np.mean((error - error.mean()) * wave)) < 0.25e-3
+
+    def test_errors_of_the_rough_angles_do_not_remain(self):
+        rng = np.random.default_rng(4)
+        angle = 0.19 * np.arange(128)
+        off = 3e-3 * rng.standard_normal(128)
+        found = measured(angle, angle + off, [picture(a, grain=rng) for a in angle])
+        assert abs(np.polyfit(off, found.angle - angle, 1)[0]) < 0.02
+
+    def test_its_uncertainty_is_of_the_size_of_the_error(self, spun):
+        angle, _, found, _ = spun
+        error = found.angle - angle
+        assert 0.4 < (error - error.mean()).std() / np.median(found.sigma) < 1.6
+
+    @pytest.mark.slow
+    def test_batches_have_one_zero(self):
+        rng = np.random.default_rng(5)
+        angle = 0.19 * np.arange(512)
+        start = angle + np.where(np.arange(512) < 256, 0.0, 4e-3)  # the rough angles of the second batch are off
+        found = measured(angle, start, [picture(a, grain=rng) for a in angle], batches=2)
+        error = found.angle - angle
+        assert abs(error[:256].mean() - error[256:].mean()) < 0.2e-3
+
+    def test_a_short_last_batch_is_measured_with_the_templates_of_the_one_before(self):
+        rng = np.random.default_rng(6)
+        angle = 0.19 * np.arange(300)
+        pictures = [picture(a, grain=rng) for a in angle]
+        tracker = TextureTracker(HUB, OUTER, SIZE, 260)
+        frames = frames_of(pictures)
+        tracker.take(frames[:260], 0, angle[:260])
+        first = tracker.measure(260, angle[:260])
+        tracker.take(frames[260:], 0, angle[260:])
+        last = tracker.measure(40, angle[260:])
+        assert np.isfinite(last.angle).all()
+        assert abs(np.mean(last.angle - angle[260:]) - np.mean(first.angle - angle[:260])) < 0.3e-3
+
+    def test_too_few_frames_have_no_angle(self):
+        angle = 0.19 * np.arange(texture.FEWEST - 1)
+        assert np.isnan(measured(angle, angle, [picture(a) for a in angle]).angle).all()
+
+    def test_a_covered_ring_has_no_angle(self):
+        rng = np.random.default_rng(7)
+        angle = 0.19 * np.arange(128)
+        pictures = [picture(a, grain=rng) for a in angle]
+        for k in range(40, 44):
+            pictures[k] = np.full_like(pictures[k], 210.0)
+        found = measured(angle, angle, pictures)
+        assert np.isnan(found.angle[40:44]).all()
+        assert np.isfinite(np.delete(found.angle, slice(40, 44))).all()
+
+
+class TestView:
+    @pytest.mark.parametrize("move", [(3.0, 0.0), (0.0, -3.0)])
+    def test_a_displaced_centre_is_corrected(self, move):
+        angle = 0.19 * np.arange(128)
+        wrong = (HUB[0] + move[0], HUB[1] + move[1])
+        rng = np.random.default_rng(8)
+        found = measured(angle, angle, [picture(a, grain=rng, arms=1) for a in angle], centre=wrong)
+        raw = found.angle - angle
+        better = found.levelled(np.tile(HUB, (128, 1)), 0.0, 0.0) - angle
+        once = lambda e: abs(np.mean((e - e.mean()) * np.exp(1j * angle)))  # noqa: E731
+        assert once(raw) > 0.5e-3
+        assert once(better) < 0.35 * once(raw)
+
+    @pytest.mark.parametrize("stretch", [(0.01, 0.0), (0.0, 0.01)])
+    def test_an_oblique_view_is_corrected(self, stretch):
+        angle = 0.19 * np.arange(128)
+        rng = np.random.default_rng(9)
+        pictures = [picture(a, stretch=stretch, grain=rng) for a in angle]
+        found = measured(angle, angle, pictures)
+        raw = found.angle - angle
+        better = found.levelled(np.tile(HUB, (128, 1)), *stretch) - angle
+        twice = lambda e: abs(np.mean((e - e.mean()) * np.exp(2j * angle)))  # noqa: E731
+        assert twice(raw) > 2e-3
+        assert twice(better) < 0.35 * twice(raw)
+
+
+class TestWeights:
+    def test_the_weights_are_those_of_independent_errors(self):
+        rng = np.random.default_rng(0)
+        sigma = np.array([1.0, 2.0, 4.0, 8.0])
+        motion = 50.0 * np.linspace(-1.0, 1.0, 4000) ** 3
+        angle = 1e-3 * (motion + sigma[:, None] * rng.standard_normal((4, 4000)))
+        weights, uncertainty = zone_weights(angle, np.zeros(4, dtype=complex))
+        assert weights == pytest.approx(sigma**-2.0 / np.sum(sigma**-2.0), abs=0.05)
+        # single frames and means of frames both count, so that slow errors weigh more
+        assert uncertainty == pytest.approx(1e-3 * np.sum(sigma**-2.0) ** -0.5 * np.sqrt(2.1), rel=0.1)
+
+    def test_a_zone_whose_error_is_slow_has_less_weight(self):
+        rng = np.random.default_rng(1)
+        noise = 1e-3 * rng.standard_normal((4, 4096))
+        slow = np.repeat(1e-3 * rng.standard_normal(128), 32)
+        noise[0] = slow
+        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex))
+        assert weights[0] < 0.2 * weights[1]
+
+    def test_two_zones_with_the_same_error_count_once(self):
+        rng = np.random.default_rng(2)
+        noise = 1e-3 * rng.standard_normal((4, 4096))
+        noise[1] = noise[0]
+        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex))
+        assert weights[0] + weights[1] == pytest.approx(weights[2], rel=0.15)
+
+    def test_a_centre_that_is_uncertain_is_avoided(self):
+        rng = np.random.default_rng(4)
+        noise = 1e-3 * rng.standard_normal((3, 4096))
+        first = np.array([0.02, 0.0, 0.0], dtype=complex)
+        weights, _ = zone_weights(noise, first)
+        assert weights[0] < 0.2 * weights[1]
+
+    def test_no_weight_is_negative(self):
+        rng = np.random.default_rng(5)
+        common, other = rng.standard_normal((2, 4096))
+        angle = 1e-3 * np.stack([common, 3.0 * common + 0.1 * other, other + rng.standard_normal(4096), other])
+        weights, _ = zone_weights(angle, np.zeros(4, dtype=complex))
+        assert (weights >= 0.0).all()
+        assert weights.sum() == pytest.approx(1.0)
+
+    def test_two_zones_are_too_few(self):
+        weights, uncertainty = zone_weights(np.zeros((2, 500)), np.zeros(2, dtype=complex))
+        assert not weights.any()
+        assert np.isnan(uncertainty)
+
+
+def test_a_faint_edge_is_displaced_by_a_part_of_a_grey_level():
+    """Strips are interpolated in floats: rounded to grey levels, small displacements of smooth edges are lost."""
+    angle = 0.19 * np.arange(192)
+    smooth = [cv2.GaussianBlur(picture(a), (0, 0), 6.0) for a in angle]
+    off = 2e-3 * np.random.default_rng(0).standard_normal(192)
+    found = measured(angle, angle + off, smooth)
+    error = found.angle - angle
+    assert abs(np.polyfit(off, error, 1)[0]) < 0.1
+
+
+def test_the_template_of_a_zone_ignores_frames_that_differ():
+    rng = np.random.default_rng(11)
+    theta = np.arange(texture.COLUMNS) * TURN / texture.COLUMNS
+    rows = texture.ZONES * texture.ROWS
+    base = (100.0 + 40.0 * np.cos(4.0 * theta))[None, None].repeat(100, 0).repeat(rows, 1)
+    strips = (base + 2.0 * rng.standard_normal(base.shape)).astype(np.float32)
+    strips[:10] = 250.0 * (theta < 1.0)
+    zones, turned, _ = learn_zones(strips, 0.3 * np.arange(100.0), np.linspace(20.0, 90.0, rows))
+    similar = np.corrcoef(zones.picture.ravel(), base[0].ravel())[0, 1]
+    assert similar > 0.999
+    assert np.isnan(turned[:, :10]).all()
