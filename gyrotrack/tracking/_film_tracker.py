@@ -27,7 +27,7 @@ from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker
 from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, Occlusion, common_columns
 from gyrotrack.tracking._polar import boxed
 from gyrotrack.tracking._scene import Marker, Samples, Scene
-from gyrotrack.tracking._texture import TextureObservations, TextureTracker
+from gyrotrack.tracking._texture import REACH, TextureObservations, TextureTracker
 from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes
@@ -414,6 +414,6 @@ def _by_markers(coarse: Floats, markers: dict[str, MarkerObservations], body: Bo
         for m, seen in markers.items()
     ]
     ahead = np.mod(np.stack(off) + np.pi, 2.0 * np.pi) - np.pi
-    known = np.isfinite(ahead) & (np.abs(ahead) < MARGIN)
+    known = np.isfinite(ahead) & (np.abs(ahead) < REACH)
     total = np.where(known, ahead, 0.0).sum(axis=0)
     return np.asarray(coarse + total / np.maximum(known.sum(axis=0), 1))

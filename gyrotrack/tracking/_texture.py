@@ -44,9 +44,9 @@ ZONES = 8  # more zones separate errors more finely, and each determines the ang
 ROWS = 4  # of a zone; a bar or a rim extends over many pixels in radius
 COLUMNS = 360  # of a turn; motion blur and the lens smooth details below a degree
 MARGIN = 6  # columns beyond a turn on both sides, for rotations before the registration
-INNERMOST = (
-    0.15  # radius of the first zone relative to the outer end of the markers: the hub itself turns too little
-)
+REACH = (MARGIN - 1) * TURN / COLUMNS  # largest such rotation [rad]
+# radius of the first zone relative to the outer end of the markers: nearer to the hub, pixels hardly move
+INNERMOST = 0.15
 OUTERMOST = 1.35  # radius of the last zone relative to it: the rim of the body is beyond the markers
 FEWEST, LEARNT = 48, 256  # frames from which templates are learnt: the first ones of a film, and later ones
 LEAST_REACH = 0.7  # smallest radius inside the picture, relative to the outer end of the markers
@@ -55,6 +55,7 @@ FINENESS = 32  # parts of a column to which OpenCV interpolates
 # mean square residual of a zone, relative to the typical one, from which a frame does not enter its template, and from
 # which the zone has no angle: another body below that stands still for some frames changes a zone less than a hand does
 UNUSUAL, LARGEST_MISFIT = 4.0, 25.0
+LARGEST_TURN = 0.02  # largest error of the rough angles [rad]: two pixels at a radius of a hundred
 LEAST_CONTRAST = 0.5  # of a zone relative to its template, below which it is covered
 LEAST_ZONES = 3  # zones with information about the angle, from which their errors are known
 # frames that are averaged to find slow errors of a zone. Such errors act as a torque, unlike those that differ from
@@ -66,9 +67,11 @@ MANY_TURNS = 3.0  # from which errors that repeat with the turn are distinguisha
 CENTRE_ERROR = 0.3
 _ROUNDS = 2
 _LEAST_SHARE = 0.1  # smallest variance of a zone relative to that of its differences
-DEGREE = 3  # of the polynomial that describes the motion in a batch, about a second
+# of the polynomial that describes the motion in a batch: the first that is sufficient, or the last one over many turns. A
+# motion that remained would seem correlated with the errors of some zones
+DEGREES = (3, 6, 12)
 FAR = 5.0  # robust standard deviations to which outliers are limited
-SHRINKAGE = 0.05  # relative increase of variances that are estimated from some hundred frames
+SHRINKAGE = 0.1  # relative increase of variances that are estimated from some hundred frames
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,9 @@ class _Zones:
             misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
             # a hand of one brightness fits the template without contrast
             similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
+            similar &= (
+                np.abs(parts[:, 0]) < LARGEST_TURN
+            )  # farther away the picture is not linear in the angle
             found[z] = np.where(similar, parts[:, 0], np.nan)
         return found, misfit
 
@@ -262,7 +268,7 @@ class TextureTracker:
         out = TextureObservations(angle_, sigma, slow, misfit_, self._centre[:count].copy(), first, second)
         step = TURN / COLUMNS
         ahead = np.rint((angle - self._angle[:count]) / step * FINENESS) / FINENESS
-        use = np.flatnonzero(np.abs(ahead) < MARGIN - 1)
+        use = np.flatnonzero(np.abs(ahead) * step < REACH)
         if not self._useful or len(use) < (FEWEST if self._last is None else 1):
             return out
         # in floats: a displacement of a faint edge by a part of a pixel is lost in rounded grey levels
@@ -315,20 +321,22 @@ def zone_weights(angle: Floats, first: Complexes) -> tuple[Floats, float]:
     known = np.flatnonzero(np.isfinite(angle).mean(axis=1) > 0.5)
     if len(known) < LEAST_ZONES:
         return weights, math.nan
-    angle = angle[:, np.isfinite(angle[known]).any(axis=0)]
-    n = angle.shape[1]
-    middle = np.nanmedian(angle[known], axis=0)
-    basis = legvander(np.linspace(-1.0, 1.0, n), min(DEGREE, n // (2 * TOGETHER)))
-    if np.ptp(middle) > MANY_TURNS * TURN:
-        harmonics = [f(k * middle) for k in (1, 2) for f in (np.cos, np.sin)]
-        basis = np.concatenate([basis, np.stack(harmonics, axis=1)], axis=1)
-    off = np.where(np.isfinite(angle[known]), angle[known], middle)
-    off -= (basis @ np.linalg.lstsq(basis, off.T, rcond=None)[0]).T
-    limit = FAR * np.array([[spread(one)] for one in off])
-    off = np.clip(off, -limit, limit)
+    some = np.flatnonzero(np.isfinite(angle[known]).any(axis=0))
+    off, place = angle[known][:, some], np.linspace(-1.0, 1.0, angle.shape[1])[some]
+    for last in (False, True):
+        middle = np.nanmedian(off, axis=0)
+        off = np.where(np.isfinite(off), off, middle)
+        apart = np.array([spread(one) for one in off - middle])
+        basis = _smooth_motion(middle, place, 2.0 * float(apart.min()))
+        rest = _residual(off.T, basis).T
+        if not last:  # without repeated or disturbed frames
+            limit = FAR * np.array([[spread(one)] for one in rest])
+            usual = (np.abs(rest) <= limit).all(axis=0)
+            off, place = off[:, usual], place[usual]
+    off = rest
     covariance = np.cov(off) + TOGETHER * np.cov(_means(off))
     covariance += CENTRE_ERROR**2 * np.outer(first[known], first[known].conj()).real
-    covariance += SHRINKAGE * np.diag(np.diag(covariance))
+    covariance += SHRINKAGE * np.diag(apart**2)
     while True:
         found = np.linalg.solve(covariance, np.ones(len(known)))
         if (found > 0).all():
@@ -337,6 +345,28 @@ def zone_weights(angle: Floats, first: Complexes) -> tuple[Floats, float]:
         known, covariance = known[kept], covariance[np.ix_(kept, kept)]
     weights[known] = found / found.sum()
     return weights, 1.0 / math.sqrt(found.sum())
+
+
+def _smooth_motion(angle: Floats, place: Floats, limit: float) -> Floats:
+    """Return functions, (n, columns), that describe a motion (n,) [rad] in one batch within a `limit` [rad].
+
+    `place` (n,) are the times of the frames, from -1 to 1.
+    """
+    largest = max(len(angle) // (2 * TOGETHER), 1)
+    if np.ptp(angle) > MANY_TURNS * TURN:
+        harmonics = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
+        smooth = legvander(place, min(DEGREES[-1], largest))
+        return np.concatenate([smooth, np.stack(harmonics, axis=1)], axis=1)
+    for degree in DEGREES:
+        basis = legvander(place, min(degree, largest))
+        if spread(_residual(angle, basis)) < limit:
+            break
+    return np.asarray(basis, dtype=np.float64)
+
+
+def _residual(values: npt.NDArray[Any], basis: npt.NDArray[Any]) -> Floats:
+    """Return values (n, ...) less their least-squares fit by the columns of a basis (n, columns)."""
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
 def _means(turned: Floats) -> Floats:
