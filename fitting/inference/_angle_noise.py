@@ -68,6 +68,7 @@ _HALF_WIDTH = 0.3
 # correlation times of the process noise, in lengths of a block
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
 _FINER = 16
+_NEGLIGIBLE = 1e-3  # variance of a stated error in units of the white noise of a row
 # standard deviation of the logarithm of a level that the data hardly determine
 _LARGEST_RELATIVE_U = 0.7
 # noise periodic in the angle: largest number of turns per block, correlation times, samples of all blocks
@@ -98,6 +99,14 @@ class AngleNoise:
     def is_white(self) -> bool:
         """Whether no correlated noise is significant."""
         return self.sigma == 0 and self.turn_sigma == 0
+
+    def with_stated(self, rows: Array) -> Self:
+        """Return the noise with an error that the instrument states, the covariance `rows` `rows`' of its rows."""
+        if not rows.size:
+            return self
+        own = self.root @ self.root if len(self.root) else np.eye(len(rows))
+        root, inverse = _roots(own + rows @ rows.T)
+        return replace(self, root=root, inverse=inverse)
 
     @classmethod
     def of_posterior(
@@ -237,6 +246,16 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
         value = gain_at(at)
     relative_u = math.sqrt(-2 / curvature) if curvature < 0 else 1.0
     return _Peak(float(np.exp(at)) * unit, relative_u, float(value))
+
+
+def stated_error_rows(run: Compressed, sigma: float, time: float) -> Array:
+    """Return B, (rows, columns), with B B' the covariance sigma^2 P R P' of a stated Ornstein-Uhlenbeck error [rad; s].
+
+    The mean of the error is the zero of the angle, which is free.
+    """
+    values, vectors = np.linalg.eigh(sigma**2 * _row_covariance(run, time))
+    known = values > _NEGLIGIBLE
+    return np.asarray(vectors[:, known] * np.sqrt(values[known]))
 
 
 def _unit(covariance: Array) -> float:

@@ -28,7 +28,12 @@ from fitting._criteria import DEFAULT
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
-from fitting.inference._angle_noise import AngleNoise, estimate_angle_noise, estimate_window_noise
+from fitting.inference._angle_noise import (
+    AngleNoise,
+    estimate_angle_noise,
+    estimate_window_noise,
+    stated_error_rows,
+)
 from fitting.inference._compression import (
     BLOCKS,
     CASING_DEGREE,
@@ -364,7 +369,7 @@ class CaseData:
         """
         if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
-        return estimate_angle_noise(self.casing, self._nuisance_rows)
+        return estimate_angle_noise(self.casing, self._nuisance_rows).with_stated(self._stated_error)
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
@@ -420,7 +425,14 @@ class CaseData:
         lines = line_rows(self.casing, [line.rate for line in self.spectral_lines])
         harmonics = self.casing.at_samples(self._harmonic_functions)[0]
         free = np.concatenate([lines, harmonics], axis=1)
-        return np.concatenate([self._camera_rows, FLAT_PRIOR_SIGMA * free], axis=1)
+        return np.concatenate([self._camera_rows, FLAT_PRIOR_SIGMA * free, self._stated_error], axis=1)
+
+    @cached_property
+    def _stated_error(self) -> Array:
+        """Polynomial rows of the slowly varying error that tracking states, at one standard deviation."""
+        if not self.record.correlated[0] or not self.is_angle or self.oscillation is not None:
+            return np.zeros((len(self.casing.z), 0))
+        return stated_error_rows(self.casing, *self.record.correlated)
 
     @cached_property
     def camera_columns(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 from typing import Any
 
@@ -173,11 +174,18 @@ def _read(path: Path, file: Any) -> Record:
         quantity=quantity,
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
+        correlated=_correlated(file),
     )
 
 
 def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:
     return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
+
+
+def _correlated(file: Any) -> tuple[float, float]:
+    """Return standard uncertainty [rad] and correlation time [s] of a slowly varying error, zeros if it is absent."""
+    sigma, time = (number(file, "casing", f"correlated_{what}") for what in ("sigma", "time"))
+    return (sigma, time) if math.isfinite(sigma) and math.isfinite(time) else (0.0, 0.0)
 
 
 def _start_sigma(file: Any, window: Array) -> list[float]:

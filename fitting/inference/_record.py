@@ -80,6 +80,9 @@ class Record:
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
+    correlated : tuple of float
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle; zeros
+        without one.
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
@@ -102,6 +105,7 @@ class Record:
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     per_inertia: bool = False
+    correlated: tuple[float, float] = (0.0, 0.0)
     digest: str = field(default="")
     prior: Prior | None = None
 
@@ -147,6 +151,7 @@ def make_record(
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
     per_inertia: bool = False,
+    correlated: tuple[float, float] = (0.0, 0.0),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -172,6 +177,8 @@ def make_record(
         Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
+    correlated : tuple of float
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle.
 
     Raises
     ------
@@ -194,7 +201,7 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
-        per_inertia=per_inertia,
+        per_inertia=per_inertia, correlated=correlated if min(correlated) > 0 else (0.0, 0.0),
     )  # fmt: skip
 
 
@@ -217,6 +224,8 @@ def _digest(record: Record) -> str:
             hasher.update(np.ascontiguousarray(a).tobytes())
     if any(record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
+    if record.correlated[0]:
+        hasher.update(repr(record.correlated).encode())
     uncertainties = (record.I_rotor_u, record.I_casing_u)
     if not all(map(math.isnan, uncertainties)):
         hasher.update(repr(uncertainties).encode())

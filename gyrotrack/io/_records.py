@@ -112,6 +112,8 @@ class BodyTrack:
         Angular velocity, smoothed by running medians, and its uncertainty [rad s-1].
     smoothing_width : int
         Points of the medians.
+    correlated_sigma, correlated_time : float
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
     """
 
     name: str
@@ -123,6 +125,8 @@ class BodyTrack:
     omega: Floats
     omega_sigma: Floats
     smoothing_width: int
+    correlated_sigma: float = 0.0
+    correlated_time: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,8 @@ class Series:
         Index of the rotor clip of each sample; None for the casing.
     sigma_source : str
         "measured" (by tracking), "given" (in a table), "estimated" (from the scatter), or "mixed".
+    correlated_sigma, correlated_time : float
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
     """
 
     time: Floats
@@ -194,6 +200,8 @@ class Series:
     turn: Integers
     window: Integers | None = None
     sigma_source: str = "measured"
+    correlated_sigma: float = 0.0
+    correlated_time: float = 0.0
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
@@ -203,7 +211,18 @@ def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measure
     joined |= {name: sense * joined[name] for name in ("angle", "omega")}
     turn = np.floor(joined["angle"] / (2 * np.pi)).astype(np.int64)
     window = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.time) for part in parts])
-    return Series(**joined, turn=turn, window=window, sigma_source=sigma_source)
+    slow = max(
+        ((getattr(p, "correlated_sigma", 0.0), getattr(p, "correlated_time", 0.0)) for p in parts),
+        default=(0.0, 0.0),
+    )
+    return Series(
+        **joined,
+        turn=turn,
+        window=window,
+        sigma_source=sigma_source,
+        correlated_sigma=slow[0],
+        correlated_time=slow[1],
+    )
 
 
 def windows_of(series: Series) -> Integers:

@@ -104,6 +104,12 @@ MARKER = Table(
     ),
 )
 
+# an error of the angle with the covariance s^2 exp(-|t - t'| / T) of two samples, beside the sigma of each
+_CORRELATED = (
+    Attribute("correlated_sigma", float, "rad", "standard uncertainty of a slowly varying error", 0.0),
+    Attribute("correlated_time", float, "s", "correlation time of this error", 0.0),
+)
+
 BODY = Table(
     (
         Field("time", _T, "s", "capture time since the first frame"),
@@ -115,7 +121,10 @@ BODY = Table(
         Field("omega_sigma", _T, "rad s-1", "uncertainty of the angular velocity"),
     ),
     signal="omega",
-    attributes=(Attribute("smoothing_width", int, "", "points of the median that gave omega"),),
+    attributes=(
+        Attribute("smoothing_width", int, "", "points of the median that gave omega"),
+        *_CORRELATED,
+    ),
 )
 
 _SIGMA_SOURCE = Attribute(
@@ -136,13 +145,13 @@ SERIES = Table(
         Field("turn", _T, "1", "whole turns in the angle", "i8"),
     ),
     signal="omega",
-    attributes=(_SIGMA_SOURCE,),
+    attributes=(_SIGMA_SOURCE, *_CORRELATED),
 )
 
 WINDOWED = Table(
     (*SERIES.fields, Field("window", _T, "1", "rotor clip that the sample came from", "i8")),
     signal="omega",
-    attributes=(_SIGMA_SOURCE,),
+    attributes=(_SIGMA_SOURCE, *_CORRELATED),
 )
 
 GENERATED = Table(

@@ -13,7 +13,7 @@ from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, local_fit, median_of, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
-from gyrotrack.tracking._film_tracker import FilmObservations
+from gyrotrack.tracking._film_tracker import BATCH, FilmObservations
 from gyrotrack.tracking._frame_repeats import seen_angle, turning_most
 from gyrotrack.tracking._fusion import (
     PLACE_ORDERS,
@@ -719,7 +719,7 @@ def by_texture(
     off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
-    slow = _slow_part(off, parabolas=abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi)
+    slow, scatter = _slow_part(off, parabolas=abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi)
     good = np.isfinite(angle)
     columns = {
         "angle": wrapped(np.nan_to_num(angle + slow)),
@@ -742,9 +742,8 @@ def by_texture(
     both = new & np.isfinite(body.angle)
     if not both.any() or median_of(found.sigma[both]) >= median_of(body.sigma[both]):
         return body
-    return replace(
-        body, angle=np.where(new, found.angle, body.angle), sigma=np.where(new, found.sigma, body.sigma)
-    )
+    angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
+    return replace(body, angle=angle, sigma=sigma, slow=(scatter, float(BATCH)))
 
 
 _ALIKE = 64  # frames that are averaged: errors beside a neighbour that passes in step with the frames are alike in them
@@ -752,22 +751,40 @@ _ROUNDS, _FEWEST_MEANS = 10, 12
 _FAR_OFF = 4.0  # robust standard deviations from which such a mean does not enter the slow part
 
 
-def _slow_part(off: Floats, *, parabolas: bool) -> Floats:
-    """Return the slow part of differences of two angles (n,) [rad], NaN where unknown, or their median."""
+def _slow_part(off: Floats, *, parabolas: bool) -> tuple[Floats, float]:
+    """Return the slow part of differences of two angles (n,) [rad], NaN where unknown, and the scatter of batches.
+
+    The slow part are parabolas, or the median. The scatter of the means of batches about it contains the slow errors of
+    both angles; 0 for fewer than `_FEWEST_BATCHES`.
+    """
     middle = median_of(off[np.isfinite(off)])
     off = middle + wrapped(off - middle)
     pieces = np.array_split(off, max(len(off) // _ALIKE, 1))
     mean = np.array([median_of(p[np.isfinite(p)]) if np.isfinite(p).any() else np.nan for p in pieces])
     weight: Floats = np.isfinite(mean).astype(np.float64)
     if not parabolas or len(mean) < _FEWEST_MEANS:
-        return np.full(len(off), median_of(mean[np.isfinite(mean)]))
+        middle = median_of(mean[np.isfinite(mean)])
+        return np.full(len(off), middle), _scatter_of_batches(mean - middle)
     for _ in range(_ROUNDS):
         fitted, _ = local_fit(mean, weight, SLOW_PART // _ALIKE)
         far = np.nan_to_num((mean - fitted) / (_FAR_OFF * spread(mean - fitted)), nan=1.0)
         weight = np.where(np.abs(far) < 1.0, (1.0 - far**2) ** 2, 0.0)  # Tukey's bisquare
     place = (np.arange(len(mean)) + 0.5) * len(off) / len(mean)
     known = np.isfinite(fitted)
-    return np.asarray(np.interp(np.arange(len(off)), place[known], fitted[known]))
+    slow = np.asarray(np.interp(np.arange(len(off)), place[known], fitted[known]))
+    return slow, _scatter_of_batches(mean - fitted)
+
+
+_FEWEST_BATCHES = 5
+
+
+def _scatter_of_batches(off: Floats) -> float:
+    """Return the robust standard deviation of the means over a batch of means over `_ALIKE` frames."""
+    count = BATCH // _ALIKE
+    whole = off[: len(off) // count * count].reshape(-1, count)
+    if len(whole) < _FEWEST_BATCHES:
+        return 0.0
+    return spread(np.array([np.median(one[np.isfinite(one)]) for one in whole if np.isfinite(one).any()]))
 
 
 def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:

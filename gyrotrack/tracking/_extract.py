@@ -99,7 +99,7 @@ def _status(
 
 
 def body_track(
-    name: str, body: BodyAngles, markers: dict[str, MarkerTrack], time: Floats, sense: int
+    name: str, body: BodyAngles, markers: dict[str, MarkerTrack], time: Floats, sense: int, fps: float
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
@@ -111,7 +111,14 @@ def body_track(
     columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
     columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
     columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
-    return BodyTrack(name=name, smoothing_width=WIDTH, **in_file(columns))
+    slow = (body.slow[0], body.slow[1] / fps)
+    return BodyTrack(
+        name=name,
+        smoothing_width=WIDTH,
+        **in_file(columns),
+        correlated_sigma=slow[0],
+        correlated_time=slow[1],
+    )
 
 
 def _paper_sigma(own: list[Floats]) -> Floats:
@@ -253,7 +260,7 @@ def _recording(
         for m in scene.of(name):
             own = seen.bodies[name].markers[m.name]
             markers[m.name] = marker_track(m, own, found, joint.centre.centre, joint.sense, seen.size)
-        bodies[name] = body_track(name, found, markers, time, joint.sense)
+        bodies[name] = body_track(name, found, markers, time, joint.sense, rate.fps)
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
     of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
     film = (*of_rate, *seen.warnings, *seen.times.warnings)

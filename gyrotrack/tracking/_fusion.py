@@ -614,6 +614,8 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
+    # standard uncertainty [rad] and correlation time [frames] of a slowly varying error
+    slow: tuple[float, float] = (0.0, 0.0)
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
@@ -735,8 +737,8 @@ def _result(
     angle, sigma = state.path + residual, calibrated(residual, sigma, 1)
     angle[hidden], sigma[hidden], count[hidden] = np.nan, np.nan, 0
     own = {"angle": angle, "sigma": sigma, "count": count}
-    del residual, angle, sigma, count
-    body = in_file(own)
+    del residual
+    angle, sigma, count = in_file(own).values()
     markers = {}
     for name, c in state.candidates.items():
         use = state.use[name]
@@ -747,4 +749,4 @@ def _result(
             len(state.candidates),
         )
         markers[name] = MarkerAngles(mount=state.mounts[name], **in_file(own))
-    return BodyAngles(markers=markers, place_error=place_error(state), axis_off=state.axis_off, **body)
+    return BodyAngles(angle, sigma, count, markers, place_error=place_error(state), axis_off=state.axis_off)

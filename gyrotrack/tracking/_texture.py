@@ -67,8 +67,8 @@ MANY_TURNS = 3.0  # from which errors that repeat with the turn are distinguisha
 CENTRE_ERROR = 0.3
 _ROUNDS = 2
 _LEAST_SHARE = 0.1  # smallest variance of a zone relative to that of its differences
-# of the polynomial that describes the motion in a batch: the first that is sufficient, or the last one over many turns. A
-# motion that remained would seem correlated with the errors of some zones
+# of the polynomial that describes the motion in a batch: the first that is sufficient, or the last one over many turns.
+# A motion that remained would seem correlated with the errors of some zones
 DEGREES = (3, 6, 12)
 FAR = 5.0  # robust standard deviations to which outliers are limited
 SHRINKAGE = 0.1  # relative increase of variances that are estimated from some hundred frames

@@ -1,0 +1,102 @@
+"""A slowly varying error of the angle that tracking states."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+import twobody
+
+from fitting.dynamics._model import Model
+from fitting.inference._angle_noise import stated_error_rows
+from fitting.inference._case_data import CaseData
+from fitting.inference._case_file import _correlated
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+SIGMA, TIME = 1.5e-4, 2.0
+GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
+
+
+def film(seed=0, stated=(SIGMA, TIME), added=0.0):
+    motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=60.0, seed=seed)
+    cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 52.0), sigma=1e-3)
+    found = twobody.film(motion, seed=seed, cameras=cameras)
+    t, y, s = found["casing"]
+    rng = np.random.default_rng([seed, 7])
+    slow = (
+        twobody.ornstein_uhlenbeck(rng, len(t), float(np.median(np.diff(t))), added, TIME) if added else 0.0
+    )
+    found["casing"] = (t, y + slow, s)
+    return make_record(**found, correlated=stated)
+
+
+@pytest.fixture(scope="module")
+def stated():
+    return CaseData.of(film())
+
+
+def test_its_rows_have_the_covariance_of_the_process(stated):
+    """P R P' by hand: the operators of the blocks, and R = s^2 exp(-|t - t'| / T) of all samples."""
+    t = stated.record.casing.time[::7]
+    run = CaseData.of(
+        replace(
+            stated.record,
+            casing=type(stated.record.casing)(*(a[::7] for a in vars(stated.record.casing).values())),
+            digest="",
+        )
+    ).casing
+    operators = np.zeros((len(run.z), len(t)))
+    k = run.lift.shape[1]
+    for i, (where, operator) in enumerate(run.operators):
+        operators[i * k : (i + 1) * k, where] = operator[:k]
+    expected = operators @ (SIGMA**2 * np.exp(-np.abs(t[:, None] - t) / TIME)) @ operators.T
+    rows = stated_error_rows(run, SIGMA, TIME)
+    assert rows @ rows.T == pytest.approx(expected, abs=0.02 * expected.max())
+
+
+def test_whitened_rows_have_less_weight_by_this_covariance(stated):
+    white = CaseData.of(film(stated=(0.0, 0.0)))
+    assert white.angle_noise.is_white
+    assert not len(white.angle_noise.inverse)
+    rows = stated_error_rows(stated.casing, SIGMA, TIME)
+    whitening = stated.angle_noise.inverse
+    assert whitening @ (np.eye(len(rows)) + rows @ rows.T) @ whitening.T == pytest.approx(
+        np.eye(len(rows)), abs=1e-6
+    )
+    assert stated.angle_noise.root @ whitening == pytest.approx(np.eye(len(rows)), abs=1e-8)
+
+
+@pytest.mark.parametrize("given", [(SIGMA, 0.0), (0.0, TIME), (-SIGMA, TIME)])
+def test_without_level_or_time_there_is_none(given):
+    assert film(stated=given).correlated == (0.0, 0.0)
+
+
+def test_it_is_a_part_of_the_digest():
+    one, other = film(), film(stated=(2 * SIGMA, TIME))
+    assert one.digest != other.digest != film(stated=(0.0, 0.0)).digest
+
+
+def test_it_is_read_from_the_casing_of_a_case(tmp_path):
+    with h5py.File(tmp_path / "case.h5", "w") as file:
+        group = file.create_group("casing")
+        assert _correlated(file) == (0.0, 0.0)
+        group.attrs["correlated_sigma"] = SIGMA
+        assert _correlated(file) == (0.0, 0.0)
+        group.attrs["correlated_time"] = TIME
+        assert _correlated(file) == (SIGMA, TIME)
+
+
+@pytest.mark.slow
+def test_a_stated_error_raises_the_uncertainties_and_no_alarm():
+    pulls, larger = [], []
+    for seed in range(6):
+        with_it, without = (
+            fit(Model.of("reduced"), [film(seed, stated, SIGMA)]) for stated in ((SIGMA, TIME), (0.0, 0.0))
+        )
+        name = "casing.air.linear.b2"
+        one, other = with_it.parameters[name], without.parameters[name]
+        pulls.append((one.value - GYROSCOPE["b2"]) / one.stderr)
+        larger.append(one.stderr / other.stderr)
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.7
+    assert np.median(larger) > 1.2
