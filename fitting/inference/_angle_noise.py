@@ -68,7 +68,7 @@ _HALF_WIDTH = 0.3
 # correlation times of the process noise, in lengths of a block
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
 _FINER = 16
-_NEGLIGIBLE = 1e-3  # variance of a stated error in units of the white noise of a row
+_NEGLIGIBLE = 0.01  # variance of a stated error in units of the white noise of a row
 # standard deviation of the logarithm of a level that the data hardly determine
 _LARGEST_RELATIVE_U = 0.7
 # noise periodic in the angle: largest number of turns per block, correlation times, samples of all blocks
@@ -322,15 +322,7 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
 
 
 def _row_covariance(run: Compressed, time: float) -> Array:
-    """Return P R P' of the polynomial rows of a run."""
-    operators = run.binned_operators
-    rows = block_diagonal([p for _, p in operators])
-    t = np.concatenate([t for t, _ in operators])
-    return np.asarray(rows @ np.exp(-np.abs(t[:, None] - t) / time) @ rows.T)
-
-
-def _row_covariance_beyond_white(run: Compressed, time: float) -> Array:
-    """Return P R P' - f 1 of a run, without negative eigenvalues.
+    """Return P R P' of the polynomial rows of a run.
 
     Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
     """
@@ -346,12 +338,18 @@ def _row_covariance_beyond_white(run: Compressed, time: float) -> Array:
     between = np.exp(-np.maximum(np.array(first) - np.array(last)[:, None], 0.0) / time)
     upper = np.einsum("bc,bi,cj->bicj", np.triu(between, 1), np.array(forward), np.array(backward))
     total = upper.reshape(blocks * k, blocks * k)
-    total = total + total.T + block_diagonal(diagonal)
+    return np.asarray(total + total.T + block_diagonal(diagonal))
+
+
+def _row_covariance_beyond_white(run: Compressed, time: float) -> Array:
+    """Return P R P' - f 1 of a run, without negative eigenvalues."""
+    blocks, k, _ = run.lift.shape
+    total = _row_covariance(run, time)
     # rows of degree n have frequencies about n / (2 block lengths)
     length = float(np.ptp(run.samples.time)) / blocks
     band, highest = np.arange(k, k + NOISE_ROWS) / (2 * length), np.array((k - 1) / (2 * length))
     share = float(np.mean(_spectrum(band, time)) / _spectrum(highest, time))
-    counted_twice = share * float(np.median([d[-1, -1] for d in diagonal]))
+    counted_twice = share * float(np.median(np.diag(total)[k - 1 :: k]))
     values, vectors = np.linalg.eigh(total - counted_twice * np.eye(len(total)))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
