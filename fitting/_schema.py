@@ -19,6 +19,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Annotated, Any, TypeVar
 
 from filelock import FileLock, Timeout
@@ -89,7 +90,7 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
     _refuse_foreign(own)
     lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
     try:
-        lock.acquire(timeout=timeout, poll_interval=0.02)
+        _acquire(lock, own.parent, timeout)
     except (Timeout, RuntimeError):
         raise LedgerError(
             f"{path} is locked by another program; waited {timeout:g} s",
@@ -106,6 +107,23 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
         with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
             own.unlink()
         lock.release()
+
+
+def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
+    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
+    end = monotonic() + timeout
+    while True:
+        try:
+            lock.acquire(timeout=timeout, poll_interval=_POLL)
+        except PermissionError:
+            if monotonic() > end or not os.access(folder, os.W_OK):
+                raise
+            sleep(_POLL)
+        else:
+            return
+
+
+_POLL = 0.02  # s
 
 
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}

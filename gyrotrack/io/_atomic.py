@@ -34,6 +34,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
@@ -59,7 +60,7 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
     remains = _remains(own, path)
     lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
     try:
-        lock.acquire(timeout=timeout, poll_interval=0.02)
+        _acquire(lock, own.parent, timeout)
     except (Timeout, RuntimeError) as error:
         raise busy(path, timeout) from error
     except (OSError, NotImplementedError) as error:
@@ -76,6 +77,23 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
         with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
             own.unlink()
         lock.release()
+
+
+def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
+    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
+    end = monotonic() + timeout
+    while True:
+        try:
+            lock.acquire(timeout=timeout, poll_interval=_POLL)
+        except PermissionError:
+            if monotonic() > end or not os.access(folder, os.W_OK):
+                raise
+            sleep(_POLL)
+        else:
+            return
+
+
+_POLL = 0.02  # s
 
 
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}

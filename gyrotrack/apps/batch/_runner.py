@@ -291,7 +291,7 @@ def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -
     contents = {folder / "summary.csv": text.getvalue(), folder / "summary.json": plain}
     for path, content in contents.items():
         with new_file(path, force=True) as stream:
-            stream.write(content.encode())
+            stream.write(content.encode("utf-8", "replace"))
     return list(contents)
 
 

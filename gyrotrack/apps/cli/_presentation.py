@@ -175,6 +175,8 @@ def view_command(
             bench = Workbench(Laboratory.open(case, shared.film_folders([case], films), ledger, start))
     else:
         project = Project(folder)
+        for note in project.notes:
+            out.warn(note)
         for source in sources or []:
             project.add(source)
         bench = Workbench(project=project)

@@ -86,7 +86,7 @@ def profile_command(
         if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
             write_picture(picture, found, body=body, force=force)
         with new_file(target, force=force) as stream:
-            stream.write((comment + to_toml(found.profile)).encode())
+            stream.write((comment + to_toml(found.profile)).encode("utf-8", "replace"))
     for note in found.notes:
         out.warn(note)
     document = _profile_document(target, picture, found)

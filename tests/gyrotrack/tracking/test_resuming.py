@@ -16,8 +16,8 @@ import pytest
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._film_parts import _second_start as second_start
 from gyrotrack.tracking._film_parts import _PartResults, frames_done, split, turns_between
+from gyrotrack.tracking._film_parts import _second_start as second_start
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.video._container import Packets
 from gyrotrack.video._decoder import Part
