@@ -343,6 +343,11 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
     )
 
 
+def picture_path(source: Path, target: Path) -> Path | None:
+    """Return the path of the picture of a body that is tracked by its texture; None for a table or recording."""
+    return target.with_suffix(".png") if source.suffix.lower() in _FILMS else None
+
+
 def spindown(
     source: Path,
     target: Path,
@@ -410,8 +415,9 @@ def _analysed(
     picture = None
     ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
     if body is not None:
-        picture = target.with_suffix(".png")
-        write_body_picture(picture, *body, force=True)
+        picture = picture_path(source, target)
+        assert picture is not None  # noqa: S101 - `body` is of a film
+        write_body_picture(picture, *body, force=force)
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
@@ -459,11 +465,6 @@ def _analysed(
                     force=force,
                 )
                 written = report
-    except KeyboardInterrupt:  # nothing is left, so that the command can be repeated as it is
-        for path in (target, picture):
-            if path is not None:
-                path.unlink(missing_ok=True)
-        raise
     except FittingError as error:
         missing = "diagnosis" if recorder is not None and len(recorder.entries) > 1 else "torque law"
         warnings.append(f"No {missing}: {error.message.rstrip('.')}.")

@@ -30,8 +30,9 @@ import secrets
 import stat
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -236,6 +237,8 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(path, force=force)
+    if (report := _REPORT.get()) is not None:
+        report(path, part.stat())
     part.replace(path)
     with suppress(OSError):  # makes the rename durable, if supported
         folder = os.open(path.parent, os.O_RDONLY)
@@ -243,6 +246,20 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+Report = Callable[[Path, os.stat_result], None]
+_REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
+
+
+@contextmanager
+def reported(report: Report) -> Iterator[None]:
+    """Call `report` with the path and the status of each file that is complete, just before it gets its name."""
+    token = _REPORT.set(report)
+    try:
+        yield
+    finally:
+        _REPORT.reset(token)
 
 
 @contextmanager

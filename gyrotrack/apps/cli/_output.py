@@ -13,11 +13,10 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -139,19 +138,6 @@ class Output:
                 bars.update(task, completed=done, total=total, rate=rate)
 
             yield update
-
-
-@contextmanager
-def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
-    """Remove new outputs if the context ends with an error, so that either all are written or none."""
-    new = [path for path in outputs if path is not None and not path.exists()]
-    try:
-        yield
-    except BaseException:
-        for path in new:
-            with suppress(OSError):
-                path.unlink()
-        raise
 
 
 def _json_lines(label: str) -> Progress:

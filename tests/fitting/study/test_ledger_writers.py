@@ -147,7 +147,7 @@ def test_two_users_with_folders_for_temporary_files_of_their_own_lose_no_fit(tmp
     path = folder / "x.fits.json"
     _written(path, _entry())
     path.chmod(0o666)
-    each, writers = 100, []
+    each, writers = 25, []
     for user in (1001, 1002, 1001, 1002):
         own = folder / f"tmp{len(writers)}"
         own.mkdir()

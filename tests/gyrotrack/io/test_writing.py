@@ -145,7 +145,7 @@ def test_without_a_lock_nothing_is_written(tmp_path, monkeypatch, made, number, 
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("filelock.FileLock.acquire", refuse)
-    with pytest.raises((OutputError, LedgerError), match=words), made(tmp_path / "a"):
+    with pytest.raises((OutputError, LedgerError), match=words), made(tmp_path / "a", 0.1):
         pytest.fail("not locked")
 
 
