@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from gyrotrack._errors import OutputError
 from gyrotrack._versions import __version__
 from gyrotrack.apps.batch._experiments import Clip, Experiment, unique_name
-from gyrotrack.io._atomic import locked, refuse_special
+from gyrotrack.io._atomic import locked, open_side_file
 
 VERBS = ("extract", "sync", "fit", "diagnose", "improve", "report")
 FIT = "{fit}"
@@ -155,13 +155,14 @@ class Journal:
         self.path = path
         self._records: dict[str, dict[str, Any]] = {}
         self._truncated = False
-        refuse_special(path, OutputError)
-        if path.exists():
-            self._read()
+        self._read()
 
     def _read(self) -> None:
         try:
-            text = self.path.read_text(encoding="utf-8", errors="replace")
+            with open_side_file(self.path) as stream:
+                text = stream.read().decode(errors="replace")
+        except FileNotFoundError:
+            return
         except OSError as error:
             what = f"{self.path} cannot be read: {error.strerror}."
             raise OutputError(what, "Choose another folder with -o.") from error
@@ -197,14 +198,13 @@ class Journal:
             "document": outcome.document,
         }
         try:
-            new = not self.path.exists() or self.path.stat().st_size == 0
-            with self.path.open("a", encoding="utf-8") as stream:
-                if new:
-                    stream.write(json.dumps(HEADER) + "\n")
+            with open_side_file(self.path, os.O_RDWR | os.O_CREAT) as stream:
+                if not stream.seek(0, os.SEEK_END):
+                    stream.write(json.dumps(HEADER).encode() + b"\n")
                 if self._truncated:
-                    stream.write("\n")
+                    stream.write(b"\n")
                     self._truncated = False
-                stream.write(json.dumps(record) + "\n")
+                stream.write(json.dumps(record).encode() + b"\n")
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as error:
@@ -261,18 +261,15 @@ def _parsed(text: str) -> Any:
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
     """Create the folder if necessary, and lock it against other batches; an OutputError if it contains other files."""
-    with _lock_file(results), locked(results):
-        yield
-
-
-def _lock_file(results: Path) -> BinaryIO:
+    mark = results / "batch.lock"
     try:
         results.mkdir(parents=True, exist_ok=True)
-        if not (results / "batch.lock").exists() and any(results.iterdir()):
+        if not mark.exists() and any(results.iterdir()):
             what = f"{results} contains files that do not belong to a batch."
             raise OutputError(what, "Choose an empty folder with -o.")
-        refuse_special(results / "batch.lock", OutputError)
-        return (results / "batch.lock").open("ab")
+        open_side_file(mark, os.O_RDWR | os.O_CREAT).close()
     except OSError as error:
         what = f"{results} cannot be written: {error.strerror or error}."
         raise OutputError(what, "Choose another folder with -o.") from error
+    with locked(mark):
+        yield

@@ -14,7 +14,7 @@ from fitting._numbers import nonbreaking, probability, scaled, short, typeset, u
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
-from gyrotrack.io._atomic import new_file, refusal, refuse_existing
+from gyrotrack.io._atomic import new_file, open_side_file, refusal, refuse_existing
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
 from gyrotrack.plotting._charts import AFTER, Dashboard, Picture, chart_picture, themed
@@ -389,6 +389,21 @@ def write_report(
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
+
+
+_GENERATOR = b'<meta name="generator" content="gyrotrack">'
+_HEAD = 200  # bytes
+
+
+def is_report(path: Path) -> bool:
+    """Whether a file is a report of this program, or does not exist: a report may then get its name."""
+    try:
+        with open_side_file(path) as stream:
+            return _GENERATOR in stream.read(_HEAD)
+    except FileNotFoundError:
+        return True
+    except (OSError, OutputError):
+        return False
 
 
 def html(parts: Mapping[str, Any]) -> str:
