@@ -20,12 +20,11 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -36,6 +35,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.io._atomic import CheckpointFile, Record
+from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.tracking import _film_tracker
 from gyrotrack.tracking._film_tracker import (
     BodyObservations,
@@ -361,12 +361,15 @@ class PartWorkers:
             return _run(task, film, self.parts[index], 1, count)
 
 
-def _folder() -> AbstractContextManager[str]:
-    """Return a folder for the beginnings of parts; one that does not exist if none can be made."""
-    try:
-        return TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True)
-    except OSError:  # no space: the beginnings are decoded again
-        return nullcontext(f"{os.devnull}/absent")
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """Yield a folder for the beginnings of parts; one that does not exist if none can be made."""
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(scratch_folder())
+        except OSError:  # no space: the beginnings are decoded again
+            folder = Path(os.devnull) / "absent"
+        yield folder
 
 
 def frames_done(journal: CheckpointFile) -> int:
@@ -395,7 +398,7 @@ def track_film(
     with _folder() as folder:
         work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
-        film = Film(info, packets, timing, tracker, Path(folder))
+        film = Film(info, packets, timing, tracker, folder)
         if kept.todo and number > 1:
             some = np.unique(np.linspace(0, number - 1, min(number, MOST_LEARNT)).astype(int)).tolist()
             learnt = dict(workers.run(learn_part, film, some, threads))
