@@ -25,6 +25,7 @@ from gyrotrack.apps._motion import (
 )
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
+from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
@@ -83,6 +84,7 @@ def read_source(
 ) -> tuple[Case, tuple[Film, Tracked] | None]:
     """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
+    refuse_special(source)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     body = None

@@ -147,6 +147,20 @@ def checksum_line(stream: BinaryIO) -> bytes:
     return _line(stream, None)
 
 
+def is_open_elsewhere(path: Path) -> bool:
+    """Whether another program has opened an HDF5 file for writing, which HDF5 marks by a lock of the file."""
+    try:
+        import fcntl
+    except ImportError:  # Windows, where such a file cannot be opened
+        return False
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:
+            return isinstance(error, BlockingIOError)  # some file systems have no locks
+    return False
+
+
 def checksum_fails(path: Path) -> bool:
     """Return whether a file ends with a checksum line that does not match; False without such a line."""
     with path.open("rb") as stream:

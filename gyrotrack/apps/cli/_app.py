@@ -167,8 +167,6 @@ def run(arguments: Sequence[str]) -> int:
             if not debug:
                 warnings.simplefilter("ignore")
             code = _with_settings(args)
-            if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
-                raise KeyboardInterrupt
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
     except BrokenPipeError:  # as in `gyrotrack ... | head`
@@ -197,11 +195,14 @@ def _with_settings(args: list[str]) -> Any:
     settings = read(path, COMMANDS, trusted=trusted)
     token = _SETTINGS.set(settings)
     try:
-        return get_command(app)(
+        code = get_command(app)(
             args=args, prog_name="gyrotrack", standalone_mode=False, default_map=settings.values
         )
     finally:
         _SETTINGS.reset(token)
+    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
+        raise KeyboardInterrupt
+    return code
 
 
 def _config_option(args: list[str]) -> Path | None:

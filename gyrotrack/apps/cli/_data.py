@@ -82,6 +82,7 @@ def import_command(
     from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
+    shared.check_pulses(pulses_per_turn)
     rotor = rotor or []
     refuse_existing(output, force=force, reads=[casing, *rotor, body])
     starts = rotor_start or [0.0] * len(rotor)

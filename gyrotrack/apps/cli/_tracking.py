@@ -471,6 +471,7 @@ def spindown_command(
     from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet)
+    shared.check_pulses(pulses_per_turn)
     target = output if output is not None else Path(source.with_suffix(".h5").name)
     if target.resolve() == source.resolve():
         target = target.with_name(f"{target.stem}_case.h5")

@@ -32,6 +32,7 @@ from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
+from gyrotrack.io._tables import valid
 from gyrotrack.plotting import _charts as charts
 from gyrotrack.plotting._tracking import jpeg
 
@@ -186,9 +187,13 @@ def refusal(error: Exception) -> Response:
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a text of a request; empty if it is missing or not a text."""
+    """Return a text of a request; empty if it is missing or not a text, an error if it cannot be stored."""
     value = query.get(name, "")
-    return value if isinstance(value, str) else ""
+    if not isinstance(value, str):
+        return ""
+    if valid(value) != value:
+        raise UsageError("The text has characters that are not valid.", "Correct it.")
+    return value
 
 
 def whole(query: dict[str, Any], name: str) -> int:

@@ -13,7 +13,7 @@ from urllib.request import HTTPCookieProcessor, build_opener
 import pytest
 
 from gyrotrack._errors import UsageError
-from gyrotrack.apps.workbench._server import Laboratory, Workbench, numbers, serve
+from gyrotrack.apps.workbench._server import Laboratory, Workbench, numbers, serve, text
 
 
 class _EnoughError(Exception):
@@ -129,6 +129,14 @@ def test_a_file_of_somebody_else_is_not_replaced_by_a_report(laboratory, tmp_pat
     laboratory.write_report()
     words, _ = started[0]
     assert words[words.index("-o") + 1] == "case.report_2.html"
+
+
+@pytest.mark.parametrize(("value", "found"), [("a b\nc", "a b\nc"), ("", ""), (5, ""), (None, "")])
+def test_texts_of_a_request_can_be_stored(value, found):
+    assert text({"name": value}, "name") == found
+    for wrong in ("\ud800", "caf\udce9", "a\0b"):
+        with pytest.raises(UsageError, match="not valid"):
+            text({"name": wrong}, "name")
 
 
 @pytest.mark.parametrize("value", [10**400, float("inf"), float("nan"), "1", None, [], {}])
