@@ -23,6 +23,7 @@ from gyrotrack.apps.batch._steps import (
     file_digest,
     fingerprint,
     locked_folder,
+    new_sign,
     step_key,
 )
 from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores, failure
@@ -96,7 +97,7 @@ class Run:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 done = running.pop(future)
-                answer = _answer(future)
+                answer = future.result()
                 if _error(answer).get("code") == "crash" and done.tries < _MAX_TRIES:
                     done.tries += 1
                     running[workers.submit([done.step.verb, *done.words], self.timeout)] = done
@@ -185,13 +186,6 @@ class Run:
             self._report(step, outcome)
         if self._progress is not None:
             self._progress(len(self.ended), len(self.steps))
-
-
-def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
-    try:
-        return future.result()
-    except Exception as error:  # any error of a cluster whose worker is lost
-        return failure("crash", f"The worker was lost ({type(error).__name__}).", "")
 
 
 def _error(answer: dict[str, Any]) -> dict[str, Any]:
@@ -348,7 +342,7 @@ def run_batch(
     began = perf_counter()
     with locked_folder(output):
         journal = Journal(output / _JOURNAL)
-        cluster = ClusterWorkers(scheduler, certificates) if scheduler else None
+        cluster = ClusterWorkers(scheduler, new_sign(output), certificates) if scheduler else None
         with closing(cluster or LocalWorkers(workers or cores())) as place, bar() as progress:
             run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
             outcomes = run.work(place)

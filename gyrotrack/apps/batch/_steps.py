@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -256,6 +257,18 @@ def _parsed(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         return None
+
+
+_SIGN = "batch.running."
+
+
+def new_sign(results: Path) -> Path:
+    """Return a new file in a locked folder; the steps on a cluster end when it is removed, as that of a killed batch."""
+    for left in results.glob(f"{_SIGN}*"):
+        left.unlink(missing_ok=True)
+    sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
+    sign.touch(exist_ok=False)
+    return sign
 
 
 @contextmanager
