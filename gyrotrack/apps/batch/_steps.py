@@ -146,6 +146,14 @@ def _fit_of(document: Mapping[str, Any]) -> Any:
     return document.get("fit_id") or document.get("final", {}).get("fit_id")
 
 
+_TYPES = {
+    "step": str,
+    "key": str,
+    "fingerprint": str,
+    "document": dict,
+    "seconds": int | float,
+    "trusted": bool,
+}
 HEADER = {"format": "gyrotrack batch", "version": 1}
 
 
@@ -175,7 +183,7 @@ class Journal:
         if lines and lines[0] != HEADER:
             raise OutputError(f"{self.path} is not the journal of a batch.", "Choose another folder with -o.")
         for record in lines[1:]:  # a truncated last line is ignored
-            if isinstance(record, dict) and isinstance(record.get("step"), str):
+            if isinstance(record, dict) and all(isinstance(record.get(k), t) for k, t in _TYPES.items()):
                 self._records[record["step"]] = record
 
     def kept(self, step: Step, key: str) -> Outcome | None:
@@ -184,7 +192,7 @@ class Journal:
         document, known = record.get("document", {}), record.get("fingerprint")
         if record.get("key") != key or not known or fingerprint(step, document) != known:
             return None
-        return Outcome("kept", document, known, record.get("seconds", 0.0), record.get("trusted", True))
+        return Outcome("kept", document, known, record["seconds"], record["trusted"])
 
     def add(self, step: Step, key: str, outcome: Outcome) -> None:
         """Append the outcome of a step and flush it to the disk."""
@@ -263,7 +271,7 @@ _SIGN = "batch.running."
 
 
 def new_sign(results: Path) -> Path:
-    """Return a new file in a locked folder; the steps on a cluster end when it is removed, as that of a killed batch."""
+    """Return a new file in a locked folder, and remove that of a killed batch; the steps on a cluster end with it."""
     for left in results.glob(f"{_SIGN}*"):
         left.unlink(missing_ok=True)
     sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
