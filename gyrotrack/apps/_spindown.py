@@ -30,6 +30,7 @@ from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+from gyrotrack.io.readers._number_range import usable_numbers
 from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
@@ -139,7 +140,8 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
     if not source.is_file() or source.suffix.lower() in (*_FILMS, ".h5", ".hdf5"):
         return None
-    found = read_passages(source, _reading(options))
+    with usable_numbers(source):
+        found = read_passages(source, _reading(options))
     if found is None:
         return None
     keep = within(found.time, options.limits)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import ParamSpec
 
@@ -20,16 +21,23 @@ _HINT = "Check the units and the columns."
 _Arguments = ParamSpec("_Arguments")
 
 
+@contextmanager
+def usable_numbers(file: object) -> Iterator[None]:
+    """Raise a `DatasetError` where arithmetic fails with the content of a file."""
+    try:
+        yield
+    except (ArithmeticError, csv.Error, zlib.error, RecursionError) as error:
+        reason = str(error).rstrip(".") or type(error).__name__
+        raise DatasetError(f"The numbers in {file} cannot be used: {reason}.", _HINT) from error
+
+
 def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments, Case]:
     """Let a reader of files raise a `DatasetError` for numbers that arithmetic cannot handle."""
 
     @wraps(read)
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> Case:
-        try:
+        with usable_numbers(args[0]):
             case = read(*args, **kwargs)
-        except (ArithmeticError, csv.Error, zlib.error, RecursionError) as error:
-            reason = str(error).rstrip(".") or type(error).__name__
-            raise DatasetError(f"The numbers in {args[0]} cannot be used: {reason}.", _HINT) from error
         for name, series in (
             ("casing" if len(case.rotor.time) else "body", case.casing),
             ("rotor", case.rotor),

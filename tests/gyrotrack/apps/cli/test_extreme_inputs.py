@@ -51,7 +51,10 @@ def test_numbers_beyond_arithmetic_are_one_sentence(gyrotrack, tmp_path, name):
     said = gyrotrack("import", "--body", tmp_path / name, "-o", tmp_path / "case.h5", *BODY)
     assert said.code == 1
     assert said.error["code"] == "dataset"
-    assert not (tmp_path / "case.h5").exists()
+    said = gyrotrack("spindown", tmp_path / name, "-o", tmp_path / "case.h5", "--json")
+    assert said.code == 1
+    assert said.error["code"] == "dataset"
+    assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize("name", USUAL)
