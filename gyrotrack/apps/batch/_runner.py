@@ -97,7 +97,7 @@ class Run:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 done = running.pop(future)
-                answer = future.result()
+                answer = _answer(future)
                 if _error(answer).get("code") == "crash" and done.tries < _MAX_TRIES:
                     done.tries += 1
                     running[workers.submit([done.step.verb, *done.words], self.timeout)] = done
@@ -186,6 +186,13 @@ class Run:
             self._report(step, outcome)
         if self._progress is not None:
             self._progress(len(self.ended), len(self.steps))
+
+
+def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
+    try:
+        return future.result()
+    except Exception as error:  # any error of a cluster whose worker is lost
+        return failure("crash", f"The worker was lost ({type(error).__name__}).", "")
 
 
 def _error(answer: dict[str, Any]) -> dict[str, Any]:
