@@ -4,22 +4,22 @@ Numbers are in SI units. JSON has neither nan nor infinity: nan is written as nu
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 
-A file is written to ``<name>.part`` in the same folder, flushed to the disk, and moved over the target (as in
-`gyrotrack.io._atomic`, which this package does not import).
+A file is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target; its
+lock is ``.<name>.lock`` in the same folder (as in `gyrotrack.io._atomic`, which this package does not import).
 """
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import math
 import os
+import secrets
 import stat
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Annotated, Any, TypeVar
 
 from filelock import FileLock, Timeout
@@ -34,26 +34,36 @@ LOCK_TIMEOUT = 10.0
 """Time [s] after which waiting for a lock ends with an error."""
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) atomically; a LedgerError says why the system refuses."""
+def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda: True) -> None:
+    """Write a text file (UTF-8) atomically; a LedgerError says why the system refuses.
+
+    The file is not replaced if it is no longer `unchanged`.
+    """
     refuse_special(path)
-    part = path.with_name(path.name + ".part")
-    refuse_special(part)
+    part = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
     try:
-        with part.open("w", encoding="utf-8") as stream:
+        with part.open("x", encoding="utf-8") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())
+        if not unchanged():
+            raise LedgerError(
+                f"{path} was changed by another program at the same time", "run the command again"
+            )
         part.replace(path)
     except OSError as fault:
-        reason = {errno.ENOSPC: "the disk is full", errno.EFBIG: "the file size limit is reached"}
-        raise LedgerError(
-            f"{path} cannot be written: {reason.get(fault.errno or 0, fault.strerror)}",
-            "free space, or choose another file",
-        ) from None
+        raise _refusal(path, fault) from None
     finally:
         with suppress(OSError):  # on a read-only disk not even that is allowed
             part.unlink(missing_ok=True)
+
+
+def _refusal(path: Path, fault: OSError) -> LedgerError:
+    reason = {errno.ENOSPC: "the disk is full", errno.EFBIG: "the file size limit is reached"}
+    return LedgerError(
+        f"{path} cannot be written: {reason.get(fault.errno or 0, fault.strerror)}",
+        "free space, or choose another file",
+    )
 
 
 def refuse_special(path: Path) -> None:
@@ -68,35 +78,67 @@ def refuse_special(path: Path) -> None:
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path` against other processes while the block runs; the file is not touched.
+    """Hold the lock of `path` against other processes, of all users and hosts; the file is not touched.
 
-    A LedgerError is raised if another program holds the lock for longer than `timeout` [s]. A system without locks is
-    no error.
+    A LedgerError is raised if another program holds the lock for longer than `timeout` [s], and if the file system has
+    no locks.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(_lock_of(path).acquire(timeout=timeout, poll_interval=0.02))
-        except (Timeout, RuntimeError):
-            raise LedgerError(
-                f"{path} is locked by another program; waited {timeout:g} s",
-                "run the command again when the other program has finished",
-            ) from None
-        except (OSError, NotImplementedError):
-            pass
+    own = path.with_name(f".{path.name}.lock")
+    if not own.parent.is_dir():  # filelock would make it
+        raise _refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
+    _refuse_foreign(own)
+    lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
+    try:
+        _acquire(lock, own.parent, timeout)
+    except (Timeout, RuntimeError):
+        raise LedgerError(
+            f"{path} is locked by another program; waited {timeout:g} s",
+            "run the command again when the other program has finished",
+        ) from None
+    except (OSError, NotImplementedError) as fault:
+        if isinstance(fault, OSError) and fault.errno not in _NO_LOCKS:
+            raise _refusal(path, fault) from None
+        what = f"{path} cannot be locked: the file system has no locks"
+        raise LedgerError(what, "choose a file on another disk with --ledger") from None
+    try:
         yield
+    finally:
+        with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
+            own.unlink()
+        lock.release()
 
 
-def _lock_of(path: Path) -> FileLock:
-    """Return the lock of a path, in a folder of the system's temporary one that belongs to this user alone."""
-    user = getattr(os, "getuid", lambda: "")()
-    folder = Path(tempfile.gettempdir()) / f"gyrotrack-locks-{user}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
-        raise PermissionError(f"{folder} belongs to another user")
-    name = os.fsencode(path.parent.resolve() / path.name)
-    return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)
+def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
+    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
+    end = monotonic() + timeout
+    while True:
+        try:
+            lock.acquire(timeout=timeout, poll_interval=_POLL)
+        except PermissionError:
+            if monotonic() > end or not os.access(folder, os.W_OK):
+                raise
+            sleep(_POLL)
+        else:
+            return
+
+
+_POLL = 0.02  # s
+
+
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
+
+
+def _refuse_foreign(own: Path) -> None:
+    """Raise `LedgerError` if a file that is not a lock has the name of one."""
+    try:
+        found = own.lstat()
+        ours = stat.S_ISREG(found.st_mode) and found.st_nlink == 1
+        ours = ours and (not found.st_size or own.read_bytes().startswith(b"gyrotrack lock\n"))
+    except OSError:
+        return
+    if not ours:
+        raise LedgerError(f"{own} was not made by gyrotrack", "move it away")
 
 
 # fields of an effect that files of older versions do not contain
@@ -606,9 +648,9 @@ def as_json(document: Document) -> dict[str, Any]:
     return dict(to_json(document.model_dump()))
 
 
-def write_document(path: Path, document: Document) -> None:
-    """Write a document as a JSON file, atomically."""
-    write_text(path, json.dumps(as_json(document), indent=1, allow_nan=False))
+def as_text(document: Document) -> str:
+    """Return a document as the text of a JSON file."""
+    return json.dumps(as_json(document), indent=1, allow_nan=False)
 
 
 _D = TypeVar("_D", LedgerDocument, SavedFitDocument)
@@ -621,9 +663,18 @@ def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
     """
     refuse_special(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as fault:
         raise LedgerError(f"{path}: {fault.strerror or fault}") from None
+    except ValueError:
+        text = ""
+    return parse_json(text, path, kind, what, hint)
+
+
+def parse_json(text: str, path: Path, kind: type[_D], what: str, hint: str) -> _D:
+    """Return the document that a text of `path` contains; errors as for `read_json`."""
+    try:
+        document = json.loads(text)
     except (ValueError, RecursionError):
         document = None
     expected = kind.model_fields["format"].default

@@ -1,6 +1,6 @@
 """Entry point of ``python -m gyrotrack``."""
 
-from gyrotrack.apps.cli._app import main
+from gyrotrack.apps.cli._start import main
 
 if __name__ == "__main__":
     main()

@@ -71,7 +71,7 @@ def read_document(
     text = read_text(path, what=what, error=error)
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as fault:
+    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
         raise error(f"{path} is not valid TOML: {str(fault)[:200]}.", "Correct this line.") from fault
     return check(data, model, what=what, where=str(path), text=text, error=error)
 

@@ -226,12 +226,10 @@ def frames(browser: Any, case: Path, films: Path, folder: Path) -> dict[str, Any
     page.wait_for_selector("#frame[data-shown]", timeout=60_000)
     found = page.evaluate(
         """async () => {
-          const token = new URLSearchParams(location.search).get("token");
           const clip = document.getElementById("clip").value, last = Number(document.getElementById("seek").max);
           const get = async (index) => {
             const began = performance.now();
-            const answer = await fetch(`/api/frame?clip=${encodeURIComponent(clip)}&index=${index}&overlay=1`,
-              { headers: { "x-gyrotrack-token": token } });
+            const answer = await fetch(`/api/frame?clip=${encodeURIComponent(clip)}&index=${index}&overlay=1`);
             await createImageBitmap(await answer.blob());
             return performance.now() - began;
           };

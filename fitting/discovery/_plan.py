@@ -173,10 +173,10 @@ def read_planned(path: str | Path) -> PlannedRecordings:
     except (OSError, UnicodeDecodeError) as fault:
         reason = fault.strerror if isinstance(fault, OSError) else "it is not UTF-8 text"
         raise EstimationError(f"{name} cannot be read: {reason}.", "Give a plan in TOML.") from None
-    except tomllib.TOMLDecodeError as fault:
-        raise EstimationError(f"{name} is not valid TOML: {fault}.", _EXAMPLE) from None
     except ValidationError as fault:
         raise EstimationError(f"{name}: {_first_error(fault)}.", _EXAMPLE) from None
+    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
+        raise EstimationError(f"{name} is not valid TOML: {fault}.", _EXAMPLE) from None
     model = _model(table.model, name)
     _check_parameters(model, table.parameters, name)
     experiments = []

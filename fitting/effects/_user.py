@@ -331,7 +331,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.load(file)
     except OSError as fault:
         raise EffectError(f"{path}: {fault.strerror or fault}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
         raise EffectError(f"{path} is not a TOML file: {fault}") from None
 
 

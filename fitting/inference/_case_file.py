@@ -77,6 +77,20 @@ _STRING_HEAP = b"GCOL\x01\x00\x00\x00"
 _HEADER = 16
 
 
+def is_open_elsewhere(path: Path) -> bool:
+    """Whether another program has opened an HDF5 file for writing, which HDF5 marks by a lock of the file."""
+    try:
+        import fcntl
+    except ImportError:  # Windows, where such a file cannot be opened
+        return False
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:
+            return isinstance(error, BlockingIOError)  # some file systems have no locks
+    return False
+
+
 def check_intact(path: Path) -> None:
     """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end."""
     content = path.read_bytes()
@@ -119,6 +133,8 @@ def read_record(path: str | Path) -> Record:
         what = "is not a regular file" if path.exists() else "does not exist"
         raise RecordError(f"{path} {what}", "give the name of a case file")
     try:
+        if is_open_elsewhere(path):
+            raise RecordError(f"{path} is open in another program", "close it there")
         check_intact(path)
         with h5py.File(path, "r") as file:
             return _read(path, file)

@@ -147,7 +147,7 @@ class FitSummary:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, atomically; `fitting.load_fit` reads it."""
-        from fitting._schema import SavedFitDocument, own_effects, write_document
+        from fitting._schema import SavedFitDocument, as_text, own_effects, write_text
 
         names, covariance, sources, digests = self._origin()
         scalars = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
@@ -157,7 +157,7 @@ class FitSummary:
             | {"model": self.model.names, "own_effects": own_effects(self.model.effects)}
             | {"names": names, "covariance": covariance.tolist(), "sources": sources, "digests": digests}
         )
-        write_document(Path(path), document)
+        write_text(Path(path), as_text(document))
 
 
 def summary_lines(fit: FitSummary) -> list[str]:

@@ -7,8 +7,10 @@ several sets of cases; each entry names its cases. The keys are those of `fittin
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import deepcopy
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -27,12 +29,15 @@ from fitting._schema import (
     StoredDiagnosis,
     StoredFit,
     as_json,
+    as_text,
     effects_of,
     first_error,
     locked,
     own_effects,
+    parse_json,
     read_json,
-    write_document,
+    refuse_special,
+    write_text,
 )
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
@@ -346,21 +351,55 @@ class Ledger:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Read the file, let the block change the entries, and write them, under the lock of the file."""
+        """Read the file, let the block change the entries, and write them, under the lock of the file.
+
+        What is written has passed the checks of reading; the entries are unchanged if it does not.
+        """
         with locked(self.path):
-            if self.path.exists():
-                self.entries = _read(self.path)
-            yield
-            write_document(self.path, LedgerDocument(fits=[e.document for e in self.entries]))
+            before = _content(self.path)
+            self.entries = _read(self.path) if before is not None else self.entries
+            kept = [Entry(deepcopy(e.document)) for e in self.entries]
+            try:
+                yield
+                text = as_text(LedgerDocument(fits=[e.document for e in self.entries]))
+                try:
+                    _parsed(text, self.path)
+                except LedgerError as fault:
+                    what = f"this change would make {fault.message.replace(' is damaged', ' unreadable')}"
+                    raise LedgerError(what, "correct the text") from None
+                # locks of some network drives do not reach other hosts
+                write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
+            except BaseException:
+                self.entries = kept
+                raise
+
+
+def _content(path: Path) -> bytes | None:
+    refuse_special(path)
+    return path.read_bytes() if path.exists() else None
 
 
 def _read(path: Path) -> list[Entry]:
-    entries = [Entry(d) for d in read_json(path, LedgerDocument, "is not a ledger of fits", _ELSEWHERE).fits]
+    return _entries(read_json(path, LedgerDocument, *_WRONG), path)
+
+
+def _parsed(text: str, path: Path) -> list[Entry]:
+    return _entries(parse_json(text, path, LedgerDocument, *_WRONG), path)
+
+
+_WRONG = "is not a ledger of fits", _ELSEWHERE
+_FIT_ID = re.compile("f[1-9][0-9]{0,8}")
+
+
+def _entries(document: LedgerDocument, path: Path) -> list[Entry]:
+    entries = [Entry(d) for d in document.fits]
     for entry in entries:
         try:
-            _ = entry.stored
+            valid = _FIT_ID.fullmatch(entry.fit_id)
         except ValidationError as fault:
             raise LedgerError(f"{path} is damaged: {first_error(fault)}", _ELSEWHERE) from None
+        if not valid:
+            raise LedgerError(f"{path} is damaged: {entry.fit_id[:40]!r} is not a name of a fit", _ELSEWHERE)
     return entries
 
 

@@ -50,6 +50,7 @@ from fitting._schema import (
     StoredFit,
     StoredNoise,
     effects_of,
+    locked,
     own_effects,
     read_json,
     refuse_special,
@@ -377,9 +378,10 @@ def save_law(law: Law, name: str, path: Path, source: str) -> None:
 
     Errors are those of `check_name`, and a LedgerError if the file cannot be written.
     """
-    check_name(name, path, len(law.effects))
-    before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
-    write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
+    with locked(path):
+        check_name(name, path, len(law.effects))
+        before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
+        write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
 
 
 def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:

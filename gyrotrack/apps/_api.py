@@ -95,7 +95,8 @@ def extract(
     task = ExtractionJob(Path(video), Path(output), chosen, capture_fps, body, times, workers)
     if resume and not force and (complete := task.earlier()) is not None:
         return complete
-    refuse_existing(task.target, force=force)
+    read = None if isinstance(profile, Profile) or profile is None else Path(profile)
+    refuse_existing(task.target, force=force, reads=[task.video, read])
 
     @contextmanager
     def bar() -> Iterator[Progress]:
@@ -162,7 +163,8 @@ def sync(
     if isinstance(rotors, str | Path | Recording):
         rotors = [rotors]
     if output is not None:
-        refuse_existing(Path(output), force=force)
+        files = [Path(r) for r in (casing, *rotors) if not isinstance(r, Recording)]
+        refuse_existing(Path(output), force=force, reads=files)
     inertias = Inertia.of(inertia_rotor, "rotor"), Inertia.of(inertia_casing, "casing")
     found = synchronised(casing, rotors, label, surface, inertias, progress)
     if output is not None:

@@ -25,10 +25,12 @@ from gyrotrack.apps._motion import (
 )
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._page import write_report
+from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import import_body, no_series
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+from gyrotrack.io.readers._number_range import usable_numbers
 from gyrotrack.io.readers._registry import read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
@@ -83,6 +85,7 @@ def read_source(
 ) -> tuple[Case, tuple[Film, Tracked] | None]:
     """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
+    refuse_special(source)
     if not source.is_file():
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     body = None
@@ -137,7 +140,8 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
     if not source.is_file() or source.suffix.lower() in (*_FILMS, ".h5", ".hdf5"):
         return None
-    found = read_passages(source, _reading(options))
+    with usable_numbers(source):
+        found = read_passages(source, _reading(options))
     if found is None:
         return None
     keep = within(found.time, options.limits)
@@ -343,6 +347,11 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
     )
 
 
+def picture_path(source: Path, target: Path) -> Path | None:
+    """Return the path of the picture of a body that is tracked by its texture; None for a table or recording."""
+    return target.with_suffix(".png") if source.suffix.lower() in _FILMS else None
+
+
 def spindown(
     source: Path,
     target: Path,
@@ -410,8 +419,9 @@ def _analysed(
     picture = None
     ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
     if body is not None:
-        picture = target.with_suffix(".png")
-        write_body_picture(picture, *body, force=True)
+        picture = picture_path(source, target)
+        assert picture is not None  # noqa: S101 - `body` is of a film
+        write_body_picture(picture, *body, force=force)
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
@@ -459,11 +469,6 @@ def _analysed(
                     force=force,
                 )
                 written = report
-    except KeyboardInterrupt:  # nothing is left, so that the command can be repeated as it is
-        for path in (target, picture):
-            if path is not None:
-                path.unlink(missing_ok=True)
-        raise
     except FittingError as error:
         missing = "diagnosis" if recorder is not None and len(recorder.entries) > 1 else "torque law"
         warnings.append(f"No {missing}: {error.message.rstrip('.')}.")

@@ -314,6 +314,11 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
     return found
 
 
+def with_ledgers(cases: Sequence[Path], *others: Path | None) -> list[Path | None]:
+    """Return cases, the ledgers next to them, and other files: those that no output may replace."""
+    return [*cases, *(case.with_name(f"{case.stem}.fits.json") for case in cases), *others]
+
+
 _NAMED = ("reduced", "general", "linear")
 
 

@@ -1,8 +1,12 @@
 """Output that survives a kill or a full disk: atomic writing of files, locks, and checkpoints of long runs.
 
-An output is written to ``<name>.part`` in the same folder, flushed to the disk, and moved over the target. After a
-kill, an interrupt, or with a full disk, the old file is unchanged. The lock of a file is in the temporary folder of
-the system, so that no lock file remains next to the data.
+An output is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target.
+After a kill, an interrupt, or with a full disk, the old file is unchanged. The lock of a file is ``.<name>.lock`` in
+the same folder, so that it holds for all users and hosts; it exists only while it is held. It names the temporary file,
+which the next writer removes if this one is killed.
+
+Files that this package makes beside an output are opened without following links, and have a header: a file without
+it belongs to somebody else, and is left alone.
 
 A checkpoint is a file from which a killed run resumes, an append-only log::
 
@@ -18,17 +22,20 @@ follow. HDF5 is not used because a kill can make an HDF5 file unreadable.
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
+import math
 import os
+import re
+import secrets
 import stat
 import struct
-import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
@@ -42,29 +49,102 @@ LOCK_TIMEOUT = 10.0  # longest time to wait for a lock [s]
 
 
 @contextmanager
-def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path`, which need not exist, against other processes; an OutputError after `timeout` [s]."""
+def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
+    """Hold the lock of `path`, which need not exist, against other processes; yield the lock file.
+
+    An OutputError is raised after `timeout` [s], and if the file system has no locks.
+    """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    with ExitStack() as stack:
+    own = path.with_name(f".{path.name}.lock")
+    if not own.parent.is_dir():  # filelock would make it
+        raise refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
+    remains = _remains(own, path)
+    lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
+    try:
+        _acquire(lock, own.parent, timeout)
+    except (Timeout, RuntimeError) as error:
+        raise busy(path, timeout) from error
+    except (OSError, NotImplementedError) as error:
+        if isinstance(error, OSError) and error.errno not in _NO_LOCKS:
+            raise refusal(path, error) from error
+        what = f"{path} cannot be locked: the file system has no locks."
+        raise OutputError(what, "Write to another disk.") from error
+    try:
+        with suppress(OSError):
+            for part in remains:
+                part.unlink()
+        yield own
+    finally:
+        with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
+            own.unlink()
+        lock.release()
+
+
+def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
+    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
+    end = monotonic() + timeout
+    while True:
         try:
-            stack.enter_context(_lock_of(path).acquire(timeout=timeout, poll_interval=0.02))
-        except (Timeout, RuntimeError) as error:
-            raise busy(path, timeout) from error
-        except (OSError, NotImplementedError):
-            pass
-        yield
+            lock.acquire(timeout=timeout, poll_interval=_POLL)
+        except PermissionError:
+            if monotonic() > end or not os.access(folder, os.W_OK):
+                raise
+            sleep(_POLL)
+        else:
+            return
 
 
-def _lock_of(path: Path) -> FileLock:
-    """Return the lock of a path, in a folder of this user in the temporary folder of the system."""
-    user = getattr(os, "getuid", lambda: "")()
-    folder = Path(tempfile.gettempdir()) / f"gyrotrack-locks-{user}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or (user != "" and found.st_uid != user):
-        raise PermissionError(f"{folder} belongs to another user")
-    name = os.fsencode(Path(path).parent.resolve() / Path(path).name)
-    return FileLock(folder / f"{hashlib.sha256(name).hexdigest()[:32]}.lock", thread_local=False)
+_POLL = 0.02  # s
+
+
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
+_LOCK_LINE = b"gyrotrack lock\n"
+
+
+def _remains(own: Path, path: Path) -> list[Path]:
+    """Return the temporary file of `path` that is named in its lock file, if there is one."""
+    try:
+        stream = open_side_file(own)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise refusal(path, error) from error
+    with stream:
+        content = stream.read(_LOCK_SIZE)
+    name = os.fsdecode(content.removeprefix(_LOCK_LINE))
+    if content and not content.startswith(_LOCK_LINE):
+        raise foreign(own)
+    return [path.with_name(name)] if re.fullmatch(re.escape(path.name) + _PART, name) else []
+
+
+_LOCK_SIZE = 1024
+_PART = r"\.[0-9a-f]{8}\.part"
+
+
+def open_side_file(path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
+    """Open a file that this package makes beside an output; an OutputError if it is a link or has several names.
+
+    `flags` are those of `os.open`.
+    """
+    refuse_special(path, OutputError)
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        handle = os.open(path, flags, 0o666)
+    except OSError as error:
+        if path.is_symlink():
+            raise foreign(path) from error
+        raise
+    stream = os.fdopen(handle, "rb" if flags & os.O_ACCMODE == os.O_RDONLY else "r+b")
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+        stream.close()
+        raise foreign(path)
+    return stream
+
+
+def foreign(path: Path) -> OutputError:
+    """Return the error for a file that has the name of a file of this package and was made by somebody else."""
+    return OutputError(f"{path} was not made by gyrotrack.", "Move it away, or write to another name.")
 
 
 def busy(path: Path, waited: float = 0.0) -> OutputError:
@@ -106,11 +186,18 @@ def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> No
         raise error(f"{path} is {what}, not a regular file.", "Give the name of a file.")
 
 
-def refuse_existing(path: Path, *, force: bool) -> None:
-    """Raise `OutputError` if `path` is not a regular file, has no folder, or exists and `force` is not set."""
+def refuse_existing(path: Path, *, force: bool, reads: Iterable[Path | None] = ()) -> None:
+    """Raise `OutputError` if `path` is not a regular file, has no folder, or exists and `force` is not set.
+
+    With `force` too, none of the files that the command `reads` is replaced, under whatever name.
+    """
     refuse_special(path, OutputError)
     if not path.parent.is_dir():
         raise OutputError(f"The folder {path.parent} does not exist.", "Create it, or choose another folder.")
+    for source in reads:
+        with suppress(OSError):
+            if source is not None and path.samefile(source):
+                raise OutputError(f"{path} is an input of this command.", "Give another name to the output.")
     if not force and (path.exists() or path.is_symlink()):
         raise OutputError(f"{path} already exists.", "Use --force to replace it, or -o for another name.")
 
@@ -120,11 +207,12 @@ def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
     """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error."""
     path = Path(path)
     refuse_existing(path, force=force)
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
     try:
-        with locked(path, 0.0):
-            refuse_special(part, OutputError)
-            part.unlink(missing_ok=True)  # remains of a killed process
+        with locked(path, 0.0) as lock:
+            # a disk that is full, and Windows, where a locked file cannot be written
+            with suppress(OSError), open_side_file(lock, os.O_RDWR | os.O_TRUNC) as stream:
+                stream.write(_LOCK_LINE + os.fsencode(part.name))
             part.open("xb").close()
             own = part.stat().st_ino
             try:
@@ -149,6 +237,8 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(path, force=force)
+    if (report := _REPORT.get()) is not None:
+        report(path, part.stat())
     part.replace(path)
     with suppress(OSError):  # makes the rename durable, if supported
         folder = os.open(path.parent, os.O_RDONLY)
@@ -156,6 +246,20 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+Report = Callable[[Path, os.stat_result], None]
+_REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
+
+
+@contextmanager
+def reported(report: Report) -> Iterator[None]:
+    """Call `report` with the path and the status of each file that is complete, just before it gets its name."""
+    token = _REPORT.set(report)
+    try:
+        yield
+    finally:
+        _REPORT.reset(token)
 
 
 @contextmanager
@@ -201,12 +305,13 @@ class CheckpointFile:
         self.facts: dict[str, Any] = json.loads(json.dumps(dict(facts)))
         self.other = False
         self._ends: list[int] = []
-        refuse_special(self.path, OutputError)
         with ExitStack() as stack:
             stack.enter_context(locked(self.path))
             try:
-                handle = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
-                self._stream = stack.enter_context(os.fdopen(handle, "r+b"))
+                self._stream = stack.enter_context(open_side_file(self.path, os.O_RDWR | os.O_CREAT))
+                head = self._stream.read(len(_LINE))
+                if not _LINE.startswith(head):  # a killed run may have written a part of the line
+                    raise foreign(self.path)
                 if not (resume and self._restore()):
                     self._start()
             except OSError as error:
@@ -268,17 +373,16 @@ class CheckpointFile:
 
     def _restore(self) -> bool:
         """Find the complete records of an earlier run; False if there are none, or they are of another run."""
-        size = os.fstat(self._stream.fileno()).st_size
-        if not size or self._stream.read(len(_LINE)) != _LINE:
-            self.other = size > 0
-            return False
         ends: list[int] = []
         first: Record | None = None
-        while (content := self._next()) is not None:
-            first = first or _unpacked(content)
-            ends.append(self._stream.tell())
+        self._stream.seek(len(_LINE))
+        with suppress(*_CORRUPT):
+            while (content := self._next()) is not None:
+                record = _unpacked(content)
+                first = first or record
+                ends.append(self._stream.tell())
         if first is None or first.facts != self.facts:
-            self.other = True
+            self.other = os.fstat(self._stream.fileno()).st_size > 0
             return False
         self._stream.seek(ends[-1])
         self._stream.truncate()
@@ -305,14 +409,21 @@ def _packed(facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) ->
     return _HEAD.pack(len(content), zlib.crc32(content)) + content
 
 
+# a record with a valid checksum that was not written by this program
+_CORRUPT = (ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError, struct.error)
+
+
 def _unpacked(content: bytes) -> Record:
+    """Return the record in a content; one of `_CORRUPT` is raised if it has another form."""
     (size,) = _SIZE.unpack_from(content)
     manifest = json.loads(content[_SIZE.size : _SIZE.size + size])
+    if not isinstance(manifest["facts"], dict):
+        raise TypeError
     place, arrays = _SIZE.size + size, {}
     for name, kind, shape in manifest["arrays"]:
-        if kind not in _TYPES:
-            raise OutputError(f"The checkpoint has an array of unknown type {kind}.", "Run without --resume.")
-        count = int(np.prod(shape, dtype=np.int64))
+        if kind not in _TYPES or any(n < 0 for n in shape):
+            raise ValueError(name)
+        count = math.prod(shape)
         arrays[name] = np.frombuffer(content, kind, count, place).reshape(shape)
         place += arrays[name].nbytes
     return Record(manifest["facts"], arrays)

@@ -30,6 +30,7 @@ from gyrotrack.io._tables import (
     checksum_line,
     child_group,
     has_endless_heap,
+    is_open_elsewhere,
     read_attributes,
     read_table,
     stamp,
@@ -347,6 +348,8 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     """Validate a file of this format and open it for reading; errors of HDF5 become a `DatasetError`."""
     path = Path(path)
     _check_signature(path)
+    if is_open_elsewhere(path):
+        raise DatasetError(f"{path} is open in another program.", "Close it there.")
     if checksum_fails(path):
         raise DatasetError(f"{path} is damaged: the checksum does not match the contents.", _RECREATE)
     if has_endless_heap(path):
@@ -354,11 +357,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        if "unable to lock" in str(error):
-            message, hint = f"{path} is locked by another program.", "Wait until it has finished."
-        else:
-            message, hint = f"{path} is damaged or truncated.", _RECREATE
-        raise DatasetError(message, hint) from error
+        raise DatasetError(f"{path} is damaged or truncated.", _RECREATE) from error
     try:
         with file:
             _check_root(file, path, kind)

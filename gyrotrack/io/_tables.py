@@ -147,6 +147,20 @@ def checksum_line(stream: BinaryIO) -> bytes:
     return _line(stream, None)
 
 
+def is_open_elsewhere(path: Path) -> bool:
+    """Whether another program has opened an HDF5 file for writing, which HDF5 marks by a lock of the file."""
+    try:
+        import fcntl
+    except ImportError:  # Windows, where such a file cannot be opened
+        return False
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:
+            return isinstance(error, BlockingIOError)  # some file systems have no locks
+    return False
+
+
 def checksum_fails(path: Path) -> bool:
     """Return whether a file ends with a checksum line that does not match; False without such a line."""
     with path.open("rb") as stream:
@@ -225,7 +239,7 @@ def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -
         value = a.kind(getattr(record, a.key))
         if value != value:
             continue
-        group.attrs[a.name] = value
+        group.attrs[a.name] = valid(value) if isinstance(value, str) else value
         if a.units:
             group.attrs[f"{a.name}_units"] = a.units
 
@@ -321,7 +335,7 @@ def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) ->
         "kind": kind,
         "software_version": __version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": command,
+        "command": valid(command),
         "settings": to_json(settings),
         "environment": to_json(versions()),
     })  # fmt: skip
@@ -329,4 +343,10 @@ def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) ->
 
 def to_json(value: Any) -> str:
     """Write `value` as JSON; NumPy numbers, arrays, tuples and paths are converted."""
-    return json.dumps(to_jsonable_python(value, fallback=lambda array: array.tolist()), ensure_ascii=False)
+    plain = to_jsonable_python(value, fallback=lambda array: array.tolist())
+    return valid(json.dumps(plain, ensure_ascii=False))
+
+
+def valid(text: str) -> str:
+    """Return a text as HDF5 can store it: names of files may contain bytes that are not UTF-8."""
+    return text.encode("utf-8", "replace").decode().replace("\0", "?")

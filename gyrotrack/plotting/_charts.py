@@ -486,6 +486,13 @@ def as_data(document: Any) -> str:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).translate(_ESCAPES)
 
 
+# of a page whose own policy names its scripts
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
+    "form-action 'none'"
+)
+
+
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
     """Return a content security policy that allows these inline scripts only, and optionally its own server."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]

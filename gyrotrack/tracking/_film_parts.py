@@ -17,15 +17,14 @@ import os
 import pickle
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -36,7 +35,8 @@ import numpy.typing as npt
 from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack._smoothing import median_of
-from gyrotrack.io._atomic import CheckpointFile
+from gyrotrack.io._atomic import CheckpointFile, Record
+from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.tracking import _film_tracker
 from gyrotrack.tracking._film_tracker import (
     BodyObservations,
@@ -364,17 +364,21 @@ class PartWorkers:
             return _run(task, film, self.parts[index], 1, count)
 
 
-def _folder() -> AbstractContextManager[str]:
-    """Return a folder for the beginnings of parts; one that does not exist if none can be made."""
-    try:
-        return TemporaryDirectory(prefix="gyrotrack-", ignore_cleanup_errors=True)
-    except OSError:  # no space: the beginnings are decoded again
-        return nullcontext(f"{os.devnull}/absent")
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """Yield a folder for the beginnings of parts; one that does not exist if none can be made."""
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(scratch_folder())
+        except OSError:  # no space: the beginnings are decoded again
+            folder = Path(os.devnull) / "absent"
+        yield folder
 
 
 def frames_done(journal: CheckpointFile) -> int:
     """Return how many frames an unfinished run has done, according to its journal."""
-    return sum(int(record.facts["frames"]) for record in journal.records())
+    frames = (record.facts.get("frames") for record in journal.records())
+    return sum(n for n in frames if isinstance(n, int))
 
 
 def track_film(
@@ -390,14 +394,14 @@ def track_film(
     """Track all bodies in a film with a new tracker `work`; parts in the `journal` are not tracked again."""
     info, packets = probe(path), workers.packets
     total = max(info.frames_declared, len(packets.stamps)) or None
-    kept = _PartResults(workers.parts, packets, journal)
+    kept = _PartResults(workers.parts, packets, journal, _columns(scene, work))
     done, number = kept.frames, len(workers.parts)
     if progress is not None and done:
         progress(done, total)
     with _folder() as folder:
         work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
-        film = Film(info, packets, timing, tracker, Path(folder))
+        film = Film(info, packets, timing, tracker, folder)
         if kept.todo and number > 1:
             some = np.unique(np.linspace(0, number - 1, min(number, MOST_LEARNT)).astype(int)).tolist()
             learnt = dict(workers.run(learn_part, film, some, threads))
@@ -435,22 +439,57 @@ def track_film(
     return FilmObservations(bodies, rows.get("disc"), seconds, times, warnings, work.size, rows["again"])
 
 
+def _columns(scene: Scene, work: FilmTracker) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return shape and type of one row of every quantity that is measured in a part."""
+    found: dict[str, tuple[tuple[int, ...], str]] = {"again": ((), "|b1"), _STAMPS: ((), "<i8")}
+    pairs = {"corner_angle", "corner_radius", "centre"}
+    for name in scene.bodies:
+        found[f"{name}/coarse"] = (), "<f8"
+        for marker in scene.of(name):
+            for f in fields(MarkerObservations):
+                shape = (2,) if f.name in pairs else ()
+                found[f"{name}/{marker.name}/{f.name}"] = shape, "|b1" if f.name == "open" else "<f8"
+    return found | ({"disc": ((2,), "<f8")} if work.disc is not None else {})
+
+
 class _PartResults:
     """Results of finished parts, in memory or in a journal, which is cleared if it does not match the film."""
 
-    def __init__(self, parts: tuple[Part, ...], packets: Packets, journal: CheckpointFile | None) -> None:
-        self._parts, self._packets, self._journal = parts, packets, journal
+    def __init__(
+        self,
+        parts: tuple[Part, ...],
+        packets: Packets,
+        journal: CheckpointFile | None,
+        columns: Mapping[str, tuple[tuple[int, ...], str]],
+    ) -> None:
+        self._parts, self._packets, self._journal, self._columns = parts, packets, journal, columns
         self._memory: dict[int, PartRows] = {}
         self._facts: dict[int, dict[str, Any]] = {}
         self._place: dict[int, int] = {}
         for place, record in enumerate(journal.records() if journal is not None else ()):
-            index = int(record.facts["part"])
-            self._facts[index], self._place[index] = record.facts, place
-            known = np.isin(record.arrays[_STAMPS], packets.stamps).all() if packets.complete else True
-            if journal is not None and not (known and record.facts["parts"] == len(parts)):
+            if journal is not None and not self._belongs(record):
                 journal.restart()
                 self._facts, self._place = {}, {}
                 break
+            index = record.facts["part"]
+            self._facts[index], self._place[index] = record.facts, place
+
+    def _belongs(self, record: Record) -> bool:
+        """Whether a record has the form of a part of this film: files of others may be in the place of a journal."""
+        numbers = [record.facts.get(key) for key in ("part", "parts", "frames", "bad_packets", "corrupt")]
+        if (
+            not all(isinstance(n, int) and n >= 0 for n in numbers)
+            or {name: (array.shape[1:], array.dtype.str) for name, array in record.arrays.items()}
+            != self._columns
+        ):
+            return False
+        part, stamps = record.facts["part"], record.arrays[_STAMPS]
+        if record.facts["parts"] != len(self._parts) or part >= len(self._parts):
+            return False
+        if stamps.ndim != 1 or {array.shape[:1] for array in record.arrays.values()} != {stamps.shape}:
+            return False
+        known = bool(np.isin(stamps, self._packets.stamps).all()) if self._packets.complete else True
+        return known and record.facts["frames"] == int(self._own(part, stamps).sum())
 
     def add(self, index: int, found: PartRows) -> None:
         """Store the rows of a part."""

@@ -23,6 +23,7 @@ from gyrotrack.apps.batch._steps import (
     file_digest,
     fingerprint,
     locked_folder,
+    new_sign,
     step_key,
 )
 from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores, failure
@@ -291,7 +292,7 @@ def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -
     contents = {folder / "summary.csv": text.getvalue(), folder / "summary.json": plain}
     for path, content in contents.items():
         with new_file(path, force=True) as stream:
-            stream.write(content.encode())
+            stream.write(content.encode("utf-8", "replace"))
     return list(contents)
 
 
@@ -348,7 +349,7 @@ def run_batch(
     began = perf_counter()
     with locked_folder(output):
         journal = Journal(output / _JOURNAL)
-        cluster = ClusterWorkers(scheduler, certificates) if scheduler else None
+        cluster = ClusterWorkers(scheduler, new_sign(output), certificates) if scheduler else None
         with closing(cluster or LocalWorkers(workers or cores())) as place, bar() as progress:
             run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
             outcomes = run.work(place)

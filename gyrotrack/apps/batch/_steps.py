@@ -9,16 +9,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from gyrotrack._errors import OutputError
 from gyrotrack._versions import __version__
 from gyrotrack.apps.batch._experiments import Clip, Experiment, unique_name
-from gyrotrack.io._atomic import locked, refuse_special
+from gyrotrack.io._atomic import locked, open_side_file
 
 VERBS = ("extract", "sync", "fit", "diagnose", "improve", "report")
 FIT = "{fit}"
@@ -145,6 +146,14 @@ def _fit_of(document: Mapping[str, Any]) -> Any:
     return document.get("fit_id") or document.get("final", {}).get("fit_id")
 
 
+_TYPES = {
+    "step": str,
+    "key": str,
+    "fingerprint": str,
+    "document": dict,
+    "seconds": int | float,
+    "trusted": bool,
+}
 HEADER = {"format": "gyrotrack batch", "version": 1}
 
 
@@ -155,13 +164,14 @@ class Journal:
         self.path = path
         self._records: dict[str, dict[str, Any]] = {}
         self._truncated = False
-        refuse_special(path, OutputError)
-        if path.exists():
-            self._read()
+        self._read()
 
     def _read(self) -> None:
         try:
-            text = self.path.read_text(encoding="utf-8", errors="replace")
+            with open_side_file(self.path) as stream:
+                text = stream.read().decode(errors="replace")
+        except FileNotFoundError:
+            return
         except OSError as error:
             what = f"{self.path} cannot be read: {error.strerror}."
             raise OutputError(what, "Choose another folder with -o.") from error
@@ -173,7 +183,7 @@ class Journal:
         if lines and lines[0] != HEADER:
             raise OutputError(f"{self.path} is not the journal of a batch.", "Choose another folder with -o.")
         for record in lines[1:]:  # a truncated last line is ignored
-            if isinstance(record, dict) and isinstance(record.get("step"), str):
+            if isinstance(record, dict) and all(isinstance(record.get(k), t) for k, t in _TYPES.items()):
                 self._records[record["step"]] = record
 
     def kept(self, step: Step, key: str) -> Outcome | None:
@@ -182,7 +192,7 @@ class Journal:
         document, known = record.get("document", {}), record.get("fingerprint")
         if record.get("key") != key or not known or fingerprint(step, document) != known:
             return None
-        return Outcome("kept", document, known, record.get("seconds", 0.0), record.get("trusted", True))
+        return Outcome("kept", document, known, record["seconds"], record["trusted"])
 
     def add(self, step: Step, key: str, outcome: Outcome) -> None:
         """Append the outcome of a step and flush it to the disk."""
@@ -197,14 +207,13 @@ class Journal:
             "document": outcome.document,
         }
         try:
-            new = not self.path.exists() or self.path.stat().st_size == 0
-            with self.path.open("a", encoding="utf-8") as stream:
-                if new:
-                    stream.write(json.dumps(HEADER) + "\n")
+            with open_side_file(self.path, os.O_RDWR | os.O_CREAT) as stream:
+                if not stream.seek(0, os.SEEK_END):
+                    stream.write(json.dumps(HEADER).encode() + b"\n")
                 if self._truncated:
-                    stream.write("\n")
+                    stream.write(b"\n")
                     self._truncated = False
-                stream.write(json.dumps(record) + "\n")
+                stream.write(json.dumps(record).encode() + b"\n")
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as error:
@@ -258,21 +267,30 @@ def _parsed(text: str) -> Any:
         return None
 
 
+_SIGN = "batch.running."
+
+
+def new_sign(results: Path) -> Path:
+    """Return a new file in a locked folder, and remove that of a killed batch; the steps on a cluster end with it."""
+    for left in results.glob(f"{_SIGN}*"):
+        left.unlink(missing_ok=True)
+    sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
+    sign.touch(exist_ok=False)
+    return sign
+
+
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
     """Create the folder if necessary, and lock it against other batches; an OutputError if it contains other files."""
-    with _lock_file(results), locked(results):
-        yield
-
-
-def _lock_file(results: Path) -> BinaryIO:
+    mark = results / "batch.lock"
     try:
         results.mkdir(parents=True, exist_ok=True)
-        if not (results / "batch.lock").exists() and any(results.iterdir()):
+        if not mark.exists() and any(results.iterdir()):
             what = f"{results} contains files that do not belong to a batch."
             raise OutputError(what, "Choose an empty folder with -o.")
-        refuse_special(results / "batch.lock", OutputError)
-        return (results / "batch.lock").open("ab")
+        open_side_file(mark, os.O_RDWR | os.O_CREAT).close()
     except OSError as error:
         what = f"{results} cannot be written: {error.strerror or error}."
         raise OutputError(what, "Choose another folder with -o.") from error
+    with locked(mark):
+        yield

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,7 @@ WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 
+_WATCH = 0.5  # time between two looks at the sign of a batch [s]
 _GRACE = 5.0  # time for a worker to remove unfinished outputs before it is killed [s]
 _MAX_ANSWER = 2**26  # bytes
 
@@ -94,13 +95,27 @@ class Child:
             process.wait()
 
 
-def run_once(words: Sequence[str], timeout: float | None = None) -> bytes:
-    """Run one command in a separate process and return its answer as JSON; runs on workers of a cluster."""
-    child = Child()
+def run_once(words: Sequence[str], timeout: float | None = None, sign: str | None = None) -> bytes:
+    """Run one command in a separate process and return its answer as JSON; runs on workers of a cluster.
+
+    The command ends when the file `sign` is removed: a cluster does not end what it has begun.
+    """
+    if sign is not None and not Path(sign).exists():
+        return json.dumps(failure("cancelled", "The batch has ended.", "")).encode()
+    child, ended = Child(), threading.Event()
+    if sign is not None:
+        threading.Thread(target=_end_with, args=(Path(sign), child, ended), daemon=True).start()
     try:
         return json.dumps(child.run(words, timeout)).encode()
     finally:
+        ended.set()
         child.close()
+
+
+def _end_with(sign: Path, child: Child, ended: threading.Event) -> None:
+    while not ended.wait(_WATCH):
+        if not sign.exists():
+            child.close()
 
 
 def _start() -> subprocess.Popen[str]:
@@ -253,7 +268,8 @@ class ClusterWorkers:
     never read from the folder of the data, and with TLS both sides authenticate themselves.
     """
 
-    def __init__(self, address: str, certificates: Certificates | None = None) -> None:
+    def __init__(self, address: str, sign: Path, certificates: Certificates | None = None) -> None:
+        """Connect to a scheduler; the file `sign` exists until `close`."""
         try:
             from distributed import Client
         except ImportError:
@@ -268,8 +284,9 @@ class ClusterWorkers:
         except (OSError, ValueError, TimeoutError) as error:
             what = f"The scheduler at {address[:80]} does not answer."
             raise GyrotrackError(what, "Start it, and check its address and certificates.") from error
-        self._client = client
+        self._client, self._sign = client, sign
         self._executor = client.get_executor(pure=False)
+        self._pending: set[Future[Answer]] = set()
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
         """Begin a command."""
@@ -279,16 +296,30 @@ class ClusterWorkers:
             try:
                 raw = done.result()
                 answer.set_result(checked(raw if isinstance(raw, bytes) else b""))
-            except BaseException as error:
-                answer.set_exception(error)
+            except BaseException as error:  # a lost scheduler cancels, which is no Exception in all versions
+                answer.set_result(_lost(error))
 
-        self._executor.submit(run_once, list(words), timeout).add_done_callback(parse)
+        self._pending.add(answer)
+        answer.add_done_callback(self._pending.discard)
+        try:
+            self._executor.submit(run_once, list(words), timeout, str(self._sign)).add_done_callback(parse)
+        except Exception as error:
+            answer.set_result(_lost(error))
         return answer
 
     def close(self) -> None:
-        """Cancel commands that have not begun, and disconnect."""
-        self._executor.shutdown(wait=False)
-        self._client.close()
+        """End all commands, wait until they have removed their unfinished outputs, and disconnect."""
+        self._sign.unlink(missing_ok=True)
+        wait(set(self._pending), timeout=2 * _GRACE)
+        with suppress(Exception):  # of a scheduler that is lost
+            self._executor.shutdown(wait=False)
+            self._client.close(timeout=_GRACE)
+
+
+def _lost(error: BaseException) -> Answer:
+    return failure(
+        "crash", f"The worker or the scheduler was lost ({type(error).__name__}).", "Check the cluster."
+    )
 
 
 def cores() -> int:

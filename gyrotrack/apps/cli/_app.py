@@ -23,7 +23,16 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, TERMINATED, USAGE, report_error, running
+from gyrotrack.apps.cli._output import (
+    DONE,
+    FAULT,
+    INTERRUPTED,
+    USAGE,
+    StdoutError,
+    discard_stdout,
+    report_error,
+    running,
+)
 from gyrotrack.apps.cli._settings import Entry, Settings, find, lazy_group, read
 
 _DATA = "From films to data"
@@ -91,11 +100,19 @@ def root(
 
 def main() -> None:
     """Run the program on the command line's arguments and exit with its code."""
+    with suppress(OSError):
+        while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file gets the number of a stream that is closed
+            pass
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
     prepare_process()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # the terminal may not support every character
     sys.exit(run(sys.argv[1:]))
+
+
+_STDERR = 2
 
 
 def prepare_process() -> None:
@@ -116,7 +133,7 @@ _TERMINATED: list[int] = []
 
 
 def catch_sigterm() -> None:
-    """Handle SIGTERM like Ctrl-C: unfinished outputs are removed; the exit code is 143."""
+    """Handle SIGTERM and a closed terminal like Ctrl-C: unfinished outputs are removed; the exit code is 143 or 129."""
 
     def end(number: int, frame: FrameType | None) -> None:
         _TERMINATED.append(number)
@@ -129,12 +146,16 @@ def catch_sigterm() -> None:
 
     with suppress(ValueError):  # outside the main thread there are no signals
         signal.signal(signal.SIGTERM, end)
+        hangup = getattr(signal, "SIGHUP", None)
+        if hangup is not None and signal.getsignal(hangup) == signal.SIG_DFL:  # `nohup` ignores it
+            signal.signal(hangup, end)
 
 
 def _interrupted(*, as_json: bool) -> int:
-    """Report an interrupt and return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
-    report_error("interrupted", "Interrupted.", "", as_json=as_json)
-    return TERMINATED if _TERMINATED else INTERRUPTED
+    """Report an interrupt and return the exit code: 130 for Ctrl-C, 128 and the number of another signal."""
+    with suppress(OSError):  # a closed terminal cannot be written
+        report_error("interrupted", "Interrupted.", "", as_json=as_json)
+    return 128 + _TERMINATED[0] if _TERMINATED else INTERRUPTED
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -146,18 +167,17 @@ def run(arguments: Sequence[str]) -> int:
             if not debug:
                 warnings.simplefilter("ignore")
             code = _with_settings(args)
-            sys.stdout.flush()
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
     except BrokenPipeError:  # as in `gyrotrack ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_stdout()
         return FAULT
+    except StdoutError as error:
+        return _report(error, as_json=False)
     except Exception as error:  # no traceback is shown to a user
         if debug:
             traceback.print_exc()
         return _report(error, as_json=as_json)
-    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
-        return _interrupted(as_json=as_json)
     return code if isinstance(code, int) else DONE
 
 
@@ -175,11 +195,14 @@ def _with_settings(args: list[str]) -> Any:
     settings = read(path, COMMANDS, trusted=trusted)
     token = _SETTINGS.set(settings)
     try:
-        return get_command(app)(
+        code = get_command(app)(
             args=args, prog_name="gyrotrack", standalone_mode=False, default_map=settings.values
         )
     finally:
         _SETTINGS.reset(token)
+    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
+        raise KeyboardInterrupt
+    return code
 
 
 def _config_option(args: list[str]) -> Path | None:

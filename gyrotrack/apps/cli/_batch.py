@@ -24,7 +24,16 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack._versions import __version__
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, FAULT, INTERRUPTED, NOT_TRUSTED, TERMINATED, Output, command_line
+from gyrotrack.apps.cli._output import (
+    DONE,
+    FAULT,
+    HUNG_UP,
+    INTERRUPTED,
+    NOT_TRUSTED,
+    TERMINATED,
+    Output,
+    command_line,
+)
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
@@ -297,7 +306,7 @@ def work() -> None:
     try:
         while True:
             answer = perform(tasks.get())
-            if answer["code"] in {INTERRUPTED, TERMINATED}:
+            if answer["code"] in {HUNG_UP, INTERRUPTED, TERMINATED}:
                 return
             answers.write(json.dumps(answer) + "\n")
             answers.flush()

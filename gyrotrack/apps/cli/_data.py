@@ -82,8 +82,9 @@ def import_command(
     from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
-    refuse_existing(output, force=force)
+    shared.check_pulses(pulses_per_turn)
     rotor = rotor or []
+    refuse_existing(output, force=force, reads=[casing, *rotor, body])
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
         what = f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start."
@@ -161,8 +162,11 @@ def export_command(
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
+    from gyrotrack.apps._study import with_ledgers
+    from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._contents import export_file
 
+    refuse_existing(output, force=force, reads=with_ledgers([file]))
     out = Output(as_json=as_json, quiet=quiet)
     with out.progress(f"writing {output.name}") as progress:
         progress(0, None)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import UsageError
-from gyrotrack.apps._study import open_study
+from gyrotrack.apps._study import open_study, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output
 from gyrotrack.apps.cli._settings import option
@@ -63,7 +63,7 @@ def laws_command(
     from fitting.study._serialisation import save_law as save
 
     out = Output(as_json=as_json, quiet=quiet)
-    _check_picture(picture, force=force)
+    _check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
     if save_law is not None:
         check_name(*save_law)
     elif law is not None:
@@ -96,7 +96,7 @@ def laws_command(
     return DONE
 
 
-def _check_picture(picture: Path | None, *, force: bool) -> None:
+def _check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | None]) -> None:
     from gyrotrack.io._atomic import refuse_existing
 
     if picture is None:
@@ -104,7 +104,7 @@ def _check_picture(picture: Path | None, *, force: bool) -> None:
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         what = f"Unknown picture format: {picture}."
         raise UsageError(what, "Use a name that ends in one of: .png, .svg, .pdf.")
-    refuse_existing(picture, force=force)
+    refuse_existing(picture, force=force, reads=reads)
 
 
 def _drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
@@ -235,7 +235,7 @@ def plan_command(
         what = f"--size {size:g} is not a positive torque."
         raise UsageError(what, "Give an rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())
-    _check_picture(picture, force=force)
+    _check_picture(picture, force=force, reads=with_ledgers(recordings, ledger, effects))
     out = Output(as_json=as_json, quiet=quiet)
     own = shared.own_effects(effects)
     with out.progress("planning") as progress:
@@ -380,7 +380,7 @@ def compare_command(
     out = Output(as_json=as_json, quiet=quiet)
     if len(runs) < 2:
         raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
-    _check_picture(picture, force=force)
+    _check_picture(picture, force=force, reads=with_ledgers(runs))
     found = compare(latest_fits(runs))
     written = _drawn(found, picture, force=force)
     out.result(found.document())

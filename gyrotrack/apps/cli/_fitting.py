@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.apps._study import FitRequest, open_study, read_cases
+from gyrotrack.apps._study import FitRequest, open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     DONE,
     NOT_TRUSTED,
     Output,
-    all_or_nothing,
     bias_tables,
     diagnosis_tables,
     fit_tables,
@@ -260,16 +259,18 @@ def scan_command(
     """
     from fitting.study._scan import scan
     from fitting.study._scan_tables import scan_csv, scan_document, scan_latex, scan_lines
-    from gyrotrack.io._atomic import new_file, refuse_existing
+    from gyrotrack.io._atomic import new_file
+    from gyrotrack.io._outputs import new_outputs
 
     out = Output(as_json=as_json, quiet=quiet)
+    reads = with_ledgers(cases)
+    with new_outputs(csv, latex, force=force, reads=reads):
+        pass
     targets = {path: make for path, make in ((csv, scan_csv), (latex, scan_latex)) if path is not None}
-    for path in targets:
-        refuse_existing(path, force=force)
     read = read_cases(cases, data=data, rotor=rotor)
     with out.progress("fitting") as progress:
         found = scan(read, progress=progress)
-    with all_or_nothing(*targets):
+    with new_outputs(*targets, force=force, reads=reads):
         for path, make in targets.items():
             with new_file(path, force=force) as stream:
                 stream.write(make(found).encode("utf-8"))

@@ -6,6 +6,7 @@ only if stderr is a terminal and none of ``--json``, ``-q`` and NO_COLOR is set.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -17,9 +18,10 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
+
+from gyrotrack._errors import OutputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,16 +53,22 @@ def printable(text: str) -> str:
 
 
 _ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
+_RESULT: ContextVar[list[str]] = ContextVar("result")
 
 
 @contextmanager
 def running(arguments: Sequence[str]) -> Iterator[None]:
-    """Store the arguments of the command that runs within the context."""
-    token = _ARGUMENTS.set(tuple(arguments))
+    """Store the arguments of the command that runs within the context, and print its JSON document at the end.
+
+    After an error the document of the error is the only one.
+    """
+    token, result = _ARGUMENTS.set(tuple(arguments)), _RESULT.set([])
     try:
         yield
+        _print("".join(_RESULT.get()))
     finally:
         _ARGUMENTS.reset(token)
+        _RESULT.reset(result)
 
 
 def command_line() -> str:
@@ -73,6 +81,7 @@ FAULT = 1
 USAGE = 2
 NOT_TRUSTED = 3
 INTERRUPTED = 130
+HUNG_UP = 129
 TERMINATED = 143
 
 Progress = Callable[[int, int | None], None]
@@ -87,16 +96,18 @@ class Output:
     verbose: bool = False
 
     def result(self, document: Mapping[str, Any]) -> None:
-        """Print the result as JSON; without ``--json`` nothing is printed (see `show`)."""
+        """Print the result as JSON when the command ends; without ``--json`` nothing is printed (see `show`)."""
         if self.as_json:
-            print_json(document)
+            _RESULT.get().append(_json(document))
 
     def show(self, *renderables: Any) -> None:
         """Print the result as text or renderables of rich; with ``--json`` nothing is printed."""
         if not self.as_json:
-            console = _console(sys.stdout)
+            text = io.StringIO()
+            console = _console(sys.stdout, text)
             for item in renderables:
                 console.print(printable(item) if isinstance(item, str) else item)
+            _print(text.getvalue())
 
     def note(self, text: str) -> None:
         """Print a progress message."""
@@ -141,19 +152,6 @@ class Output:
             yield update
 
 
-@contextmanager
-def all_or_nothing(*outputs: Path | None) -> Iterator[None]:
-    """Remove new outputs if the context ends with an error, so that either all are written or none."""
-    new = [path for path in outputs if path is not None and not path.exists()]
-    try:
-        yield
-    except BaseException:
-        for path in new:
-            with suppress(OSError):
-                path.unlink()
-        raise
-
-
 def _json_lines(label: str) -> Progress:
     """Return a callback that writes progress as JSON lines."""
     latest = -math.inf
@@ -181,10 +179,19 @@ def _interactive() -> bool:
     return sys.stderr.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def _console(stream: Any) -> Console:
+def _console(stream: Any, file: Any = None) -> Console:
+    """Return a console that formats for a stream, and writes to it or to another file."""
     from rich.console import Console
 
-    return Console(file=stream, highlight=False, markup=False, emoji=False, soft_wrap=not stream.isatty())
+    terminal = stream is not None and stream.isatty()
+    return Console(
+        file=file or stream,
+        force_terminal=terminal,
+        highlight=False,
+        markup=False,
+        emoji=False,
+        soft_wrap=not terminal,
+    )
 
 
 def _write(text: str, style: str | None = None) -> None:
@@ -195,20 +202,47 @@ def _write(text: str, style: str | None = None) -> None:
         sys.stderr.write(text + "\n")
 
 
-def print_json(document: Any) -> None:
-    """Write one JSON document to stdout; NaN and infinities become null."""
+def _json(document: Any) -> str:
+    """Return one JSON document as text; NaN and infinities become null."""
     from pydantic_core import to_jsonable_python
 
     plain = to_jsonable_python(document, inf_nan_mode="null", fallback=lambda value: value.tolist())
-    json.dump(plain, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+    return json.dumps(plain, indent=2, allow_nan=False) + "\n"
+
+
+class StdoutError(OutputError):
+    """A result that cannot be printed; its message goes to stderr."""
+
+
+def _print(text: str) -> None:
+    """Write to stdout; a StdoutError says why the system refuses, and nothing is written there any more."""
+    hint = "Check where the output of the command goes."
+    if sys.stdout is None:
+        raise StdoutError("The result cannot be printed: stdout is closed.", hint)
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        discard_stdout()
+        what = f"The result cannot be printed: {(error.strerror or str(error)).lower()}."
+        raise StdoutError(what, hint) from error
+
+
+def discard_stdout() -> None:
+    """Drop what was not written to stdout, and all that follows: Python would try it again when it ends."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def report_error(code: str, message: str, hint: str, *, as_json: bool) -> None:
-    """Print an error: message and hint, or a JSON document."""
+    """Print an error: message and hint, or a JSON document if stdout can be written."""
     if as_json:
-        print_json({"error": {"code": code, "message": message, "hint": hint}})
-        return
+        document = {"error": {"code": code, "message": message, "hint": hint}}
+        with suppress(OSError, StdoutError):
+            _print(json.dumps(document, indent=2) + "\n")
+            return
     _write(f"error: {message}", style="red")
     if hint:
         _write(f" hint: {hint}")

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from gyrotrack._errors import OutputError, UsageError
-from gyrotrack.apps._study import open_study, read_cases
+from gyrotrack.apps._study import open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
@@ -45,7 +45,7 @@ def report_command(
     from gyrotrack.io._hdf5 import read_case
 
     out = Output(as_json=as_json, quiet=quiet)
-    refuse_existing(output, force=force)
+    refuse_existing(output, force=force, reads=with_ledgers(cases, ledger, effects))
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
@@ -118,7 +118,8 @@ def figures_command(
 
 def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
     """Return the requested formats; raise an error if one is unknown or the folder cannot be used."""
-    from gyrotrack.apps.report._paper import FORMATS
+    from gyrotrack.apps.report._paper import FORMATS, MAIN
+    from gyrotrack.io._outputs import is_unfinished
 
     wanted = list(dict.fromkeys(formats or FORMATS[:1]))
     unknown = [f for f in wanted if f not in FORMATS]
@@ -126,7 +127,7 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
         raise UsageError(f"Unknown figure format: {unknown[0]}.", f"Formats: {', '.join(FORMATS)}.")
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
-    if not force and output.is_dir() and any(output.glob("tables.tex")):
+    if not force and (output / MAIN).exists() and not is_unfinished(output / MAIN):
         what = f"{output} already contains figures."
         raise OutputError(what, "Use --force to replace them, or -o for another folder.")
     return wanted
@@ -175,6 +176,8 @@ def view_command(
             bench = Workbench(Laboratory.open(case, shared.film_folders([case], films), ledger, start))
     else:
         project = Project(folder)
+        for note in project.notes:
+            out.warn(note)
         for source in sources or []:
             project.add(source)
         bench = Workbench(project=project)

@@ -35,7 +35,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from gyrotrack._errors import ConfigurationError
+from gyrotrack._errors import ConfigurationError, UsageError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -322,6 +322,16 @@ Columns = Annotated[
 PulsesPerTurn = Annotated[
     float | None, option("--pulses-per-turn N", "The file is a column of times of pulses [s], N per turn.")
 ]
+_MOST_PULSES = 1e6
+
+
+def check_pulses(number: float | None) -> None:
+    """Raise an error if a number of pulses per turn is given and is none."""
+    if number is not None and not 1 / _MOST_PULSES <= number <= _MOST_PULSES:
+        what = f"--pulses-per-turn {number:g} is not between {1 / _MOST_PULSES:g} and {_MOST_PULSES:g}."
+        raise UsageError(what, "Give the number of marks or magnets that pass the sensor in one turn.")
+
+
 Centre = Annotated[
     str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y in px, or orbit.")
 ]

@@ -18,7 +18,6 @@ from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     Output,
     Progress,
-    all_or_nothing,
     command_line,
     diagnosis_tables,
     fit_tables,
@@ -95,14 +94,11 @@ def simulate_command(
     from fitting.effects._library import REDUCED
     from fitting.inference._simulation import Experiment
     from gyrotrack.apps._simulation import SimulatedRun, hide_effect, write_record
-    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io._records import Inertia
 
     out = Output(as_json=as_json, quiet=quiet)
     sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
-    for path in (output, sealed):
-        if path is not None:
-            refuse_existing(path, force=force)
     experiment = Experiment(
         omega_rotor=omega_rotor,
         omega_casing=omega_casing,
@@ -126,14 +122,15 @@ def simulate_command(
     casing = Inertia.of(inertia_casing or _PAPER_CASING, "casing")
     run = SimulatedRun.of(model, strength, experiment, (rotor.value, casing.value), seed, set_values or ())
     films = run.film_files(film) if film is not None else []
-    if film is not None and film.is_dir():
-        for path in films:
-            refuse_existing(path, force=force)
+    if film is not None:
+        film.mkdir(parents=True, exist_ok=True)
+    with new_outputs(output, sealed, *films, force=force, reads=[effects]):
+        pass
     with out.progress("simulating") as progress:
         progress(0, None)
         record = run.record(label if label is not None else output.stem)
     record = replace(record, I_rotor_u=rotor.u, I_casing_u=casing.u)
-    with all_or_nothing(output, sealed, *films):
+    with new_outputs(output, sealed, *films, force=force, reads=[effects]):
         if sealed is None or hidden is None:
             stated: dict[str, Any] = {"model": list(model.names), "parameters": run.numbers}
             settings: dict[str, Any] = {"output": output, **stated, "seed": seed}

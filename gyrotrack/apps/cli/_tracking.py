@@ -12,7 +12,7 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, all_or_nothing, command_line
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ def profile_command(
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
     from gyrotrack._errors import TrackingError
-    from gyrotrack.io._atomic import new_file, refuse_existing
+    from gyrotrack.io._atomic import new_file
+    from gyrotrack.io._outputs import new_outputs
     from gyrotrack.plotting._frames import write_body_picture, write_picture
     from gyrotrack.tracking._any_body import read_excerpt
     from gyrotrack.tracking._profile import to_toml
@@ -60,10 +61,10 @@ def profile_command(
         raise UsageError(f"Unknown picture format: {picture.name}.", "Use a name that ends in .png.")
     if capture_fps is not None and not 0 < capture_fps < 1e7:
         raise UsageError(f"Invalid capture rate: {capture_fps:g} fps.", "Give a positive number.")
-    for path in (target, picture):
-        if path is not None:
-            refuse_existing(path, force=force)
     place = _position(hub)
+    reads = [video]
+    with new_outputs(target, picture, force=force, reads=reads):
+        pass
     body: tuple[Film, Tracked] | None = None
     try:
         found = propose(video, capture_fps=capture_fps, hub=place)
@@ -82,11 +83,11 @@ def profile_command(
         with out.progress(f"searching a body in {video.name}", "frames") as progress:
             body = read_excerpt(video, place, progress)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
-    with all_or_nothing(target, picture):
+    with new_outputs(target, picture, force=force, reads=reads):
         if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
             write_picture(picture, found, body=body, force=force)
         with new_file(target, force=force) as stream:
-            stream.write((comment + to_toml(found.profile)).encode())
+            stream.write((comment + to_toml(found.profile)).encode("utf-8", "replace"))
     for note in found.notes:
         out.warn(note)
     document = _profile_document(target, picture, found)
@@ -251,8 +252,9 @@ def extract_command(
         video, target, chosen, capture_fps, body.value if body else None, times.value, workers
     )
     done = task.earlier() if resume and not force else None
-    if done is None:
-        refuse_existing(target, force=force)
+    for path, replace in ((target, force or done is not None), (overlay, force), (contact_sheet, force)):
+        if path is not None:
+            refuse_existing(path, force=replace, reads=[video, profile])
     if overlay is not None:
         check_overlay(overlay, force=force)
     if contact_sheet is not None:
@@ -356,7 +358,7 @@ def sync_command(
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
-    refuse_existing(output, force=force)
+    refuse_existing(output, force=force, reads=[casing, *rotors])
     title = label if label is not None else output.stem
     with out.progress("synchronising clips") as progress:
         done = synchronised(casing, rotors, title, surface, inertias, progress)
@@ -464,11 +466,12 @@ def spindown_command(
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
-    from gyrotrack.apps._spindown import SpindownOptions, spindown
-    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
+    from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
 
     out = Output(as_json=as_json, quiet=quiet)
+    shared.check_pulses(pulses_per_turn)
     target = output if output is not None else Path(source.with_suffix(".h5").name)
     if target.resolve() == source.resolve():
         target = target.with_name(f"{target.stem}_case.h5")
@@ -476,8 +479,6 @@ def spindown_command(
     if page.resolve() in (target.resolve(), source.resolve()):
         what = f"{page} is the name of both the case and the report."
         raise UsageError(what, "Name the case with -o FILE.h5 and the report with --report.")
-    for path in (target, page):
-        refuse_existing(path, force=force)
     options = SpindownOptions(
         _position(hub),
         capture_fps,
@@ -492,7 +493,8 @@ def spindown_command(
         centre,
         likelihood,
     )
-    with out.progress(f"tracking {source.name}", "frames") as progress:
+    outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
+    with outputs, out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )

@@ -14,7 +14,8 @@ from fitting._numbers import nonbreaking, probability, scaled, short, typeset, u
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
-from gyrotrack.io._atomic import new_file, refusal, refuse_existing
+from gyrotrack.io._atomic import new_file, open_side_file, refusal, refuse_existing
+from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
 from gyrotrack.plotting._charts import AFTER, Dashboard, Picture, chart_picture, themed
@@ -279,8 +280,7 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
             "A PDF needs the package typst, which is not installed.",
             "Run: pip install typst; or write .html and print it from a browser.",
         ) from None
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         images = _Images(folder)
         document = images.plain({k: v for k, v in parts.items() if k != "view"})
         view = parts["view"]
@@ -389,6 +389,21 @@ def write_report(
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
+
+
+_GENERATOR = b'<meta name="generator" content="gyrotrack">'
+_HEAD = 200  # bytes
+
+
+def is_report(path: Path) -> bool:
+    """Whether a file is a report of this program, or does not exist: a report may then get its name."""
+    try:
+        with open_side_file(path) as stream:
+            return _GENERATOR in stream.read(_HEAD)
+    except FileNotFoundError:
+        return True
+    except (OSError, OutputError):
+        return False
 
 
 def html(parts: Mapping[str, Any]) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack._errors import OutputError
-from gyrotrack.io._atomic import new_file, refuse_existing
+from gyrotrack.io._atomic import new_file
+from gyrotrack.io._outputs import new_outputs
 from gyrotrack.plotting._charts import (
     BLUE,
     GREEN,
@@ -293,6 +294,9 @@ _TABLE = re.compile(r"\\begin\{table\}.*?\\label\{tab:([^}]*)\}.*?\\end\{table\}
 _PRINT = {"pdf.fonttype": 42, "svg.fonttype": "path"}
 
 
+MAIN = "tables.tex"  # the first output
+
+
 def write_figures(
     folder: Path,
     scan: Scan,
@@ -318,17 +322,17 @@ def write_figures(
                 f"{f.name}.{kind}": picture_file(f.figure, kind, dpi=_DPI, title=f.name) for kind in formats
             }
     documents["figures.tex"] = _figures_tex(figures).encode()
-    documents |= {name: text.encode("utf-8") for name, text in _tables(scan).items()}
+    tables = {name: text.encode("utf-8") for name, text in _tables(scan).items()}
+    documents = {MAIN: tables.pop(MAIN), **tables, **documents}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"Cannot create the folder {folder}: {error.strerror}."
         raise OutputError(what, "Choose another with -o.") from None
-    for name in documents:
-        refuse_existing(folder / name, force=force)
-    for name, document in documents.items():
-        with new_file(folder / name, force=force) as stream:
-            stream.write(document)
+    with new_outputs(*(folder / name for name in documents), force=force):
+        for name, document in documents.items():
+            with new_file(folder / name, force=force) as stream:
+                stream.write(document)
     return [folder / name for name in documents]
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import signal
 import sys
-import tempfile
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from gyrotrack._smoothing import angular_velocity
 from gyrotrack._versions import __version__
 from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
+from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.plotting._frames import Film, Picture, find_film
 from gyrotrack.plotting._tracking import jpeg, on_clock
 from gyrotrack.tracking._profile import PAPER, colour_name, load, parse, to_toml
@@ -290,8 +290,8 @@ def preview(
     from gyrotrack.tracking import _film
     from gyrotrack.tracking._extract import extract
 
-    with tempfile.TemporaryDirectory() as folder:
-        excerpt = Path(folder) / f"excerpt{film.suffix.lower()}"
+    with scratch_folder() as folder:
+        excerpt = folder / f"excerpt{film.suffix.lower()}"
         copy_excerpt(film, excerpt, frames)
         if single:
             recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, 1.0))

@@ -13,21 +13,21 @@ import os
 import re
 import shlex
 import shutil
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._films import corrected, marker_positions, positions
 from gyrotrack.apps.workbench._processes import Job, Jobs
-from gyrotrack.io._atomic import new_file
+from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
 from gyrotrack.io._records import Inertia, Recording
 from gyrotrack.tracking._profile import parse, to_toml
@@ -41,18 +41,24 @@ _MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._films"
 
 
+_FASTEST = 1e7  # upper limit of a capture rate [1/s]
+
+
 class Pick(BaseModel):
     """A marker that was clicked in the first frame: position [px], name, colour and body."""
 
     model_config = ConfigDict(extra="forbid")
 
-    x: float
-    y: float
+    x: FiniteFloat
+    y: FiniteFloat
     name: str = Field(max_length=40)
     colour: str = Field(max_length=20)
     body: Literal["casing", "rotor"] = "casing"
 
 
+_Key = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}$")]
+# an argument of a command
+_Text = Annotated[str, Field(max_length=120, pattern=r"^[^\x00-\x1f\x7f]*$")]
 # output files: names without folder, so that a manipulated state file cannot lead out of the work folder
 _OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
 _OwnProfile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.toml)?$")]
@@ -63,14 +69,14 @@ class Source(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    key: str
-    file: str
+    key: _Key
+    file: Annotated[str, Field(pattern=r"^[^\x00]+$")]
     kind: Literal["film", "recording", "table"]
     body: Literal["", "casing", "rotor", "single"] = ""
-    capture_fps: float | None = None
+    capture_fps: Annotated[float, Field(gt=0, lt=_FASTEST)] | None = None
     rate_from: str = ""
     profile: str = ""
-    hub: tuple[float, float] | None = None
+    hub: tuple[FiniteFloat, FiniteFloat] | None = None
     picks: list[Pick] = Field(default_factory=list, max_length=20)
     output: _OwnFile = ""
     marked: _OwnProfile = ""
@@ -85,11 +91,11 @@ class State(BaseModel):
 
     version: Literal[1] = 1
     sources: list[Source] = Field(default_factory=list)
-    inertia_rotor: str = Field(default="", max_length=80)
-    inertia_casing: str = Field(default="", max_length=80)
-    inertia: str = Field(default="", max_length=80)
-    label: str = Field(default="", max_length=120)
-    surface: str = Field(default="", max_length=120)
+    inertia_rotor: _Text = ""
+    inertia_casing: _Text = ""
+    inertia: _Text = ""
+    label: _Text = ""
+    surface: _Text = ""
     case: _OwnFile = ""
     matched: list[str] = Field(default_factory=list)
     match: dict[str, Any] = Field(default_factory=dict)
@@ -108,7 +114,11 @@ class Project:
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
-        self.state = _read_state(self.folder / STATE_FILE)
+        self._holds = ExitStack()
+        self._holds.enter_context(locked(self.folder / "workbench", 0.0))
+        self.notes: list[str] = []
+        self.state = self._read_state()
+        self._saved = self.state.model_dump_json()
         self.jobs = Jobs(self.folder, cores())
 
     def document(self) -> dict[str, Any]:
@@ -183,7 +193,8 @@ class Project:
         return [
             n
             for n in names
-            if (Path(n).suffix.lower() in kinds or n == "study.toml")
+            if n.isprintable()
+            and (Path(n).suffix.lower() in kinds or n == "study.toml")
             and n not in ours
             and self.folder / n not in known
             and not n.endswith(".fits.json")
@@ -206,7 +217,7 @@ class Project:
     def add(self, path: Path, *, confined: bool = False) -> None:
         """Add a film, table, recording or study (study.toml; if `confined`, only with files in the work folder)."""
         path = path if path.is_absolute() else Path.cwd() / path
-        with self._lock:
+        with self._changing():
             suffix = path.suffix.lower()
             if not path.is_file():
                 raise UsageError(f"There is no file {path}.", "Check the path.")
@@ -270,7 +281,7 @@ class Project:
 
     def remove(self, key: str) -> None:
         """Remove a source; its files are kept."""
-        with self._lock:
+        with self._changing():
             x = self.source(key)
             for step in ("track", "preview", "profile"):
                 self.jobs.cancel(f"{step}:{key}")
@@ -280,9 +291,9 @@ class Project:
 
     def set(self, key: str, name: str, value: Any) -> None:
         """Set one field of a source (with its key) or of the case; a UsageError rejects unknown fields and values."""
-        with self._lock:
+        with self._changing():
             if not key:
-                if name not in _FIELDS or not isinstance(value, str) or len(value) > _MAX_FIELD:
+                if name not in _FIELDS or not isinstance(value, str):
                     raise UsageError("This field cannot be set.", "Reload the page.")
                 setattr(self.state, name, value.strip())
             else:
@@ -303,31 +314,16 @@ class Project:
         Folders in its name are ignored.
         """
         target = self._upload_target(name, declared)
-        part = target.with_name(target.name + ".part")
-        try:
-            with part.open("xb") as stream:
-                size = 0
-                async for piece in pieces:
-                    size += len(piece)
-                    if size > declared:
-                        break
-                    stream.write(piece)
-                stream.flush()
-                os.fsync(stream.fileno())
-        except FileExistsError as error:
-            what = f"{target.name} is already being uploaded."
-            raise OutputError(what, "Wait until it is complete.") from error
-        except BaseException as error:  # not an OSError: the page was closed
-            part.unlink(missing_ok=True)
-            if not isinstance(error, OSError):
-                raise
-            what = f"{target.name} cannot be written: {error.strerror}."
-            raise OutputError(what, "Free some space.") from error
-        if size != declared:
-            part.unlink(missing_ok=True)
-            what = f"The size of {target.name} is not as declared ({declared} bytes)."
-            raise UsageError(what, "Upload it again.")
-        part.replace(target)
+        with new_path(target) as part, part.open("r+b") as stream:
+            size = 0
+            async for piece in pieces:
+                size += len(piece)
+                if size > declared:
+                    break
+                stream.write(piece)
+            if size != declared:
+                what = f"The size of {target.name} is not as declared ({declared} bytes)."
+                raise UsageError(what, "Upload it again.")
         try:
             self.add(target, confined=True)
         except GyrotrackError:
@@ -364,12 +360,12 @@ class Project:
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
         """Store hub [px], markers, and the colour of a disc or "", write a profile, and preview the tracking."""
-        with self._lock:
+        with self._changing():
             x = self.source(key)
             try:
                 x.picks = [Pick.model_validate(p) for p in picks][:20]
                 x.hub = None if hub is None else (float(hub[0]), float(hub[1]))
-            except (ValidationError, TypeError, ValueError, IndexError) as error:
+            except (ValidationError, TypeError, ValueError, LookupError, OverflowError) as error:
                 raise UsageError("These positions are not valid.", "Click them again.") from error
             if x.hub is not None and not all(map(math.isfinite, x.hub)):
                 raise UsageError("The position of the hub is not valid.", "Click it again.")
@@ -416,6 +412,7 @@ class Project:
             name = self._unused_name(f"{Path(x.file).stem}.toml")
 
             def found(_document: dict[str, Any]) -> None:
+                x = self.source(key)
                 x.profile, x.picks, x.hub = name, [], None
                 with suppress(GyrotrackError):
                     self.preview(key)
@@ -451,7 +448,7 @@ class Project:
 
     def correct(self, key: str, marker: str, frame: int, place: Any) -> None:
         """Correct a marker in one frame of a tracked film, or mark it as lost, and rewrite the recording."""
-        with self._lock:
+        with self._changing():
             recording = self._recording(key)
             if recording is None:
                 raise UsageError("This film is not tracked yet.", "Track it first.")
@@ -500,7 +497,7 @@ class Project:
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
                     words.append("--force")  # the name was not in use when the film was added
-                self._start(f"track:{x.key}", words, partial(self._tracked, x, self.track_words(x)))
+                self._start(f"track:{x.key}", words, partial(self._tracked, x.key, self.track_words(x)))
 
     def _is_current(self, x: Source) -> bool:
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
@@ -530,14 +527,15 @@ class Project:
         """Start a command; when it has succeeded, call `done` with its document and save the state."""
 
         def finished(job: Job) -> None:
-            with self._lock:
+            with suppress(UsageError), self._changing():  # of a source that was removed
                 if job.state == "done":
                     done(job.document)
                     self._save()
 
         self.jobs.start(key, words, finished)
 
-    def _tracked(self, x: Source, words: list[str], document: dict[str, Any]) -> None:
+    def _tracked(self, key: str, words: list[str], document: dict[str, Any]) -> None:
+        x = self.source(key)
         x.words, x.result = words, _stored_result(document)
         self.state.matched = []
         if x.body == "single":
@@ -663,28 +661,54 @@ class Project:
     def _relative(self, path: Path) -> str:
         return path.name if path.parent == self.folder else str(path)
 
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Hold the lock, and restore the stored state after an error."""
+        with self._lock:
+            try:
+                yield
+            except BaseException:
+                self.state = State.model_validate_json(self._saved)
+                raise
+
     def _save(self) -> None:
-        text = json.dumps(self.state.model_dump(mode="json"), indent=1, allow_nan=False)
+        """Write the state, if it passes the checks of reading."""
+        try:
+            text = json.dumps(self.state.model_dump(), indent=1, allow_nan=False)
+            State.model_validate_json(text)
+        except ValueError as error:
+            what = "This entry is too long, or has characters that are not valid."
+            raise UsageError(what, "Correct it.") from error
         with new_file(self.folder / STATE_FILE, force=True) as stream:
             stream.write((text + "\n").encode())
+        self._saved = text
+
+    def _read_state(self) -> State:
+        """Return the stored state; a file that cannot be read as one is renamed, and a new state begins."""
+        path = self.folder / STATE_FILE
+        refuse_special(path, ConfigurationError)
+        try:
+            return State.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
+            return State()
+        except OSError as error:
+            what = f"{path} cannot be read: {error.strerror}."
+            raise ConfigurationError(what, "Check its permissions.") from error
+        except ValueError:
+            number = 1
+            while (aside := path.with_name(f"workbench.unreadable-{number}.json")).exists():
+                number += 1
+            path.rename(aside)
+            self.notes.append(f"{path} is not a valid state of the workbench; it is kept as {aside.name}.")
+            return State()
 
     def close(self) -> None:
         """End all processes; checkpoints are kept."""
         self.jobs.close()
+        self._holds.close()
 
 
 _FIELDS = ("label", "surface", "inertia_rotor", "inertia_casing", "inertia")
-_MAX_FIELD = 120
-
-
-def _read_state(path: Path) -> State:
-    if not path.exists():
-        return State()
-    try:
-        return State.model_validate_json(path.read_bytes())
-    except (OSError, ValueError) as error:
-        what = f"{path} is not a valid state file of the workbench."
-        raise ConfigurationError(what, "Move or delete it; films and recordings are not affected.") from error
 
 
 def _argument(name: str) -> str:
@@ -703,7 +727,7 @@ def _rate(value: Any) -> float | None:
         rate = float(str(value).replace(",", "."))
     except ValueError:
         rate = math.nan
-    if not 0 < rate < 1e7:
+    if not 0 < rate < _FASTEST:
         raise UsageError("The capture rate is not a positive number.", "Enter it in frames per second.")
     return rate
 

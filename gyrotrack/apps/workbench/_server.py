@@ -1,21 +1,22 @@
 """The server of the workbench, on this machine only.
 
 The server listens on the loopback interface. Requests by other sites are rejected: those under another host name (DNS
-rebinding) by their Host header, forms and scripts by their Origin header; and none of them has the token, which is new
-at each start.
+rebinding) by their Host header, forms and scripts by their Origin or Sec-Fetch-Site header; and none of them has the
+token, which is new at each start. The first visit has it in the address, and exchanges it for a cookie.
 """
 
 from __future__ import annotations
 
 import hmac
 import json
+import math
 import secrets
 import shlex
 import socket
 from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from threading import Lock, Thread
@@ -25,11 +26,13 @@ from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._study import open_study
+from gyrotrack.apps.report._page import is_report
 from gyrotrack.apps.workbench import _films as films
-from gyrotrack.apps.workbench._processes import Jobs, Ranker
+from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
+from gyrotrack.io._tables import valid
 from gyrotrack.plotting import _charts as charts
 from gyrotrack.plotting._tracking import jpeg
 
@@ -57,10 +60,14 @@ _HEADERS = (
 
 
 class Guard:
-    """ASGI middleware that rejects requests without the secret `token` in a header or, for the page, in the address."""
+    """ASGI middleware that rejects requests without the secret `token`, in a header or a cookie.
+
+    The page with the token in its address is answered with the cookie, and with the address without it.
+    """
 
     def __init__(self, app: App, port: int, token: str) -> None:
         self._app = app
+        self._cookie = f"gyrotrack-{port}"  # cookies of all ports are in one place
         self._hosts = {f"{name}:{port}".encode() for name in ("127.0.0.1", "localhost")}
         self._token = token.encode()
 
@@ -70,8 +77,12 @@ class Guard:
             await self._app(scope, receive, send)
             return
         status = self._status(scope)
+        if status == _MOVED:
+            cookie = f"{self._cookie}={self._token.decode()}; HttpOnly; SameSite=Strict; Path=/"
+            await _answer(scope, status, send, (b"location", b"/"), (b"set-cookie", cookie.encode()))
+            return
         if status != _ACCEPTED:
-            await _refuse(scope, status, send)
+            await _answer(scope, status, send)
             return
 
         async def with_headers(message: Any) -> None:
@@ -93,20 +104,26 @@ class Guard:
             o.removeprefix(b"http://") not in self._hosts or not o.startswith(b"http://") for o in origins
         ):
             return _FORBIDDEN
+        # a page on another port has the cookie, too
+        if any(k == b"sec-fetch-site" and v not in {b"same-origin", b"none"} for k, v in headers):
+            return _FORBIDDEN
+        if scope["path"] == "/" and scope["method"] == "GET" and b"token=" in scope["query_string"]:
+            query = parse_qs(scope["query_string"][:_MAX_QUERY])
+            return _MOVED if self._fits(query.get(b"token", [])) else _FORBIDDEN
         given = [v for k, v in headers if k == TOKEN_HEADER]
-        if scope["path"] in _PAGES and scope["method"] in {"GET", "HEAD"}:
-            query = parse_qs(scope["query_string"], max_num_fields=8) if scope["query_string"] else {}
-            given += query.get(b"token", [])
-        fits = any(hmac.compare_digest(g, self._token) for g in given)
-        return _ACCEPTED if fits else _FORBIDDEN
+        pairs = [c.strip().partition(b"=") for k, v in headers if k == b"cookie" for c in v.split(b";")]
+        given += [value for name, _, value in pairs if name == self._cookie.encode()]
+        return _ACCEPTED if self._fits(given) else _FORBIDDEN
+
+    def _fits(self, given: Sequence[bytes]) -> bool:
+        return any(hmac.compare_digest(g, self._token) for g in given)
 
 
-# opened by address, without headers
-_PAGES = {"/", "/report"}
-_ACCEPTED, _FORBIDDEN, _MISDIRECTED = 200, 403, 400
+_MAX_QUERY = 500
+_ACCEPTED, _MOVED, _FORBIDDEN, _MISDIRECTED = 200, 303, 403, 400
 
 
-async def _refuse(scope: Scope, status: int, send: Send) -> None:
+async def _answer(scope: Scope, status: int, send: Send, *more: tuple[bytes, bytes]) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008})
         return
@@ -115,11 +132,14 @@ async def _refuse(scope: Scope, status: int, send: Send) -> None:
         (b"content-type", b"text/plain; charset=utf-8"),
         (b"content-length", str(len(text)).encode()),
         *_HEADERS,
+        *more,
     ]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": text if scope["method"] != "HEAD" else b""})
 
 
+# a report has no origin: none of its requests is one of the page
+_SANDBOX = "sandbox allow-scripts allow-downloads"
 _MAX_BODY = 64 * 1024
 
 
@@ -131,10 +151,14 @@ async def body_of(request: Request) -> dict[str, Any]:
         if len(raw) > _MAX_BODY:
             return {}
     try:
-        found = json.loads(bytes(raw) or b"{}")
+        found = json.loads(bytes(raw) or b"{}", parse_constant=_no_number)
     except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(text)
 
 
 async def answered(work: Callable[[], Any]) -> Response:
@@ -163,9 +187,13 @@ def refusal(error: Exception) -> Response:
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a text of a request; empty if it is missing or not a text."""
+    """Return a text of a request; empty if it is missing or not a text, an error if it cannot be stored."""
     value = query.get(name, "")
-    return value if isinstance(value, str) else ""
+    if not isinstance(value, str):
+        return ""
+    if valid(value) != value:
+        raise UsageError("The text has characters that are not valid.", "Correct it.")
+    return value
 
 
 def whole(query: dict[str, Any], name: str) -> int:
@@ -192,9 +220,13 @@ def numbers(query: dict[str, Any], name: str) -> dict[str, float]:
     found = query.get(name)
     if not isinstance(found, dict):
         return {}
-    if not all(isinstance(v, int | float) for v in found.values()):
+    try:
+        values = {str(k): float(v) for k, v in found.items() if isinstance(v, int | float)}
+    except OverflowError:
+        values = {}
+    if len(values) < len(found) or not all(map(math.isfinite, values.values())):
         raise UsageError("A value is not a number.", "Reload the page.")
-    return {str(k): float(v) for k, v in found.items()}
+    return values
 
 
 _ADDRESS = "127.0.0.1"
@@ -210,6 +242,8 @@ class Laboratory:
     case: Path
     ledger: Path | None
     jobs: Jobs
+    # the report that this process has written, and its name
+    written: dict[str, bytes] = field(default_factory=dict)
 
     @classmethod
     def open(
@@ -229,12 +263,24 @@ class Laboratory:
 
     @property
     def report(self) -> Path:
-        """Path of the report, next to the case."""
-        return self.case.with_suffix(".report.html")
+        """Path of the report, next to the case; of a file of somebody else another name."""
+        number, path = 1, self.case.with_suffix(".report.html")
+        while not is_report(path):
+            number += 1
+            path = self.case.with_suffix(f".report_{number}.html")
+        return path
 
     def write_report(self) -> dict[str, Any]:
         """Save the current fit in the ledger and write the report of its history, in a process."""
-        self.jobs.start("report", self._report_words(self.session.kept()), lambda _: None)
+        path = self.report
+
+        def finished(job: Job) -> None:
+            self.written.clear()
+            if job.state == "done":
+                with suppress(OSError):
+                    self.written[path.name] = path.read_bytes()
+
+        self.jobs.start("report", self._report_words(self.session.kept()), finished)
         return self.report_state()
 
     def report_state(self) -> dict[str, Any]:
@@ -421,12 +467,13 @@ class Workbench:
         return HTMLResponse(page, headers={"content-security-policy": policy})
 
     async def _report(self, _request: Request) -> Response:
-        from starlette.responses import FileResponse
+        from starlette.responses import HTMLResponse
 
         lab = self._laboratory
-        if lab is None or not lab.report.is_file():
+        if lab is None or not lab.written:
             return refusal(UsageError("There is no report yet.", "Write it in the laboratory."))
-        return FileResponse(lab.report, media_type="text/html")
+        (page,) = lab.written.values()
+        return HTMLResponse(page, headers={"content-security-policy": f"{_SANDBOX}; {charts.PAGE_POLICY}"})
 
     def _state(self, _query: dict[str, Any]) -> dict[str, Any]:
         lab = self.laboratory

@@ -199,9 +199,10 @@ class Session:
             old = step.name, step.note
 
             def write(name: str, note: str) -> None:
-                step.name, step.note = name.strip()[:_MAX_NAME], note.strip()[:_MAX_TEXT]
+                name, note = name.strip()[:_MAX_NAME], note.strip()[:_MAX_TEXT]
                 if step.fit_id:
-                    self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
+                    self._ledger.annotate(step.fit_id, name=name, note=note)
+                step.name, step.note = name, note
 
             write(name, note)
             self._undo.append(lambda: write(*old))

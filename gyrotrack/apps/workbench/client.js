@@ -1,11 +1,10 @@
 "use strict";
 /* Common to both parts of the page: requests, errors, switching between the parts. */
 const Page = (() => {
-  const token = new URLSearchParams(location.search).get("token") || "";
   const at = (id) => document.getElementById(id);
 
   async function ask(path, body) {
-    const options = { headers: { "x-gyrotrack-token": token } };
+    const options = {};
     if (body !== undefined) {
       options.method = "POST";
       options.body = body instanceof Blob ? body : JSON.stringify(body);

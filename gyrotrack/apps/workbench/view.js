@@ -380,7 +380,6 @@ const Laboratory = (() => {
         found = await ask("/api/report");
       }
       at("report-state").textContent = found.state === "done" ? found.name : found.message || found.state;
-      at("open-report").href = `/report${location.search}`;
       at("open-report").hidden = found.state !== "done";
     } catch (error) { complain(error); }
     begin.disabled = false;

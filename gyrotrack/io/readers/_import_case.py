@@ -16,6 +16,7 @@ from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_widt
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
+from gyrotrack.io.readers._number_range import within_number_range
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
@@ -175,6 +176,7 @@ def summary(case: Case) -> dict[str, Any]:
     }
 
 
+@within_number_range
 def import_case(
     casing: Path,
     rotors: Sequence[Path],
@@ -250,6 +252,7 @@ def import_case(
     )
 
 
+@within_number_range
 def import_body(
     table: Path,
     inertia: float,

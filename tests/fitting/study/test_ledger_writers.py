@@ -1,14 +1,19 @@
 """Ledgers: several processes add fits at the same time; stored effects that the library does not have."""
 
 import json
+import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
+from fitting import _schema
 from fitting._errors import LedgerError
 from fitting._schema import effects_of
+from fitting.study import _history
+from fitting.study._history import Ledger
 
 ROOT = Path(__file__).parents[3]
 
@@ -55,3 +60,103 @@ def test_concurrent_writers_lose_no_fit(tmp_path):
 def test_a_stored_fit_with_an_unknown_effect_is_refused():
     with pytest.raises(LedgerError, match=r"'casing\.air\.septic', which is not in the library"):
         effects_of(["casing.air.linear", "casing.air.septic"], ())
+
+
+def _entry(fit_id="f1", **changed):
+    return {"fit_id": fit_id, "model": [], "parameters": {}, "digests": ["0" * 64], "verdict": "x"} | changed
+
+
+def _written(path, *entries):
+    path.write_text(json.dumps({"format": "gyrotrack ledger", "version": 1, "fits": list(entries)}))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("text", ["caf\udce9", "\ud800"])
+def test_a_note_that_could_not_be_read_again_is_not_written(tmp_path, text):
+    path = tmp_path / "x.fits.json"
+    before = _written(path, _entry(), _entry("f2"))
+    ledger = Ledger(path)
+    for change in ({"note": text}, {"name": text}, {"name": "good", "note": text}):
+        with pytest.raises(LedgerError, match=r"would make .* unreadable"):
+            ledger.annotate("f2", **change)
+        assert path.read_bytes() == before
+        assert [e.document for e in ledger.entries] == [e.document for e in Ledger(path).entries]
+    ledger.annotate("f2", note="caf\u00e9 \U0001f600 a\nb")
+    assert Ledger(path).find("f2").stored.note == "caf\u00e9 \U0001f600 a\nb"
+
+
+@pytest.mark.parametrize(
+    "fit_id", ["", "f", "fabc", "f0", "f01", "f-1", "1", "f" + 5000 * "1", "f\u0661", "f1\n"]
+)
+def test_a_fit_without_a_proper_name_is_damage(tmp_path, fit_id):
+    path = tmp_path / "x.fits.json"
+    before = _written(path, _entry(fit_id))
+    with pytest.raises(LedgerError, match="is not a name of a fit"):
+        Ledger(path)
+    assert path.read_bytes() == before
+    _written(path, _entry("f123456789"))
+    assert Ledger(path).find("f123456789").digests == ["0" * 64]
+
+
+def test_a_ledger_that_changes_in_spite_of_the_lock_is_not_replaced(tmp_path, monkeypatch):
+    """As on a network drive whose locks do not reach other hosts."""
+    path = tmp_path / "x.fits.json"
+    _written(path, _entry())
+    here, elsewhere = Ledger(path), Ledger(path)
+    written = _schema.as_text
+
+    def meanwhile(document):
+        monkeypatch.setattr(_history, "as_text", written)
+        with monkeypatch.context() as without:
+            without.setattr(_history, "locked", lambda path: nullcontext())
+            elsewhere.annotate("f1", note="theirs")
+        return written(document)
+
+    monkeypatch.setattr(_history, "as_text", meanwhile)
+    with pytest.raises(LedgerError, match="changed by another program at the same time"):
+        here.annotate("f1", note="ours")
+    assert Ledger(path).find("f1").stored.note == "theirs"
+    here.annotate("f1", note="ours")
+    assert Ledger(path).find("f1").stored.note == "ours"
+    assert [p.name for p in tmp_path.iterdir()] == ["x.fits.json"]
+
+
+_NOTES = """
+import os, sys
+from pathlib import Path
+from fitting.study._history import Entry, Ledger
+ledger = Ledger(Path(sys.argv[1]))
+os.setgid(int(sys.argv[2]))
+os.setuid(int(sys.argv[2]))
+for k in range(int(sys.argv[3])):
+    document = dict(ledger.find("f1").document)
+    with ledger._locked():
+        highest = max(int(e.fit_id[1:]) for e in ledger.entries)
+        ledger.entries.append(Entry(document | {"fit_id": f"f{highest + 1}", "name": sys.argv[2]}))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may become two users")
+def test_two_users_with_folders_for_temporary_files_of_their_own_lose_no_fit(tmp_path):
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(0o777)
+    for above in (tmp_path, *tmp_path.parents[:2]):
+        above.chmod(0o755)
+    path = folder / "x.fits.json"
+    _written(path, _entry())
+    path.chmod(0o666)
+    each, writers = 25, []
+    for user in (1001, 1002, 1001, 1002):
+        own = folder / f"tmp{len(writers)}"
+        own.mkdir()
+        command = [sys.executable, "-c", _NOTES, str(path), str(user), str(each)]
+        writers.append(subprocess.Popen(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(own)}))
+    assert [w.wait() for w in writers] == [0] * len(writers)
+    fits = Ledger(path).entries
+    assert [e.fit_id for e in fits] == [f"f{k + 1}" for k in range(len(writers) * each + 1)]
+    assert (
+        sum(e.stored.name == "1001" for e in fits) == sum(e.stored.name == "1002" for e in fits) == 2 * each
+    )
+    assert sorted(p.name for p in folder.iterdir() if p.is_file()) == ["x.fits.json"]

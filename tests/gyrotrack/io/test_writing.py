@@ -1,5 +1,6 @@
 """A file is there whole or not at all, whatever interrupts its writing."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -10,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from fitting._errors import LedgerError, RecordError
+from fitting._schema import locked as ledger_locked
 from fitting.inference._case_file import read_record
 from fitting.study._history import Ledger
 from gyrotrack._errors import DatasetError, OutputError
-from gyrotrack.io._atomic import CheckpointFile, locked, new_file
+from gyrotrack.io._atomic import CheckpointFile, locked, new_file, refuse_existing
 from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
 from gyrotrack.io.readers._import_case import import_body
 
@@ -67,10 +69,104 @@ def test_missing_folder_and_folder_as_target_are_refused(tmp_path):
         write(tmp_path, force=True)
 
 
-def test_a_temporary_file_left_by_a_killed_process_is_no_obstacle(tmp_path):
-    (tmp_path / "a.part").write_bytes(b"half")
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from gyrotrack.io._atomic import new_file
+with new_file(Path(sys.argv[1])) as stream:
+    stream.write(b"half")
+    stream.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+def test_the_next_writer_removes_what_a_killed_one_has_left_and_nothing_else(tmp_path):
+    foreign = ["a.part", "a.0123abcd.part", "a.unfinished"]
+    for name in foreign:
+        (tmp_path / name).write_bytes(b"precious")
+    subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path / "a")], check=False)
+    assert len(names(tmp_path)) == len(foreign) + 2  # the temporary file, and its lock
     write(tmp_path / "a")
-    assert names(tmp_path) == ["a"]
+    assert names(tmp_path) == sorted(["a", *foreign])
+    assert {(tmp_path / name).read_bytes() for name in foreign} == {b"precious"}
+
+
+LINKS = {"symbolic": os.symlink, "hard": os.link}
+
+
+@pytest.mark.parametrize("kind", LINKS)
+@pytest.mark.parametrize("name", ["a.unfinished", ".a.lock", ".a.unfinished.lock"])
+def test_a_planted_link_changes_no_file(tmp_path, name, kind):
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"precious")
+    LINKS[kind](victim, tmp_path / name)
+    if ".unfinished" in name:
+        for resume in (False, True):
+            with pytest.raises(OutputError, match=r"was not made by gyrotrack"):
+                CheckpointFile(tmp_path / "a", {}, resume=resume)
+    else:
+        with pytest.raises(OutputError, match=r"was not made by gyrotrack"):
+            write(tmp_path / "a")
+    assert victim.read_bytes() == b"precious"
+    assert names(tmp_path) == sorted([name, "victim"])
+
+
+@pytest.mark.parametrize("content", [b"precious", b"gyrotrack journal 2\n"])
+def test_a_foreign_file_with_the_name_of_ours_is_left_alone(tmp_path, content):
+    for name in ("a.unfinished", ".b.lock", ".c.fits.json.lock"):
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(OutputError, match=r"a\.unfinished was not made by gyrotrack"):
+        CheckpointFile(tmp_path / "a", {})
+    with pytest.raises(OutputError, match=r"\.b\.lock was not made by gyrotrack"):
+        write(tmp_path / "b")
+    with (
+        pytest.raises(LedgerError, match=r"\.lock was not made by gyrotrack"),
+        ledger_locked(tmp_path / "c.fits.json"),
+    ):
+        pass
+    assert {p.read_bytes() for p in tmp_path.iterdir()} == {content}
+
+
+def test_a_lock_file_names_no_file_but_a_temporary_one_of_its_output(tmp_path):
+    (tmp_path / "b.0123abcd.part").write_bytes(b"precious")
+    for name in ("b.0123abcd.part", "../b.0123abcd.part", "a", "", "a.0123abcd.part/"):
+        (tmp_path / ".a.lock").write_bytes(b"gyrotrack lock\n" + name.encode())
+        write(tmp_path / "a", force=True)
+    assert names(tmp_path) == ["a", "b.0123abcd.part"]
+
+
+@pytest.mark.parametrize("made", [locked, ledger_locked])
+@pytest.mark.parametrize(
+    ("number", "words"), [(errno.ENOLCK, "has no locks"), (errno.EACCES, "cannot be written")]
+)
+def test_without_a_lock_nothing_is_written(tmp_path, monkeypatch, made, number, words):
+    def refuse(self, *args, **kwargs):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("filelock.FileLock.acquire", refuse)
+    with pytest.raises((OutputError, LedgerError), match=words), made(tmp_path / "a", 0.1):
+        pytest.fail("not locked")
+
+
+def test_a_lock_that_is_left_behind_does_not_block(tmp_path):
+    for name in (".a.lock", ".b.lock"):
+        (tmp_path / name).write_bytes(b"")
+    with locked(tmp_path / "a"), ledger_locked(tmp_path / "b"):
+        assert names(tmp_path) == [".a.lock", ".b.lock"]
+    assert names(tmp_path) == []
+
+
+def test_no_command_replaces_what_it_reads(tmp_path):
+    source, hard, soft = (tmp_path / name for name in ("film.mp4", "hard.mp4", "soft.mp4"))
+    source.write_bytes(b"precious")
+    os.link(source, hard)
+    soft.symlink_to(source)
+    (tmp_path / "x").mkdir()
+    for target in (source, hard, soft, tmp_path / "x" / ".." / "film.mp4"):
+        with pytest.raises(OutputError, match="is an input of this command"):
+            refuse_existing(target, force=True, reads=[None, tmp_path / "absent", source])
+    refuse_existing(source, force=True, reads=[tmp_path / "absent"])
 
 
 def test_two_writers_of_one_file_do_not_mix(tmp_path):
@@ -122,7 +218,7 @@ except OutputError as error:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-@pytest.mark.parametrize("name", ["a", "a.part"])
+@pytest.mark.parametrize("name", ["a", ".a.lock"])
 def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(OutputError, match="is a named pipe, not a regular file"):

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import h5py
@@ -15,8 +16,8 @@ import pytest
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
+from gyrotrack.tracking._film_parts import _PartResults, frames_done, split, turns_between
 from gyrotrack.tracking._film_parts import _second_start as second_start
-from gyrotrack.tracking._film_parts import frames_done, split, turns_between
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.video._container import Packets
 from gyrotrack.video._decoder import Part
@@ -263,6 +264,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_p
 _PEAK = """
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from gyrotrack.apps.cli._app import run
 assert run(["extract", sys.argv[1], "-o", sys.argv[2], "-q", "--force"]) == 0
 lines = Path("/proc/self/status").read_text().splitlines()
@@ -279,3 +281,43 @@ def test_memory_is_the_same_for_ten_times_as_many_frames(long_film, tmp_path):
         peak[rounds] = float(subprocess.run(words, check=True, capture_output=True).stdout.split()[-1])
     assert peak[50] < 300
     assert peak[50] - peak[5] < 25  # MB
+
+
+_FACTS = {"part": 1, "parts": 2, "frames": 2, "bad_packets": 0, "corrupt": 0}
+_ARRAYS = {"stamps": np.array([9, 10, 11]), "casing/coarse": np.zeros(3), "disc": np.zeros((3, 2))}
+_COLUMNS = {"stamps": ((), "<i8"), "casing/coarse": ((), "<f8"), "disc": ((2,), "<f8")}
+
+
+@pytest.mark.parametrize(
+    ("facts", "arrays"),
+    [
+        ({"part": 2}, {}),
+        ({"part": -1}, {}),
+        ({"part": "1"}, {}),
+        ({"part": None}, {}),
+        ({"parts": 3}, {}),
+        ({"frames": 3}, {}),
+        ({"frames": 1e300}, {}),
+        ({"bad_packets": []}, {}),
+        ({"corrupt": -1}, {}),
+        ({}, {"stamps": np.array([9, 10, 12])}),
+        ({}, {"stamps": np.array([9.0, 10.0, 11.0])}),
+        ({}, {"stamps": np.array(9)}),
+        ({}, {"casing/coarse": np.zeros(2)}),
+        ({}, {"casing/coarse": np.zeros(())}),
+        ({}, {"casing/coarse": np.zeros(3, dtype=np.int64)}),
+        ({}, {"disc": np.zeros((3, 3))}),
+        ({}, {"more": np.zeros(3)}),
+    ],
+)
+def test_a_record_of_another_form_is_not_taken_for_a_part(tmp_path, facts, arrays):
+    parts = [SimpleNamespace(stop=10), SimpleNamespace(stop=None)]
+    packets = SimpleNamespace(stamps=np.arange(12), complete=True)
+    with CheckpointFile(tmp_path / "o.h5", {}) as journal:
+        journal.append(_FACTS, _ARRAYS)
+        assert frames_done(journal) == 2
+        assert _PartResults(parts, packets, journal, _COLUMNS).todo == [0]
+        journal.append(_FACTS | facts, _ARRAYS | arrays)
+        frames_done(journal)
+        assert _PartResults(parts, packets, journal, _COLUMNS).todo == [0, 1]
+        assert len(journal) == 0

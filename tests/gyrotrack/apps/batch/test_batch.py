@@ -5,6 +5,9 @@ import json
 import os
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -119,6 +122,82 @@ def test_a_cluster_whose_worker_is_killed(batch, films, tmp_path):
     for i in range(3):
         assert read_recording(tmp_path / "out" / f"wheel_{i}" / f"wheel_{i}.h5").frames_decoded == 260
     assert not list((tmp_path / "out").rglob("*.part"))
+
+
+@pytest.mark.filterwarnings("default")  # of the cluster's own libraries
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_batch_leaves_no_step_on_the_cluster(batch, films, tmp_path, number):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        words = [
+            "batch",
+            films / "few.toml",
+            "-o",
+            tmp_path / "out",
+            "--scheduler",
+            cluster.scheduler_address,
+        ]
+        process = subprocess.Popen([sys.executable, "-P", "-m", "gyrotrack", *map(str, words), "-q"])
+        deadline = time.monotonic() + 60
+        while not list((tmp_path / "out").glob("*/*.unfinished")) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        process.send_signal(number)
+        assert process.wait(30) == (130 if number == signal.SIGINT else -number)
+        if number == signal.SIGINT:  # what was begun has ended with the command
+            assert not list((tmp_path / "out").rglob("*.part"))
+            assert not list((tmp_path / "out").rglob(".*.lock"))
+        code, said = batch("--scheduler", cluster.scheduler_address, source="few.toml")
+    assert code == 0, said
+    assert [r["problem"] for r in said["cases"]] == [""] * 3
+    assert not list((tmp_path / "out").glob("batch.running.*"))
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_scheduler_that_is_lost_ends_in_a_summary(batch, films, tmp_path):
+    pytest.importorskip("distributed")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--no-dashboard",
+        "--port",
+        address[-5:].lstrip(":"),
+    ]
+    worker = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        address,
+        "--nthreads",
+        "1",
+        "--no-dashboard",
+    ]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(dask, **quiet) as scheduler, subprocess.Popen(worker, **quiet) as work:
+
+        def kill():
+            deadline = time.monotonic() + 60
+            while not list((tmp_path / "out").glob("*/*.unfinished")) and time.monotonic() < deadline:
+                time.sleep(0.02)
+            scheduler.kill()
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        try:
+            code, said = batch("--scheduler", address, source="few.toml")
+        finally:
+            killer.join()
+            work.kill()
+            scheduler.kill()
+    assert code == 1
+    assert "error" not in said
+    assert said["steps"]["failed"] >= 1
+    assert "lost" in " ".join(r["problem"] for r in said["cases"])
+    assert (tmp_path / "out" / "summary.json").is_file()
 
 
 def test_no_scheduler_at_the_address(batch, monkeypatch):

@@ -15,7 +15,7 @@ import gyrotrack
 from gyrotrack._errors import DatasetError
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as lazy
-from gyrotrack.apps.cli._output import Output
+from gyrotrack.apps.cli._output import Output, running
 
 
 @pytest.fixture
@@ -199,10 +199,11 @@ class TestOutput:
     def test_json_is_one_document_with_null_for_what_is_not_finite(self, capsys):
         np = pytest.importorskip("numpy")
         out = Output(as_json=True)
-        out.show("not printed")
-        out.result(
-            {"a": np.float64("nan"), "b": np.arange(3), "c": Path("x"), "d": (float("inf"), np.int64(2))}
-        )
+        with running(()):
+            out.show("not printed")
+            out.result(
+                {"a": np.float64("nan"), "b": np.arange(3), "c": Path("x"), "d": (float("inf"), np.int64(2))}
+            )
         said = capsys.readouterr().out
         assert json.loads(said) == {"a": None, "b": [0, 1, 2], "c": "x", "d": [None, 2]}
 

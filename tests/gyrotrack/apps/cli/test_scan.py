@@ -15,7 +15,7 @@ def scanned(simulated, tmp_path_factory, request):
     outputs = ["--csv", str(folder / "s.csv"), "--latex", str(folder / "s.tex")]
     with pytest.MonkeyPatch.context() as patch:
         said = []
-        patch.setattr("gyrotrack.apps.cli._output.print_json", said.append)
+        patch.setattr("gyrotrack.apps.cli._output._json", lambda document: said.append(document) or "")
         # a copy: other tests write a ledger beside the shared case
         source = shutil.copy(simulated / "plain.h5", folder)
         code = app.run(["scan", str(source), *outputs, "--json", "-q"])

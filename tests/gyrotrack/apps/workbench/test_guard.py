@@ -90,15 +90,38 @@ def test_only_the_right_combination_gets_through(path):
     assert tried == 480
 
 
-def test_the_address_lets_the_page_in_and_nothing_else():
+def test_the_address_lets_the_page_in_once_and_nothing_else():
     host = [("host", f"localhost:{PORT}")]
-    assert _ask("/", host, query=f"token={TOKEN}".encode())[0]["status"] == 200
-    assert _ask("/report", host, query=f"token={TOKEN}".encode())[0]["status"] == 200
-    assert _ask("/report", host, query=b"token=wrong")[0]["status"] == 403
+    sent = _ask("/", host, query=f"token={TOKEN}".encode())
+    headers = dict(sent[0]["headers"])
+    assert (sent[0]["status"], headers[b"location"]) == (303, b"/")
+    cookie, *settings = headers[b"set-cookie"].decode().split("; ")
+    assert settings == ["HttpOnly", "SameSite=Strict", "Path=/"]
+    assert b"let in" not in sent[-1]["body"]
+    for path, method in (("/", "GET"), ("/report", "GET"), ("/api/state", "GET"), ("/api/change", "POST")):
+        for others in ("", "a=b; "):
+            assert _ask(path, [*host, ("cookie", others + cookie)], method=method)[0]["status"] == 200
+        for wrong in (cookie + "x", cookie[1:], cookie.replace(str(PORT), "4712"), f"token={TOKEN}", ""):
+            assert _ask(path, [*host, ("cookie", wrong)], method=method)[0]["status"] == 403
+    assert _ask("/report", host, query=f"token={TOKEN}".encode())[0]["status"] == 403
     assert _ask("/", host, query=b"token=wrong")[0]["status"] == 403
     assert _ask("/", host, query=b"")[0]["status"] == 403
     assert _ask("/", host, query=f"token={TOKEN}".encode(), method="POST")[0]["status"] == 403
     assert _ask("/api/state", host, query=f"token={TOKEN}".encode())[0]["status"] == 403
+
+
+@pytest.mark.parametrize(
+    ("site", "status"),
+    [("same-origin", 200), ("none", 200), ("same-site", 403), ("cross-site", 403), ("x", 403)],
+)
+def test_a_page_on_another_port_is_refused_though_it_has_the_cookie(site, status):
+    for path in ("/", "/api/state", "/report"):
+        headers = [
+            ("host", f"localhost:{PORT}"),
+            ("cookie", f"gyrotrack-{PORT}={TOKEN}"),
+            ("sec-fetch-site", site),
+        ]
+        assert _ask(path, headers)[0]["status"] == status
 
 
 def test_two_hosts_and_sockets_are_refused():

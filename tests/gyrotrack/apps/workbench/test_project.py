@@ -2,15 +2,16 @@
 
 import asyncio
 import json
+import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import ConfigurationError, GyrotrackError
+from gyrotrack._errors import GyrotrackError, OutputError, UsageError
 from gyrotrack.apps.workbench._processes import Jobs
-from gyrotrack.apps.workbench._project import STATE_FILE, Project
+from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
 
 CLIPS = Path(__file__).parents[4] / "sample_clips"
 _ELSEWHERE = ThreadPoolExecutor(max_workers=1)
@@ -40,6 +41,7 @@ def test_what_is_sent_stays_in_the_work_folder(project, tmp_path):
     for name in ("../../evil.csv", "/etc/evil.csv", "..\\evil.csv", "evil.csv"):
         _send(project, name, TABLE)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
+        ".workbench.lock",
         "evil.csv",
         "evil_2.csv",
         "evil_3.csv",
@@ -67,7 +69,7 @@ def test_what_is_sent_stays_in_the_work_folder(project, tmp_path):
 def test_what_is_not_accepted_leaves_nothing(project, tmp_path, name, declared):
     with pytest.raises(GyrotrackError):
         _send(project, name, TABLE, declared)
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == [".workbench.lock"]
 
 
 def test_notes_that_are_sent_cannot_name_films_elsewhere(project, tmp_path):
@@ -75,15 +77,87 @@ def test_notes_that_are_sent_cannot_name_films_elsewhere(project, tmp_path):
     with pytest.raises(GyrotrackError, match="outside of the work folder"):
         _send(project, "study.toml", text.encode())
     assert project.state.sources == []
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == [".workbench.lock"]
 
 
 @pytest.mark.parametrize("output", ["../x.h5", "/absolute/x.h5", "-x.h5", "x.txt", ".h5"])
-def test_a_state_that_writes_elsewhere_is_refused(tmp_path, output):
+def test_a_state_that_writes_elsewhere_is_set_aside(tmp_path, output):
     source = {"key": "1", "file": "a.mp4", "kind": "film", "output": output}
-    (tmp_path / STATE_FILE).write_text(json.dumps({"sources": [source]}))
-    with pytest.raises(ConfigurationError, match="not a valid state file"):
+    _set_aside(tmp_path, json.dumps({"sources": [source]}))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[",
+        "[" * 100_000,
+        '{"version": 2}',
+        '{"label": "\\ud800"}',
+        '{"label": "a\\nb"}',
+        '{"label": "' + 121 * "x" + '"}',
+        '{"sources": [{"key": "abc", "file": "a.mp4", "kind": "film"}]}',
+        '{"sources": [{"key": "' + 5000 * "1" + '", "file": "a.mp4", "kind": "film"}]}',
+        '{"sources": [{"key": "1", "file": "a.mp4", "kind": "film", "capture_fps": 1e400}]}',
+        '{"sources": [{"key": "1", "file": "a.mp4", "kind": "film", "capture_fps": 1' + 400 * "0" + "}]}",
+    ],
+)
+def test_a_state_that_cannot_be_read_is_set_aside(tmp_path, text):
+    _set_aside(tmp_path, text)
+
+
+def _set_aside(folder, text):
+    for number in (1, 2):  # none that was set aside is replaced
+        (folder / STATE_FILE).write_text(f"{text}{' ' * number}")
+        project = Project(folder)
+        assert project.state == State()
+        assert f"workbench.unreadable-{number}.json" in project.notes[0]
+        project.set("", "label", "new")
+        project.close()
+    kept = [(folder / f"workbench.unreadable-{number}.json").read_text() for number in (1, 2)]
+    assert kept == [f"{text} ", f"{text}  "]
+
+
+ENTRIES = {
+    "surrogate": "\udce9",
+    "long": "x" * 121,
+    "line feed": "a\nb",
+    "null": "a\0b",
+}
+
+
+@pytest.mark.parametrize("field", ["label", "surface", "inertia_rotor", "inertia_casing", "inertia"])
+def test_what_could_not_be_read_again_is_not_stored(project, tmp_path, field):
+    project.set("", field, "x" * 120)
+    before = (tmp_path / STATE_FILE).read_bytes()
+    for entry in ENTRIES.values():
+        with pytest.raises(UsageError, match="too long, or has characters"):
+            project.set("", field, entry)
+        assert getattr(project.state, field) == "x" * 120
+        assert (tmp_path / STATE_FILE).read_bytes() == before
+
+
+@pytest.mark.parametrize("hub", [[10**400, 1], [1e999, 1], [float("nan"), 1], ["a", 1], {}, [1], 5])
+def test_positions_that_are_no_numbers_are_refused(project, hub):
+    project.add(CLIPS / "rotor_1.mp4")
+    before = project.state.model_copy(deep=True)
+    with pytest.raises(UsageError):
+        project.mark("1", hub, [], "")
+    assert project.state.sources[0].hub is None
+    assert project.state == before
+
+
+def test_names_that_are_not_text_are_not_listed(project, tmp_path):
+    for name in (b"caf\xe9.mp4", b"a\nb.mp4", b"good.mp4"):
+        (tmp_path / os.fsdecode(name)).write_bytes(b"")
+    assert project.document()["available"] == ["good.mp4"]
+
+
+def test_a_second_workbench_on_one_folder_is_refused(project, tmp_path):
+    with pytest.raises(OutputError, match="locked by another program"):
         Project(tmp_path)
+    project.close()
+    Project(tmp_path).close()
 
 
 def test_rates_are_stated_never_taken_from_the_container(project, tmp_path):
@@ -102,7 +176,7 @@ def test_rates_are_stated_never_taken_from_the_container(project, tmp_path):
             project.set(casing.key, "capture_fps", wrong)
     project.set(casing.key, "capture_fps", "259,5")
     assert project.document()["missing"]["track"] == []
-    assert Project(tmp_path).state == project.state
+    assert State.model_validate_json((tmp_path / STATE_FILE).read_bytes()) == project.state
 
 
 def test_commands_are_those_of_the_command_line(project):

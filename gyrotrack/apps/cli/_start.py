@@ -1,0 +1,32 @@
+"""Start of the program, before any library is imported: with too little memory some never return."""
+
+from __future__ import annotations
+
+import sys
+
+LEAST_MEMORY = 192  # MiB of address space (`ulimit -v`)
+
+
+def main() -> None:
+    """Run the program on the command line's arguments and exit with its code."""
+    if _address_space() < LEAST_MEMORY * 2**20:
+        message = f"There is not enough memory: gyrotrack needs {LEAST_MEMORY} MiB."
+        hint = "Raise the memory limit (`ulimit -v`)."
+        if "--json" in sys.argv:
+            sys.stdout.write(f'{{"error": {{"code": "memory", "message": "{message}", "hint": "{hint}"}}}}\n')
+        else:
+            sys.stderr.write(f"error: {message}\n hint: {hint}\n")
+        sys.exit(1)
+    from gyrotrack.apps.cli._app import main as run
+
+    run()
+
+
+def _address_space() -> float:
+    """Return the limit of the address space [bytes]."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return float("inf")
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return float("inf") if limit == resource.RLIM_INFINITY else float(limit)

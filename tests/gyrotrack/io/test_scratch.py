@@ -1,0 +1,43 @@
+"""Temporary folders do not outlive their process for long, and no other folder is removed."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from gyrotrack.io._scratch import scratch_folder
+
+_KILLED = """
+import os, signal
+from gyrotrack.io._scratch import scratch_folder
+with scratch_folder() as folder:
+    (folder / "window").write_bytes(b"large")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+def test_the_folder_of_a_killed_process_is_removed_by_the_next(root):
+    done = subprocess.run([sys.executable, "-c", _KILLED], check=False)
+    assert done.returncode == -signal.SIGKILL
+    (left,) = root.iterdir()
+    foreign = [root / name for name in ("gyrotrack-work-mine", "other")]
+    for folder in foreign:
+        folder.mkdir()
+        (folder / "precious").touch()
+    (root / "gyrotrack-work-link").symlink_to(root / "other")
+    with scratch_folder() as one, scratch_folder() as two:
+        assert not left.exists()
+        assert one != two
+        assert one.is_dir()
+    assert sorted(p.name for p in root.iterdir()) == ["gyrotrack-work-link", "gyrotrack-work-mine", "other"]
+    assert all((folder / "precious").exists() for folder in foreign)
