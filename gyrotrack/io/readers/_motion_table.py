@@ -74,6 +74,7 @@ class MotionTable:
     least_sigma: float = 0.0  # lower bound of an estimated uncertainty, from the resolution of the file
     # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
+    doubts: tuple[str, ...] = ()  # why the values may be wrong by more than their uncertainty
 
     def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:
         """Return the selected samples, with further notes."""
@@ -85,6 +86,17 @@ class MotionTable:
             line=self.line[keep],
             notes=(*self.notes, *notes),
         )
+
+
+def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
+    """Return the only name of a list, or the one that contains the option `marker`."""
+    named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
+    chosen = named if len(named) == 1 else names
+    if len(chosen) != 1:
+        which = f": {', '.join(names)[:100]}" if names else ""
+        hint = f"Choose one with --marker, for example --marker '{names[0]}'." if names else "Give a table."
+        raise DatasetError(f"{path} contains {len(names)} {what}{which}.", hint)
+    return chosen[0]
 
 
 COORDINATES = ("x", "y")
@@ -309,7 +321,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
     sigma = None
     if "sigma" in columns:
         sigma_unit = units["sigma"]
-        sigma = raw.numbers(columns["sigma"], "sigma") * (
+        sigma = raw.numbers(columns["sigma"], "sigma", infinite=True) * (
             scale_of(raw, quantity, sigma_unit) if sigma_unit else scale
         )
     if quantity == "angle" and "omega" in columns:
@@ -434,13 +446,19 @@ def checked(
             f"{name}: {absent.sum()} rows without a time were excluded (first: line {line[absent][0]})"
         )
     valid = np.isfinite(value) & ~absent
+    weightless = np.zeros(len(value), dtype=bool) if sigma is None else valid & np.isposinf(sigma)
+    if weightless.any():
+        notes.append(
+            f"{name}: {weightless.sum()} rows with an infinite sigma have no weight and were excluded "
+            f"(first: line {line[weightless][0]})"
+        )
+        valid &= ~weightless
     if sigma is not None:
         _raise_if(raw, valid & np.isnan(sigma), "the sigma is missing", "Add it, or remove the column.")
         _raise_if(raw, valid & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
-    lost = int((~valid & ~absent).sum())
-    if lost:
-        first = line[~valid & ~absent][0]
-        notes.append(f"{name}: {lost} rows without a value were excluded (first: line {first})")
+    lost = ~valid & ~absent & ~weightless
+    if lost.any():
+        notes.append(f"{name}: {lost.sum()} rows without a value were excluded (first: line {line[lost][0]})")
     if valid.sum() < MIN_SAMPLES:
         what = f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")

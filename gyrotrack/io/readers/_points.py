@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot
 ORBIT = "orbit"
 # rms deviation of a path from a circle about its fitted centre, over the radius; a circle seen at 45 degrees has 0.12
 _LARGEST_DEVIATION = 0.15
+# smallest distance of a centre from that of the path for a doubt, in standard uncertainties and in radii
+_SIGNIFICANT, _LEAST_OFFSET = 5.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Points:
     counted: bool  # whether `time` contains frame numbers
     notes: tuple[str, ...] = ()  # repairs made while reading
     sha256: str = ""  # hash of the file
+    # shape (n,); standard uncertainty of x and of y from the other program; empty if not available
+    errors: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class PointAngle:
     time: Floats
     angle: Floats
     notes: tuple[str, ...]
+    sigma: Floats | None = None  # standard uncertainty of the angle, if that of the point is known
+    doubts: tuple[str, ...] = ()
 
 
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
@@ -66,8 +72,37 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
             what = f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames."
             raise DatasetError(what, "Check the columns.")
     up = -arm[:, 1] if points.y_down else arm[:, 1]
-    notes = (f"{points.path.name}: angle of '{name}' about {where}",)
-    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)
+    sigma = points.errors[name] / length if name in points.errors else None
+    doubts = () if options.centre == ORBIT else _doubt_of_centre(points.path.name, name, where, arm)
+    notes = (f"{points.path.name}: angle of '{name}' about {where}", *doubts)
+    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes, sigma, doubts)
+
+
+def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
+    """Return the doubt about a centre that is not the centre of the path, if the path is a circle.
+
+    The path of a point of a rigid body is a circle about the centre of rotation. The fitted centre has the standard
+    uncertainty of the least-squares fit, with residuals that are as independent as their correlation allows.
+    """
+    known = arm[np.isfinite(arm).all(axis=1)]
+    found = circle_centre(known)
+    radius = np.hypot(*(known - found).T)
+    rest = radius - radius.mean()
+    offset, mean = float(np.hypot(*found)), float(radius.mean())
+    ray = (known - found) / radius[:, None]
+    spread = np.linalg.pinv((ray - ray.mean(axis=0)).T @ (ray - ray.mean(axis=0)))
+    correlation = float(np.clip(np.corrcoef(rest[1:], rest[:-1])[0, 1], 0.0, 0.99)) if rest.any() else 0.0
+    inflation = (1 + correlation) / (1 - correlation)
+    u = float(np.sqrt(inflation * np.mean(rest**2) * np.trace(spread)))
+    length = np.hypot(*known.T)
+    if not (offset > _SIGNIFICANT * u and offset > _LEAST_OFFSET * mean and rest.std() < 0.5 * length.std()):
+        return ()
+    given, fitted = (np.ptp(np.unwrap(np.arctan2(a[:, 1], a[:, 0]))) for a in (known, known - found))
+    return (
+        f"{file}: the distance of '{name}' from {where} varies from {length.min():.3g} to {length.max():.3g}; its path "
+        f"is a circle about a centre that is {offset:.3g} +- {u:.1g} away. The angle ranges over {given:.3g} rad about "
+        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter.",
+    )
 
 
 def _require_samples(points: Points, name: str, place: Floats) -> None:

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._archives import read_zip
+from gyrotrack.io.readers._columnar import read_json, read_parquet
+from gyrotrack.io.readers._matlab import read_matlab, read_matlab_hdf5
 from gyrotrack.io.readers._motion_table import (
     COORDINATES,
     EXPECTED,
@@ -24,7 +27,8 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
     without_spikes,
 )
-from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
+from gyrotrack.io.readers._point_files import read_hdf5, read_project
+from gyrotrack.io.readers._point_tables import particles_of, read_point_table
 from gyrotrack.io.readers._points import Points, angle_of
 from gyrotrack.io.readers._pulses import (
     Passages,
@@ -36,15 +40,10 @@ from gyrotrack.io.readers._pulses import (
     refuse_passages,
     sampled_counts,
 )
-from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
-from gyrotrack.io.readers._tables import (
-    read_excel_97,
-    read_json,
-    read_matlab,
-    read_parquet,
-    read_point_table,
-    read_zip,
-)
+from gyrotrack.io.readers._raw_table import RawTable, read_bytes
+from gyrotrack.io.readers._sound import read_wav
+from gyrotrack.io.readers._spreadsheets import read_excel_97
+from gyrotrack.io.readers._text_table import content_lines, read_text
 
 Content = RawTable | Points
 
@@ -89,6 +88,7 @@ FORMATS: tuple[Format, ...] = (
     Format("MATLAB 7.3", _begins(b"MATLAB 7.3"), read_matlab_hdf5),
     Format("MATLAB", _begins(b"MATLAB 5.0"), read_matlab),
     Format("Parquet", _begins(b"PAR1"), read_parquet),
+    Format("WAV", lambda c: c[:4] == b"RIFF" and c[8:12] == b"WAVE", read_wav),
     Format("JSON", lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
     Format("text", _begins(b""), _text),  # the fallback
 )
@@ -115,6 +115,8 @@ def _content(path: Path, options: ReadOptions) -> Content:
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the motion in a table of angles, speeds, pulses or counts."""
+    if not options.names and (particles := particles_of(raw)) is not None:
+        return _from_points(replace(particles, sha256=raw.sha256), options)
     raw = _rows_of_body(raw, options)
     if options.pulses_per_turn:
         columns, units, _ = find_columns(raw, options)
@@ -173,5 +175,7 @@ def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
     rows = np.flatnonzero(valid)
-    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], None)
-    return replace(in_order(MotionTable(*origin, *values, rows + 1, ()), notes), notes=tuple(notes))
+    sigma = None if found.sigma is None else found.sigma[rows]
+    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], sigma)
+    table = in_order(MotionTable(*origin, *values, rows + 1, (), doubts=found.doubts), notes)
+    return replace(table, notes=tuple(notes))
