@@ -15,18 +15,19 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
-from gyrotrack.io.readers._raw_table import TURN
+from gyrotrack.io.readers._motion_table import (
+    MotionTable,
+    ReadOptions,
+    is_wrapped,
+    pieces,
+    resolution,
+    scatter,
+)
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
 _SMOOTHING = 31
 _MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces are excluded
-
-
-def is_wrapped(angle: Floats) -> bool:
-    """Return whether angles are wrapped: within one turn (except for noise), with steps of more than half a turn."""
-    return bool(np.ptp(angle) <= 1.05 * TURN and (np.abs(np.diff(angle)) > TURN / 2).any())
 
 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:

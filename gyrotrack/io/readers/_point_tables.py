@@ -14,7 +14,6 @@ from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, factor, header_of, is_number, number_of, role_of
 from gyrotrack.io.readers._text_table import Lines, delimiter_of, split
 
-
 _PARTICLE = {"particle", "track_id", "trackid", "trajectory", "trajectory_id"}
 _PLACES = {"x": {"x", "position_x", "x_px"}, "y": {"y", "position_y", "y_px"}}
 

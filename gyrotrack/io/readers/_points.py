@@ -10,14 +10,16 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, frame_rate
+from gyrotrack.io.readers._clock import MIN_SAMPLES
+from gyrotrack.io.readers._motion_table import ReadOptions, frame_rate
+from gyrotrack.io.readers._reading import Taken
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
 # rms deviation of a path from a circle about its fitted centre, over the radius; a circle seen at 45 degrees has 0.12
 _LARGEST_DEVIATION = 0.15
 # smallest distance of a centre from that of the path for a doubt, in standard uncertainties and in radii
-_SIGNIFICANT, _LEAST_OFFSET = 5.0, 0.05
+_SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class PointAngle:
     time: Floats
     angle: Floats
     notes: tuple[str, ...]
+    taken: tuple[Taken, ...]
+    used: frozenset[str]  # names of the points that were used
     sigma: Floats | None = None  # standard uncertainty of the angle, if that of the point is known
     doubts: tuple[str, ...] = ()
 
@@ -75,7 +79,19 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     sigma = points.errors[name] / length if name in points.errors else None
     doubts = () if options.centre == ORBIT else _doubt_of_centre(points.path.name, name, where, arm)
     notes = (f"{points.path.name}: angle of '{name}' about {where}", *doubts)
-    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes, sigma, doubts)
+    clock = f"frames at {options.fps:g} 1/s" if points.counted else "times of the file"
+    chosen = (
+        "by --marker" if options.marker else "the only point" if len(points.places) < 3 else "by its name"
+    )
+    why = "by --centre" if options.centre else "by its name" if named_centre else "fitted to the path"
+    taken: tuple[Taken, ...] = (
+        Taken(clock, "time", "s", "of the format"),
+        Taken(f"x, y of '{name}' about {where}", "angle", "", f"point {chosen}, centre {why}"),
+    )
+    if sigma is not None:
+        taken += (Taken("the uncertainty of x, y", "uncertainty", "", "divided by the radius"),)
+    used = frozenset({name} if named_centre is None else {name, named_centre})
+    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes, taken, used, sigma, doubts)
 
 
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
@@ -98,11 +114,12 @@ def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str
     if not (offset > _SIGNIFICANT * u and offset > _LEAST_OFFSET * mean and rest.std() < 0.5 * length.std()):
         return ()
     given, fitted = (np.ptp(np.unwrap(np.arctan2(a[:, 1], a[:, 0]))) for a in (known, known - found))
-    return (
+    doubt = (
         f"{file}: the distance of '{name}' from {where} varies from {length.min():.3g} to {length.max():.3g}; its path "
-        f"is a circle about a centre that is {offset:.3g} +- {u:.1g} away. The angle ranges over {given:.3g} rad about "
-        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter.",
+        f"is a circle about a centre that is {offset:.2g} +- {u:.2g} away. The angle ranges over {given:.3g} rad about "
+        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter."
     )
+    return (doubt,)
 
 
 def _require_samples(points: Points, name: str, place: Floats) -> None:
@@ -127,7 +144,8 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
         return _existing(points, options.marker)
     if options.body in points.places:
         return options.body
-    others = [n for n in points.places if n != centre]
+    # the origin of a project is no point of the body, even where another centre is used
+    others = [n for n in points.places if n != centre and n.casefold() not in CENTRES]
     if len(others) != 1:
         raise UsageError(f"{points.path} contains the points {_list(others)}.", "Choose one with --marker.")
     return others[0]

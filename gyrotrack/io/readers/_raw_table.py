@@ -184,6 +184,7 @@ _HEADER_WORDS = {
               "gx", "gy", "gz", "gyrox", "gyroy", "gyroz", "gyrx", "gyry", "gyrz", "wx", "wy", "wz"},
     "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
     "frame": {"frame", "frames", "step", "frameidx"},
+    "interval": {"interval", "intervals", "impulsetime"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
@@ -252,6 +253,26 @@ def header_of(name: str) -> tuple[str, str]:
             if len(parts) > size and factor("", tail) is not None:
                 return "_".join(parts[:-size]), tail
     return word.strip(), unit
+
+
+_INPUTS = {
+    "pwm",
+    "voltage",
+    "volts",
+    "current",
+    "duty",
+    "throttle",
+    "torque",
+    "command",
+    "commanded",
+    "cmd",
+    "setpoint",
+}
+
+
+def is_input(name: str) -> bool:
+    """Return whether a column is a measured cause of the motion, by its name without unit."""
+    return bool(_INPUTS & set(re.split(r"[\s_.,\-:#]+", name.casefold())))
 
 
 def role_of(name: str) -> str | None:
