@@ -24,7 +24,7 @@ from __future__ import annotations
 import os
 import tomllib
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib import import_module
@@ -370,3 +370,10 @@ def own_effects(path: Path | None) -> list[Effect]:
 
     refuse_special(path)
     return read_effects(path)
+
+
+def reading_lines(readings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return two lines for each table: what each column was taken for and why, and what was left out."""
+    from gyrotrack.io.readers._reading import reading_of
+
+    return [line for document in readings for line in reading_of(document).lines()]

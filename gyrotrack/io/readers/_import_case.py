@@ -285,10 +285,22 @@ def import_body(
     DatasetError, UsageError
         As for `import_case`.
     """
+    return case_of_body(read_motion(table, options), inertia, label=label, surface=surface, limits=limits)[0]
+
+
+def case_of_body(
+    table: MotionTable,
+    inertia: float,
+    *,
+    label: str = "",
+    surface: str = "",
+    limits: Limits | None = None,
+) -> tuple[Case, MotionTable]:
+    """Return the case of one body from its table, and the part of the table that is used; see `import_body`."""
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
-    read = limited(_from_origin([read_motion(table, options)])[0], limits)
+    read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
@@ -298,7 +310,7 @@ def import_body(
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
-    return Case(
+    case = Case(
         I_rotor=inertia,
         I_casing=inertia,
         label=label,
@@ -310,6 +322,7 @@ def import_body(
         warnings=tuple(notes),
         extra=_origins([read], parts, sense),
     )
+    return case, read
 
 
 def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
@@ -340,6 +353,8 @@ def _origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> d
     """Return the provenance for the case file."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
+        "reading": [t.reading.document() for t in tables if t.reading is not None],
+        "doubts": [doubt for t in tables for doubt in t.doubts],
         "sense": sense,
         "smoothing_width": min(part.smoothing_width for part in parts),
     }

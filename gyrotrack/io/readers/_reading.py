@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,3 +50,9 @@ class Reading:
             "columns": [vars(t) for t in self.taken],
             "left_out": list(self.left_out),
         }
+
+
+def reading_of(document: Mapping[str, Any]) -> Reading:
+    """Return the interpretation from its document."""
+    taken = tuple(Taken(**column) for column in document["columns"])
+    return Reading(document["file"], document["format"], document["rows"], taken, tuple(document["left_out"]))
