@@ -406,7 +406,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
             f"{raw.path.name}: the signal in {unit} is proportional to the {quantity} by an unknown factor: 1 {unit} "
             f"is taken as 1 {'rad' if quantity == 'angle' else 'rad/s'}, so only times and ratios are meaningful"
         )
-    if "t" in place and are_exchanged(time, value):
+    if "t" in place and are_exchanged(time, value, TURN / scale):
         raise DatasetError(
             f"{raw.path}: {column_name(raw, place[quantity])} grows in equal steps and "
             f"{column_name(raw, place['t'])} does not: they may be exchanged.",

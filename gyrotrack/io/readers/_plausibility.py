@@ -17,6 +17,7 @@ _FEWEST = 8  # smallest number of values that show a rule
 _BACKWARD = 0.05  # smallest share of steps back of a column that is no clock
 _EQUAL_STEPS = 0.99  # smallest share of equal steps of a sampled clock
 _EQUAL = 0.01  # relative deviation of equal steps
+_WHOLE = 0.05  # largest deviation of the number of pulses per turn from a whole number
 _PERIODS = {"rad": TURN, "deg": 360.0, "turns": 1.0, "gon": 400.0, "mrad": 1e3 * TURN}
 _NEAR = 0.03  # relative deviation of a period or a ratio of units from its nominal value
 # factor between the slopes of an angle and its speed if one of them, or the time, is in another unit
@@ -59,16 +60,15 @@ def are_intervals(values: Floats) -> bool:
     return float((np.diff(known) < 0).mean()) > _BACKWARD
 
 
-def are_exchanged(time: Floats, angle: Floats) -> bool:
+def are_exchanged(time: Floats, angle: Floats, turn: float) -> bool:
     """Return whether the column of the angle grows in the equal steps of a sampler, and that of the time does not.
 
-    Angles of pulses also grow in equal steps, but in whole parts of a turn.
+    Angles of pulses also grow in equal steps, but in whole parts of a `turn`.
     """
     if not _has_equal_steps(angle) or _has_equal_steps(time) or (np.diff(time) < 0).mean() > _BACKWARD:
         return False
-    step = abs(float(np.median(np.diff(angle))))
-    parts = [period / step for period in _PERIODS.values()]
-    return all(abs(part - round(part)) > 1e-3 * part or part < 0.5 for part in parts)
+    part = turn / float(np.median(np.diff(angle)))
+    return abs(part - round(part)) > _WHOLE or part < 0.5
 
 
 def _has_equal_steps(values: Floats) -> bool:
