@@ -40,7 +40,7 @@ from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked
-from gyrotrack.video._container import file_sha256
+from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
@@ -51,10 +51,6 @@ Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
-_FILMS = (
-    *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg", ".mpg", ".mpeg", ".wmv"),
-    *(".mts", ".m2ts", ".ogv", ".flv", ".gif"),
-)
 
 
 @dataclass(frozen=True)
@@ -92,14 +88,14 @@ class Source:
 def read_source(source: Path, options: SpindownOptions, progress: Progress | None = None) -> Source:
     """Make a case of one body from a film, a recording or a table."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
-    if not source.is_file():
+    if not source.is_file() and not (source.is_dir() and is_film(source)):
         raise DatasetError(f"There is no file {source}.", "Check the path.")
     body, table = None, None
-    is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
-    if is_film and (options.columns or options.marker or options.centre):
+    filmed = is_film(source) and options.pulses_per_turn is None
+    if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
-    if is_film:
+    if filmed:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
@@ -147,7 +143,7 @@ def _reading(options: SpindownOptions) -> ReadOptions:
 
 def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
-    if not source.is_file() or source.suffix.lower() in (*_FILMS, ".h5", ".hdf5"):
+    if not source.is_file() or is_film(source) or source.suffix.lower() in (".h5", ".hdf5"):
         return None
     found = read_passages(source, _reading(options))
     if found is None:
