@@ -142,7 +142,8 @@ def _response(series: Series, quantity: str, cause: Input | None) -> Response | 
     measured = np.interp(even, time, measured)
     value = np.ones(len(even))
     if cause is not None:
-        rows = np.clip(np.searchsorted(time, even, side="right") - 1, 0, None)
+        early = 1e-6 * float(even[1] - even[0])  # rounding
+        rows = np.clip(np.searchsorted(time, even + early, side="right") - 1, 0, None)
         value = np.nan_to_num(cause.value)[rows]
     several = len(np.unique(value)) > 1
     step, span = float(even[1] - even[0]), float(even[-1] - even[0])
