@@ -236,7 +236,7 @@ def _equations(
     with np.errstate(all="ignore"):
         # with zero strengths: the rates by held parameters
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
-    columns = np.array([dynamics.parameters.index(k) for k in linear])
+    columns = np.array([dynamics.parameters.index(k) for k in linear], dtype=int)
     weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
     rates = b[:, :2][:, :, columns]
     singular = ~np.isfinite(rates).all(axis=(0, 1))
