@@ -15,6 +15,7 @@ from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line, printable, sparkline
 from gyrotrack.apps.cli._settings import option
+from gyrotrack.io.readers._format_names import ALL
 
 if TYPE_CHECKING:
     from gyrotrack.io._contents import Inspection
@@ -70,11 +71,11 @@ def import_command(
 ) -> int:
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
-    The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
-    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times are in s, all on one clock; angles in rad, wrapped or
+    The format is recognised by content: {formats}. Times are in s, all on one clock; angles in rad, wrapped or
     unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
     noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
-    rest at the end are detected, reported and excluded. Every repair is reported with its line.
+    rest at the end are detected, reported and excluded. Two lines for each file say what each column was taken for and
+    why, and what was left out; a column in doubt is asked for. Every repair is reported with its line.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -131,6 +132,9 @@ def import_command(
         out.show(*map(_reading_table, document["reading"]), *_plots(case))
     out.show(*shared.reading_lines(document["reading"]), _lines(document))
     return NOT_TRUSTED if case.extra["doubts"] else DONE
+
+
+import_command.__doc__ = (import_command.__doc__ or "").replace("{formats}", "; ".join(ALL))
 
 
 def _reading_table(reading: Mapping[str, Any]) -> Any:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers import _format_names as names
 from gyrotrack.io.readers._archives import read_zip
 from gyrotrack.io.readers._columnar import read_json, read_parquet
 from gyrotrack.io.readers._matlab import read_matlab, read_matlab_hdf5
@@ -75,23 +76,23 @@ _BLANK = b"\xef\xbb\xbf \r\n\t"
 
 FORMATS: tuple[Format, ...] = (
     Format(
-        "HDF5 (SLEAP, DeepLabCut, movement, gyrotrack)",
+        names.HDF5,
         _begins(b"\x89HDF"),
         lambda path, _, options: read_hdf5(path, options.body),
     ),
     Format(
-        "Tracker project",
+        names.TRACKER,
         lambda c: c.lstrip(_BLANK)[:1] == b"<" and b"cabrillo.tracker" in c[:5000],
         read_project,
     ),
-    Format("zip (Excel, CSV, Tracker)", _begins(b"PK"), read_zip),
-    Format("Excel 97", _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
-    Format("MATLAB 7.3", _begins(b"MATLAB 7.3"), read_matlab_hdf5),
-    Format("MATLAB", _begins(b"MATLAB 5.0"), read_matlab),
-    Format("Parquet", _begins(b"PAR1"), read_parquet),
-    Format("WAV", lambda c: c[:4] == b"RIFF" and c[8:12] == b"WAVE", read_wav),
-    Format("JSON", lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
-    Format("text", _begins(b""), _text),  # the fallback
+    Format(names.ARCHIVE, _begins(b"PK"), read_zip),
+    Format(names.EXCEL_97, _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
+    Format(names.MATLAB_7_3, _begins(b"MATLAB 7.3"), read_matlab_hdf5),
+    Format(names.MATLAB, _begins(b"MATLAB 5.0"), read_matlab),
+    Format(names.PARQUET, _begins(b"PAR1"), read_parquet),
+    Format(names.WAV, lambda c: c[:4] == b"RIFF" and c[8:12] == b"WAVE", read_wav),
+    Format(names.JSON, lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
+    Format(names.TEXT, _begins(b""), _text),  # the fallback
 )
 
 
