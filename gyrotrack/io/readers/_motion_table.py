@@ -197,6 +197,9 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     why: dict[int, str] = {}
+    given_names = {" ".join(_words(n)): r for n, r in (options.names or {}).items()} | dict(
+        options.names or {}
+    )
     for index, name in enumerate(raw.names):
         base, unit = header_of(name)
         below = clean(raw.units[index])
@@ -208,8 +211,8 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
         role = role_of(base) if name and not options.names else None
         if options.names:
             for text in (name.casefold(), base.casefold(), str(index + 1), _stem_without_axis(base)):
-                if text and text in options.names:
-                    role, given = options.names[text]
+                if text and text in given_names:
+                    role, given = given_names[text]
                     units[index] = given or units[index]
                     why[index] = "by --column"
                     break
@@ -297,7 +300,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
 
 
 def _words(name: str) -> list[str]:
-    return name.casefold().replace("_", " ").split()
+    return re.split(r"[\s_./]+", name.casefold().strip("/ "))
 
 
 def _stem_without_axis(name: str) -> str:
@@ -335,7 +338,8 @@ def times_of(
         return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
         raise _without_header(raw)
-    raise DatasetError(f"{where}: there is no column for the time.", EXPECTED)
+    what = f"{where}: there is no column for the time."
+    raise DatasetError(what, f"Give the rate of the rows with --casing-fps N. {EXPECTED}")
 
 
 def _without_header(raw: RawTable) -> DatasetError:

@@ -15,6 +15,13 @@ from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _FEWEST = 8  # smallest number of values that show a rule
 _BACKWARD = 0.05  # smallest share of steps back of a column that is no clock
+_PARTS = 30  # number of parts of a record in which the growth of intervals is compared
+_LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that shows their law
+_POWERS = (
+    1.5,
+    3.5,
+)  # exponents between the growth of intervals and the intervals, for viscous and dry friction
+_POWER_LAW_R2 = 0.98  # share of the variance that the power law must explain
 _EQUAL_STEPS = 0.99  # smallest share of equal steps of a sampled clock
 _EQUAL = 0.01  # relative deviation of equal steps
 _WHOLE = 0.05  # largest deviation of the number of pulses per turn from a whole number
@@ -30,6 +37,8 @@ _RATIOS = (
     (60 / TURN, "the speed is in turns per minute"),
     (1 / 6, "the angle is in degrees and the speed in turns per minute"),
     (6.0, "the angle is in degrees and the speed in turns per minute"),
+    (0.9, "one of them is in gon, the other in degrees"),
+    (1 / 0.9, "one of them is in gon, the other in degrees"),
     (1e3, "the time is in ms"),
     (1e6, "the time is in us"),
 )
@@ -58,6 +67,28 @@ def are_intervals(values: Floats) -> bool:
     if len(known) < _FEWEST or not (known > 0).all():
         return False
     return float((np.diff(known) < 0).mean()) > _BACKWARD
+
+
+def may_be_intervals(values: Floats) -> bool:
+    """Return whether increasing values may as well be the intervals between pulses of a body that slows down.
+
+    The intervals v of a body with friction in proportion to a power of its speed grow by steps in proportion to a power
+    of v: the square for viscous friction, the cube for dry friction. Times of pulses follow such a law only by chance.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < 2 * _FEWEST or not (known > 0).all():
+        return False
+    part = max(len(known) // _PARTS, 1)
+    rough = known[::part]  # steps of neighbours may be lost in their noise
+    step = np.diff(rough)
+    if not (step > 0).all() or len(step) < _FEWEST:
+        return False
+    x, y = np.log(0.5 * (rough[1:] + rough[:-1])), np.log(step)
+    if np.ptp(x) < _LEAST_CHANGE:
+        return False
+    power, constant = np.polyfit(x, y, 1)
+    rest = y - power * x - constant
+    return bool(_POWERS[0] < power < _POWERS[1] and np.var(rest) < (1 - _POWER_LAW_R2) * np.var(y))
 
 
 def are_exchanged(time: Floats, angle: Floats, turn: float) -> bool:

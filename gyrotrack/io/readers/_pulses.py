@@ -39,7 +39,7 @@ from gyrotrack.io.readers._motion_table import (
     scatter,
     times_of,
 )
-from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, rises
+from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, may_be_intervals, rises
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 from gyrotrack.io.readers._reading import Reading, Taken
 
@@ -196,6 +196,11 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
     gate = _gate(raw, place, options)
     if not intervals and gate is None and are_intervals(time):
         intervals, why = True, f"no times: {100 * np.mean(np.diff(time) < 0):.0f} % of the rows step back"
+    if not intervals and not (raw.headed or options.names) and len(raw.names) == 1 and may_be_intervals(time):
+        raise DatasetError(
+            f"{raw.path}: the column may contain times of pulses or intervals between them.",
+            "State which: --column t=1 or --column interval=1.",
+        )
     if intervals:
         time = _times_of_intervals(raw, time)
     time = time + options.start

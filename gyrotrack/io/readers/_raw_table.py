@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -195,6 +196,8 @@ _NAMED_BY_UNIT = {
 
 _TICKS = {"millis": "ms", "micros": "us"}  # functions of microcontrollers that give times, and their units
 
+_AMBIGUOUS = {"grad", "grade", "grads"}  # degrees in German, gon elsewhere
+
 ROLES = tuple(_HEADER_WORDS)
 
 
@@ -219,6 +222,8 @@ def is_unit(text: str) -> bool:
 def factor(role: str, unit: str) -> float | None:
     """Return the factor of a unit to SI for a role (any if empty), with `pint` if installed; None if it is unknown."""
     bare = clean(unit)
+    if bare.casefold() in _AMBIGUOUS:
+        return None
     tables = [UNITS[role]] if role else list(UNITS.values())
     for table in tables:
         for text in (bare, bare.casefold()):
@@ -243,6 +248,9 @@ def header_of(name: str) -> tuple[str, str]:
     """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one); ``rpm`` is both."""
     if clean(name).casefold() in _NAMED_BY_UNIT:
         return name.strip(), clean(name).casefold()
+    if name.startswith("/"):  # a topic of ROS
+        topic, _, unit = name.strip().rstrip("])").partition("[" if "[" in name else "(")
+        return topic.strip(), unit.strip()
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
     unit = unit or _TICKS.get(word.strip().casefold(), "")
@@ -284,12 +292,13 @@ def role_of(name: str) -> str | None:
         ("_sigma", "_err", "_error", " error")
     ):
         return "sigma"
-    words = [w for w in re.split(r"[\s_.,\-:#]+", text) if w]
+    words = [w for w in re.split(r"[\s_.,\-:#%/]+", text) if w]
     words = [re.sub(r"(?<=[^\W\d]{3})\d+$", "", w) for w in words]  # angle1, angle2
     whole = "".join(words)
     for role, known in _HEADER_WORDS.items():
         if whole in known:
             return role
+    words += [a + b for a, b in pairwise(words)]  # angular_velocity
     return next(
         (role for w in words for role, known in _HEADER_WORDS.items() if w in known and role != "sigma"), None
     )

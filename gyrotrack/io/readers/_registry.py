@@ -115,7 +115,7 @@ def _content(path: Path, options: ReadOptions) -> tuple[str, Content]:
     content = read_bytes(path)
     form = next(f for f in FORMATS if f.matches(content))
     found = form.read(path, content, options)
-    return form.name, replace(found, sha256=hashlib.sha256(content).hexdigest())
+    return form.name.partition(" (")[0], replace(found, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:

@@ -121,7 +121,7 @@ def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str],
     last = len(cells) - 1
     units: list[str] = []
     if last and len(cells[last - 1]) == len(cells[last]) and _are_units(cells[last]):
-        units, last = cells[last], last - 1
+        units, last = [c.strip("[]()") for c in cells[last]], last - 1
     first = next((i for i in range(last, -1, -1) if len(cells[i]) != len(cells[last])), -1) + 1
     known = [
         sum(role_of(header_of(name)[0]) is not None for name in cells[i]) for i in range(first, last + 1)

@@ -5,7 +5,13 @@ import pytest
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
-from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, rises, wrapping_unit
+from gyrotrack.io.readers._plausibility import (
+    are_intervals,
+    counts_rows,
+    may_be_intervals,
+    rises,
+    wrapping_unit,
+)
 from gyrotrack.io.readers._registry import read_motion
 
 TIME = np.arange(400) / 100
@@ -205,3 +211,52 @@ def test_a_signal_in_volts_is_an_angle_only_if_the_user_says_so(tmp_path):
     read = read_motion(path, options("angle=2"))
     np.testing.assert_allclose(read.value, np.cos(3 * TIME), atol=1e-4)
     assert any("only times and ratios are meaningful" in note for note in read.notes)
+
+
+def passages(law, count=200):
+    """Times at which a body passes its marks, 2 pi / 12 apart, from 60 rad/s on."""
+    angle = np.arange(count) * 2 * np.pi / 12
+    if law == "viscous":
+        return -4 * np.log(1 - angle / 240)
+    return (60 - np.sqrt(60**2 - 2 * 15 * angle)) / 15  # dry
+
+
+@pytest.mark.parametrize("law", ["viscous", "dry"])
+def test_increasing_intervals_are_asked_for(tmp_path, law):
+    times = passages(law)
+    path = write(tmp_path / "a.csv", np.diff(times))
+    with pytest.raises(DatasetError, match="times of pulses or intervals") as caught:
+        read_motion(path, options(pulses_per_turn=12.0))
+    assert "--column interval=1" in str(caught.value)
+    read = read_motion(path, options("interval=1", pulses_per_turn=12.0))
+    np.testing.assert_allclose(read.time, times[1:], rtol=1e-6)
+    for start in (0.0, 1.0, 1000.0):
+        assert not may_be_intervals(times + start)
+
+
+@pytest.mark.parametrize(
+    ("head", "column"),
+    [
+        ("__time,/imu/angular_velocity/x,/imu/angular_velocity/z", "omega=/imu/angular_velocity [rad/s]"),
+        ("%time,field.angular_velocity.x,field.angular_velocity.z", "omega=field.angular_velocity [rad/s]"),
+    ],
+)
+def test_topics_of_ros(tmp_path, head, column):
+    since = 1.7e9 + TIME
+    path = write(tmp_path / "a.csv", since, 0 * TIME, 20 - 3 * TIME, head=head, decimals=14)
+    with pytest.raises(DatasetError, match="is not stated"):
+        read_motion(path)
+    np.testing.assert_allclose(read_motion(path, options(column)).value, 20 - 3 * TIME, atol=1e-6)
+
+
+def test_units_in_brackets_below_the_header(tmp_path):
+    path = write(tmp_path / "a.csv", 1e3 * TIME, np.degrees(ANGLE), head="Zeit,Winkel\n[ms],[deg]")
+    np.testing.assert_allclose(read_motion(path).value, ANGLE, atol=1e-6)
+    np.testing.assert_allclose(read_motion(path).time, TIME, atol=1e-9)
+
+
+def test_grad_is_degrees_in_german_and_gon_elsewhere(tmp_path):
+    path = write(tmp_path / "a.csv", TIME, np.degrees(ANGLE), head="Zeit [s],Winkel [grad]")
+    with pytest.raises(DatasetError, match="unknown unit 'grad'"):
+        read_motion(path)
+    np.testing.assert_allclose(read_motion(path, options("angle=Winkel [deg]")).value, ANGLE, atol=1e-6)
