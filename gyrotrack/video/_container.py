@@ -241,7 +241,7 @@ def probe(path: Path) -> ClipInfo:
             height=height,
             container_fps=float(rate) if rate else float("nan"),
             frames_declared=int(stream.frames),
-            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata),
+            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path),
             codec=str(context.name),
             pixel_format=str(context.pix_fmt),
             time_base=Fraction(stream.time_base),
@@ -341,6 +341,43 @@ def _tagged_rate(metadata: Any) -> float | None:
             if 1.0 <= value <= 1.0e6:
                 return value
     return None
+
+
+_SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
+_LONGEST_XML = 2**20
+
+
+def _sony_rate(path: Path) -> float | None:
+    """Return the capture rate in the XML of a Sony camera: in the film (box ``meta``), or beside it (``C0001M01.XML``).
+
+    The XML is searched for one attribute and not parsed.
+    """
+    beside = [path.with_name(f"{path.stem}M01{suffix}") for suffix in (".XML", ".xml")]
+    texts = [b.read_bytes()[:_LONGEST_XML] for b in beside if b.is_file()] if path.is_file() else []
+    if path.suffix.lower() in {".mp4", ".mov", ".m4v"} and path.is_file():
+        texts += _meta_boxes(path)
+    rates = (float(m[1]) for m in map(_SONY_RATE.search, texts) if m)
+    return next((rate for rate in rates if 1.0 <= rate <= 1.0e6), None)
+
+
+def _meta_boxes(path: Path) -> list[bytes]:
+    """Return the boxes ``meta`` at the top level of an MP4 file."""
+    found: list[bytes] = []
+    at = 0
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        while at + 16 <= size and len(found) < 8:
+            file.seek(at)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            length = int.from_bytes(head[8:], "big") if length == 1 else length or size - at
+            if head[4:8] == b"meta":
+                file.seek(at)
+                found.append(file.read(min(length, _LONGEST_XML)))
+            if length < 8:
+                break
+            at += length
+    return found
 
 
 def _reason(error: Exception) -> str:

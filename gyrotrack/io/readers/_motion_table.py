@@ -265,6 +265,7 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
     quantity = "angle" if "angle" in chosen else "omega"
     stem = _stem_without_axis(raw.names[chosen[quantity]]) if len(found.get(quantity, [])) > 1 else None
     axes = [i for i, n in enumerate(raw.names) if stem is not None and _stem_without_axis(n) == stem]
+    axes = axes if len({raw.names[i] for i in axes}) == len(axes) else []
     return Columns(
         chosen,
         {role: units[i] for role, i in chosen.items()},
@@ -287,6 +288,9 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         of_body = [i for i in places if options.body in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
+    first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)
+    if first is not None and all(c is not None and np.array_equal(c, first, equal_nan=True) for c in copies):
+        return places[0]
     # beside the axes of a sensor, its magnitude contains no sense of rotation
     axes = [
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
@@ -610,8 +614,9 @@ def checked(
     if valid.sum() < MIN_SAMPLES:
         what = f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
-    if quantity == "angle" and np.ptp(value[valid]) == 0:
-        what = f"{raw.path}: all {valid.sum()} angles are {value[valid][0]:g} rad."
+    if np.ptp(value[valid]) == 0:
+        kind, unit = ("angles", "rad") if quantity == "angle" else ("speeds", "rad/s")
+        what = f"{raw.path}: all {valid.sum()} {kind} are {value[valid][0]:g} {unit}."
         raise DatasetError(what, "Check the column.")
     made = MotionTable(
         raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],

@@ -59,6 +59,7 @@ _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
 _MOST_RISES = 1  # a motor at the start of a record
+_LEAST_SINGLE = 0.5  # smallest share of times that are not repeated
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
@@ -413,6 +414,9 @@ def from_events(
         what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
     single = np.append(True, np.diff(time) > 0)
+    if single.mean() < _LEAST_SINGLE:
+        what = f"{raw.path}: {int((~single).sum())} of {len(time)} times of pulses are repeated."
+        raise DatasetError(what, "Check the column and the decimal sign, or give the times with more digits.")
     driven = varies_both_ways(time[single])
     steps = None if driven else _steps_of_jittering_counts(time[single])
     if not driven:

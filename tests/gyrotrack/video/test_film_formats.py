@@ -98,3 +98,17 @@ def test_a_folder_without_pictures_is_no_film(tmp_path):
     assert not is_film(tmp_path)
     with pytest.raises(VideoError, match="no numbered pictures"):
         probe(tmp_path)
+
+
+XML = b'<NonRealTimeMeta><VideoFrame videoCodec="AVC" captureFps="239.76p" formatFps="29.97p"/></NonRealTimeMeta>'
+
+
+@pytest.mark.parametrize("where", ["inside", "beside", "nowhere"])
+def test_the_capture_rate_in_the_xml_of_a_camera(tmp_path, where):
+    path = write(tmp_path / "C0001.MP4", "h264", form="mp4")
+    if where == "inside":
+        body = bytes(4) + XML
+        path.write_bytes(path.read_bytes() + (8 + len(body)).to_bytes(4, "big") + b"meta" + body)
+    elif where == "beside":
+        (tmp_path / "C0001M01.XML").write_bytes(XML)
+    assert probe(path).tag_fps == (None if where == "nowhere" else 239.76)

@@ -260,3 +260,28 @@ def test_grad_is_degrees_in_german_and_gon_elsewhere(tmp_path):
     with pytest.raises(DatasetError, match="unknown unit 'grad'"):
         read_motion(path)
     np.testing.assert_allclose(read_motion(path, options("angle=Winkel [deg]")).value, ANGLE, atol=1e-6)
+
+
+def test_a_column_that_is_there_twice_is_read_once(tmp_path):
+    speed = 20 - 3 * TIME
+    read = read_motion(write(tmp_path / "a.csv", TIME, speed, speed, head="t,omega,omega"))
+    np.testing.assert_allclose(read.value, speed, atol=1e-6)
+    with pytest.raises(DatasetError, match="2 columns for 'omega'"):
+        read_motion(write(tmp_path / "b.csv", TIME, speed, speed + 1, head="t,omega1,omega2"))
+
+
+def test_a_sensor_that_is_stuck(tmp_path):
+    with pytest.raises(DatasetError, match="all 400 speeds are 7 rad/s"):
+        read_motion(write(tmp_path / "a.csv", TIME, 0 * TIME + 7, head="t,omega"))
+
+
+@pytest.mark.parametrize(("digits", "refused"), [(1, True), (4, False)])
+def test_times_of_pulses_with_too_few_digits(tmp_path, digits, refused):
+    times = 10 + passages("dry", 100)
+    path = tmp_path / "a.csv"
+    path.write_text("".join(f"{t:.{digits}f}\n" for t in times))
+    if refused:
+        with pytest.raises(DatasetError, match="times of pulses are repeated"):
+            read_motion(path, options(pulses_per_turn=12.0))
+    else:
+        assert len(read_motion(path, options(pulses_per_turn=12.0)).time) == 100
