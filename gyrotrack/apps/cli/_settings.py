@@ -320,13 +320,20 @@ Columns = Annotated[
     ),
 ]
 PulsesPerTurn = Annotated[
-    float | None, option("--pulses-per-turn N", "The file is a column of times of pulses [s], N per turn.")
+    float | None,
+    option(
+        "--pulses-per-turn N",
+        "The file has times of pulses [s], intervals between them, counts or a pulsed signal, N per turn.",
+    ),
 ]
 Centre = Annotated[
     str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y in px, or orbit.")
 ]
 Picture = Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")]
-Marker = Annotated[str | None, option("--marker NAME", "Point to follow, in files of points.")]
+Marker = Annotated[
+    str | None,
+    option("--marker NAME", "Point to follow, or particle, test, signal or table to use, by its name."),
+]
 Likelihood = Annotated[float, option("--likelihood P", "Minimum likelihood of the points that are used.")]
 StartTime = Annotated[float | None, option("--from T", "Exclude samples before this time [s].")]
 StopTime = Annotated[float | None, option("--to T", "Exclude samples after this time [s].")]

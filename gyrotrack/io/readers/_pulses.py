@@ -775,6 +775,12 @@ def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
 def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: ReadOptions) -> MotionTable:
     """Return the angle of a body from the sampled counts of an encoder, which may turn in both senses."""
     clock = columns.place.get("t", 0), columns.unit.get("t", "")
+    times = raw.numbers(clock[0], "t", times=True)
+    if len(np.unique(times)) < _LEAST_SINGLE * len(times):
+        what = f"{raw.path}: most times in {column_name(raw, clock[0])} are repeated."
+        raise DatasetError(
+            what, "Check the columns and the decimal sign, or give the times with more digits."
+        )
     angles = _counted_angles(raw, counts, *clock, options)
     made = interpret(angles, replace(options, names=None, pulses_per_turn=None))
     per_turn = f"{options.pulses_per_turn:g} per turn"
