@@ -288,7 +288,7 @@ def test_times_of_pulses_with_too_few_digits(tmp_path, digits, refused):
 
 
 def test_sampled_counts_at_times_without_digits(tmp_path):
-    whole = write(tmp_path / "a.csv", np.floor(TIME), np.round(100 * TIME))
+    whole = write(tmp_path / "a.csv", np.floor(TIME), np.round(300 * TIME))
     with pytest.raises(DatasetError, match="most times in column 1 are repeated"):
         read_motion(whole, options(pulses_per_turn=500.0))
     few = write(tmp_path / "b.csv", np.floor(60 * TIME) / 60, np.round(300 * TIME))
