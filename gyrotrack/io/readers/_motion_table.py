@@ -387,8 +387,11 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
     return scale
 
 
-def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong."""
+def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> MotionTable:
+    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong.
+
+    Angles that are `counts` of an encoder may grow in equal steps.
+    """
     columns = find_columns(raw, options)
     place, units, why = columns.place, columns.unit, columns.why
     quantity = "angle" if "angle" in place else "omega"
@@ -414,7 +417,7 @@ def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
             f"{raw.path.name}: the signal in {unit} is proportional to the {quantity} by an unknown factor: 1 {unit} "
             f"is taken as 1 {'rad' if quantity == 'angle' else 'rad/s'}, so only times and ratios are meaningful"
         )
-    if "t" in place and are_exchanged(time, value, TURN / scale):
+    if "t" in place and not counts and are_exchanged(time, value, TURN / scale):
         raise DatasetError(
             f"{raw.path}: {column_name(raw, place[quantity])} grows in equal steps and "
             f"{column_name(raw, place['t'])} does not: they may be exchanged.",

@@ -782,7 +782,7 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
             what, "Check the columns and the decimal sign, or give the times with more digits."
         )
     angles = _counted_angles(raw, counts, *clock, options)
-    made = interpret(angles, replace(options, names=None, pulses_per_turn=None))
+    made = interpret(angles, replace(options, names=None, pulses_per_turn=None), counts=True)
     per_turn = f"{options.pulses_per_turn:g} per turn"
     taken = (
         Taken(
