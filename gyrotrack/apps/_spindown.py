@@ -284,7 +284,8 @@ def film_recording(
         width=columns,
         height=rows,
         capture_fps=fps,
-        container_fps=film.info.container_fps,
+        # streams without a container and folders of pictures state no rate
+        container_fps=film.info.container_fps if math.isfinite(film.info.container_fps) else fps,
         frames_declared=film.info.frames_declared,
         frames_decoded=len(film),
         sense=sense,
