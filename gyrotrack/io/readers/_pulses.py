@@ -457,7 +457,9 @@ def varies_both_ways(time: Floats) -> bool:
         return False
     logs = -np.log(interval)
     smooth = median_filter(logs, _SMOOTHED, mode="nearest")
-    least = max(_SWING, 6 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED))
+    # the median of n normal values errs by 1.25 s / sqrt(n), and m such errors range over 2 sqrt(2 ln m) times that
+    error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
+    least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
     return rises(smooth, least) >= _MOST_RISES + 1
 
 

@@ -12,6 +12,7 @@ from gyrotrack.io.readers._plausibility import (
     rises,
     wrapping_unit,
 )
+from gyrotrack.io.readers._pulses import varies_both_ways
 from gyrotrack.io.readers._registry import read_motion
 
 TIME = np.arange(400) / 100
@@ -93,6 +94,16 @@ def test_no_pulse_is_added_where_the_speed_rises_and_falls(tmp_path):
     read = read_motion(write(tmp_path / "a.csv", gap), options(pulses_per_turn=1.0))
     assert np.ptp(read.value) == pytest.approx(2 * np.pi * (len(gap) - 1))
     assert "missed and double pulses are not looked for" in " ".join(read.notes)
+
+
+@pytest.mark.parametrize(
+    ("noise", "swing", "driven"), [(0.2, 0.0, False), (0.2, 0.7, True), (0.01, 0.3, True)]
+)
+def test_scatter_of_the_intervals_is_no_drive(noise, swing, driven):
+    rng = np.random.default_rng(4)
+    interval = 0.03 * np.exp(swing * np.sin(np.arange(5000) / 40) + np.arange(5000) / 5000)
+    times = np.cumsum(interval) + noise * interval * rng.normal(size=5000)
+    assert varies_both_ways(np.unique(times)) is driven
 
 
 @pytest.mark.parametrize(("least", "count"), [(0.9, 2), (1.1, 1), (2.1, 0)])
