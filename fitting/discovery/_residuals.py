@@ -378,7 +378,7 @@ def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> 
     runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
     worst = 0.0
     for samples in runs:
-        time, omega = speeds(samples, record.quantity)
+        time, omega = speeds(samples, record.quantity, fit.problem.data[index].smoothing_width)
         inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
         if inside.any():
             residual = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])

@@ -440,9 +440,9 @@ class Fit(FitSummary):
         body : {0, 1}
             0 is the rotor, 1 the casing or the single body.
         """
-        record = self.problem.data[case].record
-        runs = (record.casing,) if body else record.rotor
-        return [speeds(run, record.quantity) for run in runs]
+        data = self.problem.data[case]
+        runs = (data.record.casing,) if body else data.record.rotor
+        return [speeds(run, data.record.quantity, data.smoothing_width) for run in runs]
 
     def modelled_speed(self, case: int, body: int, time: Array) -> tuple[Array, Array]:
         """Return the modelled speed of a body and its standard uncertainty at some times [rad/s].

@@ -23,6 +23,7 @@ TURN = 2 * math.pi
 VIEW = (0.02, 0.02, 0.005)
 _MIN_SAMPLES = 12
 _ORDERS = range(2, 7)
+_SPEED_ORDERS = range(1, 6)
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 # degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
@@ -50,7 +51,7 @@ class Value:
 class BodyMotion:
     """The motion of one body."""
 
-    kind: str  # kind of motion: "spin-down" or "oscillation" or "steady"
+    kind: str  # kind of motion: "spin-down" or "oscillation" or "steady" or "driven"
     # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
     omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
@@ -102,6 +103,33 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     change = abs(omega["last"] - omega["first"])
     steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
     return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha)
+
+
+def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
+    """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
+
+    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 5, by the Bayesian information
+    criterion). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
+    of an oscillation.
+    """
+    step = np.append(np.diff(time), time[-1] - time[-2])
+    whole = motion_of(time, angle, np.full(len(time), float(np.median(sigma * step))))
+    if whole.kind == "oscillation":
+        return whole
+    half = 0.5 * float(time[-1] - time[0])
+    x = (time - 0.5 * (time[0] + time[-1])) / half
+    most = max(order for order in _SPEED_ORDERS if order == _SPEED_ORDERS[0] or len(time) >= 2 * (order + 2))
+    design = x[:, None] ** np.arange(most + 1)
+    models = [list(range(order + 1)) for order in range(_SPEED_ORDERS[0], most + 1)]
+    fits = correlated_least_squares(x * half, design, omega, sigma, models, np.full(most + 1, np.inf))
+    order, fit = min(enumerate(fits, _SPEED_ORDERS[0]), key=lambda pair: pair[1].criterion)
+    powers = np.arange(order + 1)
+    first, last = (fit.of(np.power(float(e), powers).astype(float))[0] for e in (-1, 1))
+    mean = Value(*fit.of(np.where(powers % 2 == 0, 1.0 / (powers + 1), 0.0).astype(float)))
+    alpha = Value(*fit.of(np.where(powers == 1, 1.0 / half, 0.0)))
+    steady = abs(alpha.value) < 3 * alpha.stderr or abs(last - first) < 0.01 * abs(mean.value)
+    ends = {"first": first, "last": last}
+    return BodyMotion("steady" if steady else "spin-down", whole.turns, ends, mean, alpha)
 
 
 def motion_of_passages(passages: Passages) -> BodyMotion:

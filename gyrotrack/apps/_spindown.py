@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import angular_velocity, smoothing_width
+from gyrotrack.apps._drive import Drive, drive_of
 from gyrotrack.apps._motion import (
     TURN,
     BodyMotion,
@@ -21,6 +22,7 @@ from gyrotrack.apps._motion import (
     end_of_motion,
     motion_of,
     motion_of_passages,
+    motion_of_speeds,
     start_of_motion,
 )
 from gyrotrack.apps._study import Recorder, open_study
@@ -28,10 +30,10 @@ from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
-from gyrotrack.io.readers._import_case import import_body, no_series
-from gyrotrack.io.readers._motion_table import ReadOptions, read_names
+from gyrotrack.io.readers._import_case import case_of_body, no_series
+from gyrotrack.io.readers._motion_table import Input, MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import usable_numbers
-from gyrotrack.io.readers._registry import read_passages
+from gyrotrack.io.readers._registry import read_motion, read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
@@ -40,7 +42,7 @@ from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked
-from gyrotrack.video._container import file_sha256
+from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
@@ -51,10 +53,6 @@ Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
-_FILMS = (
-    *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".3gp", ".mjpeg", ".mjpg", ".mpg", ".mpeg", ".wmv"),
-    *(".mts", ".m2ts", ".ogv", ".flv", ".gif"),
-)
 
 
 @dataclass(frozen=True)
@@ -80,32 +78,42 @@ class SpindownOptions:
     likelihood: float = 0.6  # minimum likelihood of the points that are used
 
 
-def read_source(
-    source: Path, options: SpindownOptions, progress: Progress | None = None
-) -> tuple[Case, tuple[Film, Tracked] | None]:
-    """Make a case of one body from a film, a recording or a table; also the film of a body tracked by its texture."""
+@dataclass(frozen=True)
+class Source:
+    """What was read."""
+
+    case: Case
+    film: tuple[Film, Tracked] | None = None  # the film of a body tracked by its texture
+    table: MotionTable | None = None  # the part of a table that is used
+
+
+def read_source(source: Path, options: SpindownOptions, progress: Progress | None = None) -> Source:
+    """Make a case of one body from a film, a recording or a table."""
     moment = Inertia(1.0) if options.inertia is None else Inertia.of(options.inertia)
-    refuse_special(source)
-    if not source.is_file():
+    if not (source.is_dir() and is_film(source)):
+        refuse_special(source)
+    if not source.is_file() and not (source.is_dir() and is_film(source)):
         raise DatasetError(f"There is no file {source}.", "Check the path.")
-    body = None
-    is_film = source.suffix.lower() in _FILMS and options.pulses_per_turn is None
-    if is_film and (options.columns or options.marker or options.centre):
+    body, table = None, None
+    filmed = is_film(source) and options.pulses_per_turn is None
+    if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
-    if is_film:
+    if filmed:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
     else:
-        case = import_body(source, moment.value, options=_reading(options), limits=options.limits)
+        case, table = case_of_body(
+            read_motion(source, _reading(options)), moment.value, limits=options.limits
+        )
     case = replace(case, I_casing_u=moment.u, per_inertia=int(options.inertia is None))
     warnings = list(case.warnings)
     if options.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
-    is_table = not case.recordings  # the reader of tables applies the limits, and removes drive and rest
+    is_table = table is not None  # the reader of tables applies the limits, and removes drive and rest
     if not is_table:
         series = _within(series, options.limits, warnings)
     if not (options.limits.keep_all or is_table):
@@ -122,7 +130,8 @@ def read_source(
                 "excluded. --keep-all keeps them."
             )
         series = _rows(series, slice(first, last))
-    return replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem), body
+    case = replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem)
+    return Source(case, body, table)
 
 
 def _reading(options: SpindownOptions) -> ReadOptions:
@@ -138,7 +147,7 @@ def _reading(options: SpindownOptions) -> ReadOptions:
 
 def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
-    if not source.is_file() or source.suffix.lower() in (*_FILMS, ".h5", ".hdf5"):
+    if not source.is_file() or is_film(source) or source.suffix.lower() in (".h5", ".hdf5"):
         return None
     with usable_numbers(source):
         found = read_passages(source, _reading(options))
@@ -151,7 +160,8 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
         f"{source.name}: {len(found.time)} passages of a pendulum through the light gates; they show its period and "
         "decay, but no angle: no case and no torque law."
     )
-    parts = dict.fromkeys(("case", "report", "picture", "oscillator", "diagnosis"))
+    parts = dict.fromkeys(("case", "report", "picture", "oscillator", "response", "diagnosis"))
+    parts["reading"] = []
     return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note], "ambiguous": False}
 
 
@@ -279,7 +289,8 @@ def film_recording(
         width=columns,
         height=rows,
         capture_fps=fps,
-        container_fps=film.info.container_fps,
+        # streams without a container and folders of pictures state no rate
+        container_fps=film.info.container_fps if math.isfinite(film.info.container_fps) else fps,
         frames_declared=film.info.frames_declared,
         frames_decoded=len(film),
         sense=sense,
@@ -349,7 +360,7 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
 
 def picture_path(source: Path, target: Path) -> Path | None:
     """Return the path of the picture of a body that is tracked by its texture; None for a table or recording."""
-    return target.with_suffix(".png") if source.suffix.lower() in _FILMS else None
+    return target.with_suffix(".png") if is_film(source) else None
 
 
 def spindown(
@@ -395,9 +406,16 @@ def _analysed(
     from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
-    case, body = read_source(source, options, progress)
+    read = read_source(source, options, progress)
+    case, body = read.case, read.film
     series = case.casing
-    motion = motion_of(series.time, series.angle, series.sigma)
+    if case.quantity == "omega" and not np.any(series.window):
+        motion = motion_of_speeds(series.time, series.omega, series.omega_sigma, series.angle)
+    else:
+        motion = motion_of(series.time, series.angle, series.sigma)
+    drive = None if motion.kind == "oscillation" else _drive(read)
+    if drive is not None:
+        motion = replace(motion, kind="driven", omega=drive.omega or motion.omega)
     if body is not None:
         motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
     usual = float(np.median(series.sigma))
@@ -418,6 +436,7 @@ def _analysed(
     write_case(target, case, command=command, settings=settings, force=force)
     picture = None
     ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
+    ambiguous |= bool(case.extra.get("doubts"))
     if body is not None:
         picture = picture_path(source, target)
         assert picture is not None  # noqa: S101 - `body` is of a film
@@ -428,6 +447,20 @@ def _analysed(
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
+    document = {
+        "case": target,
+        "picture": picture,
+        "motion": motion,
+        "response": None if drive is None else drive.response,
+        "reading": case.extra.get("reading", []),
+        "ambiguous": ambiguous,
+    }
+    if drive is not None:
+        warnings.append(
+            f"No torque law: the body is driven ({drive.reason}), so its friction is not determined."
+        )
+        nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
+        return {**document, **nothing, "ladder": [], "warnings": warnings}
     try:
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
@@ -473,16 +506,24 @@ def _analysed(
         missing = "diagnosis" if recorder is not None and len(recorder.entries) > 1 else "torque law"
         warnings.append(f"No {missing}: {error.message.rstrip('.')}.")
     return {
-        "case": target,
+        **document,
         "report": written,
-        "picture": picture,
-        "motion": motion,
         "oscillator": laws,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
-        "ambiguous": ambiguous,
     }
+
+
+def _drive(read: Source) -> Drive | None:
+    """Return the drive of a body, from the speed and the measured inputs of a table."""
+    series, table = read.case.casing, read.table
+    inputs: tuple[Input, ...] = ()
+    if table is not None:
+        rows = np.searchsorted(table.time, series.time, side="right") - 1
+        inputs = tuple(replace(i, value=i.value[np.clip(rows, 0, None)]) for i in table.inputs)
+    pulses = table is not None and table.counted
+    return drive_of(series, read.case.quantity, inputs, pulses=pulses)
 
 
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:

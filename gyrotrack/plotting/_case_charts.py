@@ -81,7 +81,9 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
         traces.append(concatenated(label, parts, colour, width=1.5, dash=dash))
     largest = max(float(np.abs(c.value).max()) for c in measured)
     known = [float(m.casing.sigma.max()) for m in view.models]
-    caption = "Angular velocity, smoothed as in the paper (median over 51 points); bands: ±2 σ due to the parameters"
+    caption = (
+        f"Angular velocity, median over {view.smoothing_width} points; bands: ±2 σ due to the parameters"
+    )
     caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
     finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s."
     return Chart(

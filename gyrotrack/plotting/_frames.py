@@ -171,7 +171,11 @@ class Film:
                 if raw.pts is not None and raw.pts >= wanted:
                     self._at = index
                     # a later timestamp means that the frame is missing
-                    return planes_of(raw, index, orientation_of(raw)) if raw.pts == wanted else None
+                    return (
+                        planes_of(raw, index, orientation_of(raw, self._stream))
+                        if raw.pts == wanted
+                        else None
+                    )
         except av.error.FFmpegError:
             pass
         self._frames = None

@@ -95,9 +95,10 @@ class CaseView:
     quantity: str
     body: str  # name of the filmed body: "casing", or "body" if only one was recorded
     torque_unit: str  # "N m", or "rad/s²" for torques per unit of inertia
-    # measured speed, smoothed as in the paper [rad/s]
+    # measured speed, smoothed by a running median [rad/s]
     casing: Curve
     rotor: tuple[Curve, ...]
+    smoothing_width: int  # points of its running median
     models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
     added: AddedTorque | None  # torque of the final model minus that of the base model
     alternatives: tuple[AddedTorque, ...]  # the same for the best other candidate effects, each after a refit
@@ -161,10 +162,10 @@ def case_view(
     index: int,
 ) -> CaseView:
     """Return one case with the first and the last model of a history, whose unmodelled torques are given."""
-    from fitting.inference._record import speeds
+    from fitting.inference._record import median_width, speeds
 
     base, final = history[0].fit, history[-1].fit
-    record = base.problem.data[index].record
+    record, width = base.problem.data[index].record, base.problem.data[index].smoothing_width
     fits = [base, final] if len(history) > 1 else [base]
     return CaseView(
         label=record.label,
@@ -172,8 +173,9 @@ def case_view(
         quantity=record.quantity,
         body=record.body,
         torque_unit=unit_text(record.torque_unit),
-        casing=_measured(*speeds(record.casing, record.quantity)),
-        rotor=tuple(_measured(*speeds(w, record.quantity)) for w in record.rotor),
+        casing=_measured(*speeds(record.casing, record.quantity, width)),
+        rotor=tuple(_measured(*speeds(w, record.quantity, width)) for w in record.rotor),
+        smoothing_width=median_width(len(record.casing), width),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
         added=added_torque("final model", base, final, index) if len(fits) > 1 else None,
         alternatives=_alternatives(base, final, diagnosis, index),

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +47,15 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is turned: first mirrored left to right, then `quarters` as by `numpy.rot90`."""
+    """How the coded picture is shown: with square pixels, mirrored left to right, turned as by `numpy.rot90`."""
 
     quarters: int = 0
     mirrored: bool = False
+    aspect: float = 1.0  # width of a coded pixel over its height
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Return the size of a picture with square pixels, before it is turned; no side becomes smaller."""
+        return round(width * max(self.aspect, 1.0)), round(height * max(1.0 / self.aspect, 1.0))
 
     def apply(self, plane: Plane) -> Plane:
         """Rotate a plane; without a rotation the plane itself is returned."""
@@ -62,7 +69,10 @@ class Orientation:
 def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
     """Turn a decoded PyAV frame into a `Frame`; formats other than 8 bit 4:2:0 are converted first."""
     pts = None if frame.pts is None else int(frame.pts)
-    if frame.format.name not in _PLANAR_420:
+    if orientation.aspect != 1.0:
+        width, height = orientation.size(frame.width, frame.height)
+        frame = frame.reformat(width, height, format="yuv420p")
+    elif frame.format.name not in _PLANAR_420:
         frame = frame.reformat(format="yuv420p")
     y, u, v = map(_view, frame.planes)
     if orientation.quarters or orientation.mirrored:
@@ -70,14 +80,27 @@ def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
     return Frame(index, pts, y, u, v, bool(getattr(frame, "is_corrupt", False)))
 
 
-def orientation_of(frame: Any) -> Orientation:
-    """Read the display matrix of a frame: multiples of 90 degrees and mirrors; other matrices are ignored."""
-    data = frame.side_data.get("DISPLAYMATRIX")
+def orientation_of(frame: Any, stream: Any) -> Orientation:
+    """Read the display matrix of a frame and the shape of the pixels of its stream.
+
+    Of the matrices, multiples of 90 degrees and mirrors are followed, and others ignored.
+    """
+    data, aspect = frame.side_data.get("DISPLAYMATRIX"), _pixel_aspect(stream)
     if data is None:
-        return Orientation()
+        return Orientation(aspect=aspect)
     a, b, _, c, d, *_ = struct.unpack("<9i", bytes(data)[:36])
     signs = tuple(int(np.sign(round(entry / 65536))) for entry in (a, b, c, d))
-    return _ORIENTATIONS.get(signs, Orientation())
+    return replace(_ORIENTATIONS.get(signs, Orientation()), aspect=aspect)
+
+
+# most extreme shape of a pixel that a film is shown with; anamorphic films have 4:3
+_WIDEST_PIXEL = 4.0
+
+
+def _pixel_aspect(stream: Any) -> float:
+    """Return the width of a pixel over its height, 1 if the film states none that is plausible."""
+    stated = float(stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or 1)
+    return stated if 1 / _WIDEST_PIXEL <= stated <= _WIDEST_PIXEL else 1.0
 
 
 # (a, b, c, d) maps coded (x, y) to shown (a x + c y, b x + d y), y downwards.
@@ -103,9 +126,45 @@ MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguishe
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
-    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi",
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,gif,mpeg,mpegts,asf,flv,ogg,image2,"
+    "h264,hevc,mpegvideo,mjpeg",
     "protocol_whitelist": "file",
 }
+# streams without a container have no timestamps, and numbered pictures no rate
+_WITHOUT_RATE = {"h264", "hevc", "mpegvideo", "mjpeg", "image2"}
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+SUFFIXES = (
+    *(
+        ".mp4",
+        ".mov",
+        ".mkv",
+        ".webm",
+        ".avi",
+        ".m4v",
+        ".3gp",
+        ".mjpeg",
+        ".mjpg",
+        ".mpg",
+        ".mpeg",
+        ".wmv",
+        ".asf",
+    ),
+    *(
+        ".ts",
+        ".mts",
+        ".m2ts",
+        ".m2v",
+        ".vob",
+        ".ogv",
+        ".flv",
+        ".gif",
+        ".h264",
+        ".264",
+        ".h265",
+        ".265",
+        ".hevc",
+    ),
+)
 _RATE_TAGS = ("com.android.capture.fps", "capture_fps", "CAPTURE_FPS")
 
 # The locks of the library's logging can deadlock with decoding threads.
@@ -117,7 +176,7 @@ class ClipInfo:
     """Metadata of a film file; they are not relied upon for counting frames."""
 
     path: Path  # the file
-    # size of the coded picture in px, before any rotation
+    # size of the picture with square pixels, before any rotation
     width: int
     height: int
     container_fps: float  # frames per second of the container; NaN if it declares none
@@ -134,15 +193,26 @@ class ClipInfo:
 @contextlib.contextmanager
 def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
     """Open a film and yield (container, video stream); raise `VideoError` if it cannot be read."""
-    _check_file(path)
+    name, form = str(path.resolve()), None
+    picture_options: dict[str, str] = {}
+    if path.is_dir():
+        name, picture_options = _numbered_pictures(path)
+        form = "image2"
+    else:
+        _check_file(path)
     try:
         container = av.open(
-            str(path.resolve()), options=_CONTAINER_OPTIONS, metadata_errors="replace", timeout=(10.0, 60.0)
+            name,
+            format=form,
+            options={**_CONTAINER_OPTIONS, **picture_options},
+            metadata_errors="replace",
+            timeout=(10.0, 60.0),
         )
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise VideoError(
             f"{path} is not a film that can be read ({_reason(error)}).",
-            "Give an MP4, MOV, MKV, WebM or AVI file. A truncated copy has no index; copy it again.",
+            "Give an MP4, MOV, MKV, WebM, AVI, MPEG, TS, WMV, FLV or GIF file, or a folder of numbered pictures. A "
+            "truncated copy has no index; copy it again.",
         ) from error
     with container:
         if not container.streams.video:
@@ -162,14 +232,16 @@ def probe(path: Path) -> ClipInfo:
     """Read what a film declares: size, rates, frame count, tags."""
     with opened(path) as (container, stream):
         context = stream.codec_context
-        rate = _nominal_rate(stream)
+        without = _WITHOUT_RATE & set(str(container.format.name).split(","))
+        rate = None if without else _nominal_rate(stream)
+        width, height = Orientation(aspect=_pixel_aspect(stream)).size(context.width, context.height)
         return ClipInfo(
             path=path,
-            width=int(context.width),
-            height=int(context.height),
+            width=width,
+            height=height,
             container_fps=float(rate) if rate else float("nan"),
             frames_declared=int(stream.frames),
-            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata),
+            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path),
             codec=str(context.name),
             pixel_format=str(context.pix_fmt),
             time_base=Fraction(stream.time_base),
@@ -192,8 +264,47 @@ def _nominal_rate(stream: Any) -> Any:
     return average or stream.guessed_rate
 
 
+def is_film(path: Path) -> bool:
+    """Return whether a path is that of a film by its suffix, or a folder of numbered pictures."""
+    return path.suffix.lower() in SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES and re.search(r"\d+$", p.stem))
+
+
+def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
+    """Return the pattern of the names of the pictures in a folder, and the number of the first one."""
+    pictures = _pictures_in(folder)
+    if not pictures:
+        raise VideoError(
+            f"{folder} contains no numbered pictures.", "Give a film, or pictures such as img_0001.png."
+        )
+    parts = {(m[1], len(m[2]) if m[2].startswith("0") else 0, p.suffix) for p in pictures
+             if (m := re.fullmatch(r"(.*?)(\d+)", p.stem))}  # fmt: skip
+    heads = {(head, suffix) for head, _, suffix in parts}
+    widths = {width for _, width, _ in parts} - {0}
+    if len(heads) > 1 or len(widths) > 1:
+        what = f"{folder} contains pictures of several series, such as {pictures[0].name} and {pictures[-1].name}."
+        raise VideoError(what, "Put each series into a folder of its own.")
+    ((head, suffix),) = heads
+    numbers = sorted(int(p.stem[len(head) :]) for p in pictures)
+    lost = numbers[-1] - numbers[0] + 1 - len(numbers)
+    if lost:
+        first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
+        raise VideoError(
+            f"{folder}: {lost} pictures are missing, first number {first}.",
+            "Times are counted from the pictures: complete it.",
+        )
+    digits = f"%0{widths.pop()}d" if widths else "%d"
+    escaped = str(folder.resolve() / head).replace("%", "%%")
+    return f"{escaped}{digits}{suffix}", {"start_number": str(numbers[0])}
+
+
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes, or of the digests of the pictures in a folder, in hexadecimal."""
+    if path.is_dir():
+        return hashlib.sha256("".join(map(file_sha256, _pictures_in(path))).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -230,6 +341,43 @@ def _tagged_rate(metadata: Any) -> float | None:
             if 1.0 <= value <= 1.0e6:
                 return value
     return None
+
+
+_SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
+_LONGEST_XML = 2**20
+
+
+def _sony_rate(path: Path) -> float | None:
+    """Return the capture rate in the XML of a Sony camera: in the film (box ``meta``), or beside it (``C0001M01.XML``).
+
+    The XML is searched for one attribute and not parsed.
+    """
+    beside = [path.with_name(f"{path.stem}M01{suffix}") for suffix in (".XML", ".xml")]
+    texts = [b.read_bytes()[:_LONGEST_XML] for b in beside if b.is_file()] if path.is_file() else []
+    if path.suffix.lower() in {".mp4", ".mov", ".m4v"} and path.is_file():
+        texts += _meta_boxes(path)
+    rates = (float(m[1]) for m in map(_SONY_RATE.search, texts) if m)
+    return next((rate for rate in rates if 1.0 <= rate <= 1.0e6), None)
+
+
+def _meta_boxes(path: Path) -> list[bytes]:
+    """Return the boxes ``meta`` at the top level of an MP4 file."""
+    found: list[bytes] = []
+    at = 0
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        while at + 16 <= size and len(found) < 8:
+            file.seek(at)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            length = int.from_bytes(head[8:], "big") if length == 1 else length or size - at
+            if head[4:8] == b"meta":
+                file.seek(at)
+                found.append(file.read(min(length, _LONGEST_XML)))
+            if length < 8:
+                break
+            at += length
+    return found
 
 
 def _reason(error: Exception) -> str:
@@ -315,7 +463,7 @@ def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.cop
         for n, packet in enumerate(packets_of(container.demux(stream))):
             if n in wanted:
                 for raw in _decode_alone(packet, stream):
-                    orientation = orientation or orientation_of(raw)
+                    orientation = orientation or orientation_of(raw, stream)
                     found.append(keep(planes_of(raw, -1, orientation)))
     return found
 

@@ -136,6 +136,7 @@ class Reader:
         self.corrupt = 0
         self._size: tuple[int, int] | None = None
         self._open: Any = None
+        self._stream: Any = None
         self._ahead: ReadAhead[tuple[Any, int]] | None = None
 
     def __enter__(self) -> Self:
@@ -167,7 +168,7 @@ class Reader:
                 return
             if self._size is None:
                 self._size = (raw.width, raw.height)
-                self.orientation = orientation_of(raw)
+                self.orientation = orientation_of(raw, self._stream)
             if (raw.width, raw.height) != self._size:
                 self.bad_packets += 1
                 continue
@@ -183,6 +184,7 @@ class Reader:
             self._close()
             self._open = opened(self.info.path, self._threads)
             container, stream = self._open.__enter__()
+            self._stream = stream
             packets = _from_key(container, stream, self._part.start, seek=seek)
             if packets is not None:
                 break
@@ -273,7 +275,7 @@ def frames_at(
         for first, stop, start, end in ranges:
             last = max(stamp for stamp in wanted if start <= stamp < end)
             for raw in _decoded(packets, first, stop, stream, wanted):
-                orientation = orientation or orientation_of(raw)
+                orientation = orientation or orientation_of(raw, stream)
                 if raw.pts in wanted:
                     found[int(raw.pts)] = keep(planes_of(raw, -1, orientation))
                 if raw.pts is not None and raw.pts >= last:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -12,11 +13,13 @@ import typer
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line, printable, sparkline
 from gyrotrack.apps.cli._settings import option
+from gyrotrack.io.readers._format_names import ALL
 
 if TYPE_CHECKING:
     from gyrotrack.io._contents import Inspection
+    from gyrotrack.io._records import Case
 
 
 _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
@@ -33,7 +36,10 @@ def import_command(
         option("--body FILE", "The same quantities of a single body, instead of casing and rotor."),
     ] = None,
     inertia: shared.BodyInertia = None,
-    output: shared.OutputFile,
+    output: shared.OptionalOutputFile = None,
+    dry_run: Annotated[
+        bool, option("--dry-run", "Show what each column is taken for, and a plot; write nothing.")
+    ] = False,
     columns: shared.Columns = None,
     marker: shared.Marker = None,
     centre: shared.Centre = None,
@@ -62,14 +68,14 @@ def import_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
     verbose: shared.Verbose = False,
-) -> None:
+) -> int:
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
-    The format is recognised by content: CSV or other text, phyphox, Excel, MATLAB, Parquet, JSON, netCDF, projects and
-    text of OSP Tracker, DeepLabCut, SLEAP, movement. Times are in s, all on one clock; angles in rad, wrapped or
+    The format is recognised by content: {formats}. Times are in s, all on one clock; angles in rad, wrapped or
     unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
     noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
-    rest at the end are detected, reported and excluded. Every repair is reported with its line.
+    rest at the end are detected, reported and excluded. Two lines for each file say what each column was taken for and
+    why, and what was left out; a column in doubt is asked for. Every repair is reported with its line.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -83,13 +89,16 @@ def import_command(
 
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     shared.check_pulses(pulses_per_turn)
+    if output is None and not dry_run:
+        raise UsageError("There is no output.", "Give -o FILE.h5, or --dry-run to look at the tables only.")
     rotor = rotor or []
-    refuse_existing(output, force=force, reads=[casing, *rotor, body])
+    if output is not None and not dry_run:
+        refuse_existing(output, force=force, reads=[casing, *rotor, body])
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
         what = f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start."
         raise UsageError(what, "Give --rotor-start once per file.")
-    title = output.stem if label is None else label
+    title = label if label is not None else "" if output is None else output.stem
     names = {part: read_names(columns or (), part) or None for part in ("casing", "rotor")}
     options = [
         ReadOptions(names[part], marker, centre, fps, begin, likelihood, pulses_per_turn)
@@ -97,25 +106,64 @@ def import_command(
     ]
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
-    if body is not None and inertia is not None and casing is None and not rotor:
-        moment = Inertia.of(inertia)
+    if body is not None and (inertia is not None or dry_run) and casing is None and not rotor:
+        moment = Inertia(1.0) if inertia is None else Inertia.of(inertia)
         case = replace(import_body(body, moment.value, options=options[0], **named), I_casing_u=moment.u)
     elif casing is not None and body is None and inertia is None:
-        r, c = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
+        one = "1" if dry_run else None
+        r = Inertia.required(inertia_rotor or one, "rotor")
+        c = Inertia.required(inertia_casing or one, "casing")
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
         case = replace(case, I_rotor_u=r.u, I_casing_u=c.u)
     else:
         what = "A case needs either --casing and --rotor, or --body and --inertia."
         raise UsageError(what, "Give one of these pairs.")
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
-    write_case(output, case, command=command_line(), settings=settings, force=force)
+    if dry_run:
+        output = None
+    if output is not None:
+        write_case(output, case, command=command_line(), settings=settings, force=force)
     for warning in case.warnings:
         out.warn(warning)
     for source in case.extra["sources"]:
         out.detail(f"{source['file']}: {source['samples']} samples used")
-    document = {"output": output, **summary(case)}
+    document = {"output": output, "reading": case.extra["reading"], **summary(case)}
     out.result(document)
-    out.show(_lines(document))
+    if dry_run:
+        out.show(*map(_reading_table, document["reading"]), *_plots(case))
+    out.show(*shared.reading_lines(document["reading"]), _lines(document))
+    return NOT_TRUSTED if case.extra["doubts"] else DONE
+
+
+import_command.__doc__ = (import_command.__doc__ or "").replace("{formats}", "; ".join(ALL))
+
+
+def _reading_table(reading: Mapping[str, Any]) -> Any:
+    """Return what each column of a file was taken for, as a table."""
+    from rich.table import Table as Grid
+
+    grid = Grid(title=f"{reading['file']}: {reading['format']}, {reading['rows']} rows", box=None)
+    for heading in ("column", "taken for", "unit", "because"):
+        grid.add_column(heading)
+    for column in reading["columns"]:
+        grid.add_row(*(printable(column[key]) for key in ("column", "quantity", "unit", "why")))
+    for name in reading["left_out"]:
+        grid.add_row(printable(name), "left out", "", "")
+    return grid
+
+
+def _plots(case: Case) -> list[str]:
+    """Return the speeds of the bodies over time, as lines of text."""
+    import numpy as np
+
+    lines = []
+    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+        speed = series.omega[np.isfinite(series.omega)]
+        if len(speed):
+            lines.append(
+                f"speed of the {name}, {speed.min():.4g} to {speed.max():.4g} rad/s: {sparkline(speed)}"
+            )
+    return lines
 
 
 def _lines(document: dict[str, Any]) -> str:
@@ -125,7 +173,9 @@ def _lines(document: dict[str, Any]) -> str:
     lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{'speed [rad/s]':>20}{heading:>16}"]
     lines.append(_line("casing" if windows else "body", casing))
     lines += [_line(f"rotor {window['window']}", window) for window in windows]
-    return "\n".join([*lines, f"written: {document['output']}"])
+    return "\n".join(
+        [*lines, f"written: {document['output']}" if document["output"] else "nothing was written"]
+    )
 
 
 def _line(name: str, part: dict[str, Any]) -> str:

@@ -24,7 +24,7 @@ from __future__ import annotations
 import os
 import tomllib
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib import import_module
@@ -320,7 +320,11 @@ Columns = Annotated[
     ),
 ]
 PulsesPerTurn = Annotated[
-    float | None, option("--pulses-per-turn N", "The file is a column of times of pulses [s], N per turn.")
+    float | None,
+    option(
+        "--pulses-per-turn N",
+        "The file has times of pulses [s], intervals between them, counts or a pulsed signal, N per turn.",
+    ),
 ]
 _MOST_PULSES = 1e6
 
@@ -336,7 +340,10 @@ Centre = Annotated[
     str | None, option("--centre C", "Centre of rotation in files of points: a point, X,Y in px, or orbit.")
 ]
 Picture = Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")]
-Marker = Annotated[str | None, option("--marker NAME", "Point to follow, in files of points.")]
+Marker = Annotated[
+    str | None,
+    option("--marker NAME", "Point to follow, or particle, test, signal or table to use, by its name."),
+]
 Likelihood = Annotated[float, option("--likelihood P", "Minimum likelihood of the points that are used.")]
 StartTime = Annotated[float | None, option("--from T", "Exclude samples before this time [s].")]
 StopTime = Annotated[float | None, option("--to T", "Exclude samples after this time [s].")]
@@ -380,3 +387,10 @@ def own_effects(path: Path | None) -> list[Effect]:
 
     refuse_special(path)
     return read_effects(path)
+
+
+def reading_lines(readings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return two lines for each table: what each column was taken for and why, and what was left out."""
+    from gyrotrack.io.readers._reading import reading_of
+
+    return [line for document in readings for line in reading_of(document).lines()]

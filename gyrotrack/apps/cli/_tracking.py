@@ -16,6 +16,7 @@ from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
+    from gyrotrack.apps._drive import Response
     from gyrotrack.io._records import Recording
     from gyrotrack.synchronisation._decision import Match
     from gyrotrack.tracking._film import Film
@@ -504,14 +505,14 @@ def spindown_command(
     for warning in document["warnings"]:
         out.warn(warning)
     out.result(document)
-    out.show(*_lines(document))
+    out.show(*shared.reading_lines(document["reading"]), *_lines(document))
     verdict = (document["diagnosis"] or {}).get("verdict")
     if document["ambiguous"]:
         return NOT_TRUSTED
     if document["diagnosis"] is None:
         motion = document["motion"]
         free = motion.kind == "steady" or motion.period is not None
-        return DONE if free else NOT_TRUSTED
+        return DONE if free or document["response"] is not None else NOT_TRUSTED
     return NOT_TRUSTED if verdict == "unexplained" else DONE
 
 
@@ -550,6 +551,24 @@ def _oscillator_lines(laws: Any) -> list[str]:
     ]
 
 
+def _response_lines(response: Response | None) -> list[str]:
+    """Return the first-order response of a driven body."""
+    from fitting._numbers import rounded
+
+    if response is None:
+        return ["response   not of first order"]
+    cause = f"input '{response.input}'" if response.input else "constant drive"
+    unit = f"rad/s per {response.unit or 'unit'}"
+    quantities = [
+        ("tau", response.time_constant, "s"),
+        ("delay", response.delay, "s"),
+        ("gain", response.gain, unit),
+        ("final", response.final, "rad/s"),
+    ]
+    lines = [f"response   of first order to the {cause}; it explains {100 * response.explained:.1f} %"]
+    return lines + [f"{n:<9}  {rounded(q.value, q.stderr, u)}" for n, q, u in quantities if q is not None]
+
+
 def _lines(document: dict[str, Any]) -> list[str]:
     from fitting._numbers import rounded
 
@@ -567,9 +586,13 @@ def _lines(document: dict[str, Any]) -> list[str]:
     else:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
         quantities = [("mean", motion.omega_mean, "rad/s"), ("alpha", motion.alpha, "rad/s2")]
+        # the polynomial of a free motion does not describe a driven one
+        quantities = quantities if motion.kind != "driven" else []
     lines += [
         f"{name:<9}  {rounded(q.value, q.stderr, unit)}" for name, q, unit in quantities if q is not None
     ]
+    if motion.kind == "driven":
+        lines += _response_lines(document["response"])
     if document["oscillator"] is not None:
         lines += _oscillator_lines(document["oscillator"])
     if document["diagnosis"] is not None:

@@ -267,7 +267,7 @@ def copy_excerpt(film: Path, target: Path, frames: int) -> None:
 
 def _orientation(path: Path) -> Any:
     with opened(path) as (container, stream):
-        return orientation_of(next(container.decode(stream)))
+        return orientation_of(next(container.decode(stream)), stream)
 
 
 def preview(

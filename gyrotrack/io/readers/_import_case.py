@@ -15,19 +15,20 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, pieces, resolution, scatter
+from gyrotrack.io.readers._motion_table import (
+    MotionTable,
+    ReadOptions,
+    is_wrapped,
+    pieces,
+    resolution,
+    scatter,
+)
 from gyrotrack.io.readers._number_range import within_number_range
-from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
 _SMOOTHING = 31
 _MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces are excluded
-
-
-def is_wrapped(angle: Floats) -> bool:
-    """Return whether angles are wrapped: within one turn (except for noise), with steps of more than half a turn."""
-    return bool(np.ptp(angle) <= 1.05 * TURN and (np.abs(np.diff(angle)) > TURN / 2).any())
 
 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
@@ -287,10 +288,22 @@ def import_body(
     DatasetError, UsageError
         As for `import_case`.
     """
+    return case_of_body(read_motion(table, options), inertia, label=label, surface=surface, limits=limits)[0]
+
+
+def case_of_body(
+    table: MotionTable,
+    inertia: float,
+    *,
+    label: str = "",
+    surface: str = "",
+    limits: Limits | None = None,
+) -> tuple[Case, MotionTable]:
+    """Return the case of one body from its table, and the part of the table that is used; see `import_body`."""
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
-    read = limited(_from_origin([read_motion(table, options)])[0], limits)
+    read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
@@ -300,7 +313,7 @@ def import_body(
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
-    return Case(
+    case = Case(
         I_rotor=inertia,
         I_casing=inertia,
         label=label,
@@ -312,6 +325,7 @@ def import_body(
         warnings=tuple(notes),
         extra=_origins([read], parts, sense),
     )
+    return case, read
 
 
 def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
@@ -342,6 +356,8 @@ def _origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> d
     """Return the provenance for the case file."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
+        "reading": [t.reading.document() for t in tables if t.reading is not None],
+        "doubts": [doubt for t in tables for doubt in t.doubts],
         "sense": sense,
         "smoothing_width": min(part.smoothing_width for part in parts),
     }

@@ -18,9 +18,27 @@ from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
-from gyrotrack.io.readers._raw_table import ROLES, UNITS, RawTable, clean, factor, header_of, role_of
+from gyrotrack.io.readers._clock import MIN_SAMPLES, ordered
+from gyrotrack.io.readers._plausibility import (
+    are_exchanged,
+    counts_rows,
+    ratio_of_units,
+    row_numbers,
+    wrapping_unit,
+)
+from gyrotrack.io.readers._raw_table import (
+    ROLES,
+    TURN,
+    UNITS,
+    RawTable,
+    clean,
+    factor,
+    header_of,
+    is_input,
+    role_of,
+)
+from gyrotrack.io.readers._reading import Reading, Taken
 
-MIN_SAMPLES = 8
 _GAP = 20.0
 _BLOCK = 15
 _ORDER = 3
@@ -30,12 +48,10 @@ _MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for 
 _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
 # share, and number, of the changes between neighbours that are not usual; the greater applies
 _RARE = (0.01, 4.0)
-_TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)
-
 # symbols of quantities, which imply SI units
 _SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
-# unit that is assumed for a quantity, and an example of another one
-_ASSUMED = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
+# units to choose from for a quantity without one
+_CHOICES = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
 
 # quantity and unit ("" if it is in the header) by column (header or number, case-folded)
 Names = Mapping[str, tuple[str, str]]
@@ -59,6 +75,15 @@ class ReadOptions:
 
 
 @dataclass(frozen=True)
+class Input:
+    """A measured cause of the motion, such as a voltage or a commanded torque."""
+
+    name: str
+    unit: str
+    value: Floats  # shape (n,); in the unit of the file
+
+
+@dataclass(frozen=True)
 class MotionTable:
     """The samples of one file: finite, sorted by time, in SI units."""
 
@@ -74,8 +99,11 @@ class MotionTable:
     least_sigma: float = 0.0  # lower bound of an estimated uncertainty, from the resolution of the file
     # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
+    doubts: tuple[str, ...] = ()  # why the values may be wrong by more than their uncertainty
+    inputs: tuple[Input, ...] = ()
+    reading: Reading | None = None  # what each column was taken for
 
-    def only(self, keep: npt.NDArray[np.bool_], *notes: str) -> MotionTable:
+    def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
         """Return the selected samples, with further notes."""
         return replace(
             self,
@@ -83,13 +111,24 @@ class MotionTable:
             value=self.value[keep],
             sigma=None if self.sigma is None else self.sigma[keep],
             line=self.line[keep],
+            inputs=tuple(replace(i, value=i.value[keep]) for i in self.inputs),
             notes=(*self.notes, *notes),
         )
 
 
+def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
+    """Return the only name of a list, or the one that contains the option `marker`."""
+    named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
+    chosen = named if len(named) == 1 else names
+    if len(chosen) != 1:
+        which = f": {', '.join(names)[:100]}" if names else ""
+        hint = f"Choose one with --marker, for example --marker '{names[0]}'." if names else "Give a table."
+        raise DatasetError(f"{path} contains {len(names)} {what}{which}.", hint)
+    return chosen[0]
+
+
 COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
-_DAY = 86400.0
 _STEADY = 100.0  # ratio of squared mean and variance of a speed from which on it is constant
 
 
@@ -123,10 +162,44 @@ def _listed(names: Sequence[str]) -> str:
     return f"{shown} and {len(names) - _SHOWN} more" if len(names) > _SHOWN else shown
 
 
-def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], dict[str, str], list[str]]:
-    """Return column and unit of each quantity, and the names of unused columns; two of one meaning are an error."""
+@dataclass(frozen=True)
+class Columns:
+    """The columns of a table by quantity."""
+
+    place: dict[str, int]  # column of each quantity
+    unit: dict[str, str]  # its unit; "" if none is stated
+    why: dict[str, str]  # the reason of the choice
+    axes: list[int]  # all columns of the chosen quantity, if these are the axes of a sensor
+    inputs: list[int]  # measured causes of the motion
+
+    def taken(self, raw: RawTable, *roles: str) -> tuple[Taken, ...]:
+        """Return what the columns of some quantities were taken for."""
+        found = []
+        for role in (r for r in roles if r in self.place):
+            unit, why = self.unit[role], self.why[role]
+            if not unit and role in _SI:
+                unit, why = _SI[role], f"{why}; SI by convention"
+            found.append(Taken(column_name(raw, self.place[role]), _QUANTITY.get(role, role), unit, why))
+        return tuple(found)
+
+
+_SI = {"t": "s", "angle": "rad", "omega": "rad/s"}
+_QUANTITY = {"t": "time", "revolutions": "count", "interval": "intervals", "sigma": "uncertainty"}
+
+
+def column_name(raw: RawTable, index: int) -> str:
+    """Return the header of a column in quotes, or its number."""
+    return f"'{raw.names[index][:40]}'" if raw.names[index] else f"column {index + 1}"
+
+
+def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
+    """Return the column of each quantity, its unit, and the reason; two of one meaning are an error."""
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
+    why: dict[int, str] = {}
+    given_names = {" ".join(_words(n)): r for n, r in (options.names or {}).items()} | dict(
+        options.names or {}
+    )
     for index, name in enumerate(raw.names):
         base, unit = header_of(name)
         below = clean(raw.units[index])
@@ -137,34 +210,39 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
         units[index] = below or clean(unit)
         role = role_of(base) if name and not options.names else None
         if options.names:
-            for text in (name.casefold(), base.casefold(), str(index + 1)):
-                if text and text in options.names:
-                    role, given = options.names[text]
+            for text in (name.casefold(), base.casefold(), str(index + 1), _stem_without_axis(base)):
+                if text and text in given_names:
+                    role, given = given_names[text]
                     units[index] = given or units[index]
+                    why[index] = "by --column"
                     break
         elif role in {None, "angle", "omega"} and units[index]:
-            role = next(
-                (r for r in ("angle", "omega") if units[index].casefold() in UNITS[r]),
-                None if role is None else role,
-            )
+            by_unit = next((r for r in ("angle", "omega") if units[index].casefold() in UNITS[r]), role)
+            why[index] = "by its name" if by_unit == role else "by its unit"
+            role = by_unit
             if role == "omega" and factor("omega", units[index]) is None:
                 role = None
         if role in {None, "revolutions"} and units[index].casefold() in UNITS["t"] and base == name:
-            role = "t"
+            role, why[index] = "t", "by its unit"
         if role in {"angle", "revolutions"} and clean(base).casefold() in _TURNS:
             # a column `turns` is a counter if its numbers are whole
             values = raw.numeric(index)
             whole = values is not None and bool((values == np.round(values))[np.isfinite(values)].all())
             role, units[index] = ("revolutions", "") if whole else ("angle", "turns")
-        if role in {"angle", "omega"} and units[index].casefold() in {
-            "km/h",
-            "m/s",
-            "mph",
-            "v",
-            "m",
-            "px",
-            "state",
-        }:
+        if (
+            why.get(index) != "by --column"
+            and role in {"angle", "omega"}
+            and units[index].casefold()
+            in {
+                "km/h",
+                "m/s",
+                "mph",
+                "v",
+                "m",
+                "px",
+                "state",
+            }
+        ):
             role = None
         if role is not None:
             found.setdefault(role, []).append(index)
@@ -178,14 +256,23 @@ def find_columns(raw: RawTable, options: ReadOptions) -> tuple[dict[str, int], d
         and 0 not in chosen.values()
         and not options.fps
     ):
-        chosen["t"] = 0
+        chosen["t"], why[0] = 0, "the first column"
     if options.names and "t" not in chosen:
         chosen |= {
             role: i for i, name in reversed(list(enumerate(raw.names)))
             for role in (role_of(header_of(name)[0]),) if role in {"t", "frame"} and i not in chosen.values()
         }  # fmt: skip
-    unused = [n or str(i + 1) for i, n in enumerate(raw.names) if i not in chosen.values()]
-    return chosen, {role: units[i] for role, i in chosen.items()}, unused
+    quantity = "angle" if "angle" in chosen else "omega"
+    stem = _stem_without_axis(raw.names[chosen[quantity]]) if len(found.get(quantity, [])) > 1 else None
+    axes = [i for i, n in enumerate(raw.names) if stem is not None and _stem_without_axis(n) == stem]
+    axes = axes if len({raw.names[i] for i in axes}) == len(axes) else []
+    return Columns(
+        chosen,
+        {role: units[i] for role, i in chosen.items()},
+        {role: why.get(i, "by its name") for role, i in chosen.items()},
+        axes,
+        [i for i, n in enumerate(raw.names) if is_input(header_of(n)[0]) and i not in chosen.values()],
+    )
 
 
 def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -> int:
@@ -201,6 +288,9 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
         of_body = [i for i in places if options.body in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
+    first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)
+    if first is not None and all(c is not None and np.array_equal(c, first, equal_nan=True) for c in copies):
+        return places[0]
     # beside the axes of a sensor, its magnitude contains no sense of rotation
     axes = [
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
@@ -214,7 +304,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
 
 
 def _words(name: str) -> list[str]:
-    return name.casefold().replace("_", " ").split()
+    return re.split(r"[\s_./]+", name.casefold().strip("/ "))
 
 
 def _stem_without_axis(name: str) -> str:
@@ -251,11 +341,23 @@ def times_of(
     if options.fps:
         return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
-        raise DatasetError(
-            f"{where}: the {len(raw.names)} columns have no header.",
-            "Give them by number: --column t=1 --column angle=2; or give --pulses-per-turn.",
-        )
-    raise DatasetError(f"{where}: there is no column for the time.", EXPECTED)
+        raise _without_header(raw)
+    what = f"{where}: there is no column for the time."
+    raise DatasetError(what, f"Give the rate of the rows with --casing-fps N. {EXPECTED}")
+
+
+def _without_header(raw: RawTable) -> DatasetError:
+    """Return the error for columns without names, with what their numbers show."""
+    indices = row_numbers(raw)
+    what = f"{raw.header_place}: the {len(raw.names)} columns have no header"
+    if indices:
+        which = " and ".join(str(i + 1) for i in indices)
+        what += f", and {which} {'number' if len(indices) > 1 else 'numbers'} the rows"
+    time = "--casing-fps N" if 0 in indices else "--column t=1"
+    return DatasetError(
+        f"{what}.",
+        f"Give them by number: {time} --column 'angle=2 [deg]'; or give --pulses-per-turn for pulses or counts.",
+    )
 
 
 def _unit_since_1970(raw: RawTable, column: int) -> str:
@@ -285,84 +387,155 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
     return scale
 
 
-def interpret(raw: RawTable, options: ReadOptions) -> MotionTable:
-    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong."""
-    columns, units, unused = find_columns(raw, options)
-    quantity = "angle" if "angle" in columns else "omega"
-    if quantity not in columns and ("t" in columns or "frame" in columns or options.fps):
-        raise DatasetError(
-            f"{raw.header_place}: there is no column for the angle or omega among {_listed(raw.names)}.",
-            EXPECTED + " Times of events and signals of a light gate need --pulses-per-turn.",
-        )
+def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> MotionTable:
+    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong.
+
+    Angles that are `counts` of an encoder may grow in equal steps.
+    """
+    columns = find_columns(raw, options)
+    place, units, why = columns.place, columns.unit, columns.why
+    quantity = "angle" if "angle" in place else "omega"
+    if quantity not in place and ("t" in place or "frame" in place or options.fps):
+        raise _without_motion(raw, columns)
     notes = list(raw.notes)
-    if "t" in columns and not units["t"] and (unit := _unit_since_1970(raw, columns["t"])):
+    if "t" in place and not units["t"] and (unit := _unit_since_1970(raw, place["t"])):
         units["t"] = unit
         notes.append(f"{raw.path.name}: the times are assumed to be counted in {unit} since 1970")
-    notes += _assumed_units(raw, columns, units, options)
-    time = times_of(raw, columns, units, options)
-    value = without_spikes(raw.numbers(columns[quantity], quantity), quantity, notes, raw.line)
+    time = times_of(raw, place, units, options)
+    value = without_spikes(raw.numbers(place[quantity], quantity), quantity, notes, raw.line)
+    if quantity == "angle":
+        units["angle"], why["angle"] = _unit_of_angle(
+            raw, place["angle"], units["angle"], why["angle"], value
+        )
+    if "omega" in place and quantity == "angle":
+        _compare(raw, columns, time, value)
+    _ask_for_units(raw, columns, quantity, options)
     unit = units[quantity]
-    if quantity == "angle" and not unit and _wraps_at_360(value):
-        unit = "deg"
-        notes.append(f"{raw.path.name}: the angles wrap at 360 and are assumed to be in degrees")
-    scale = scale_of(raw, quantity, unit)
+    scale = scale_of(raw, quantity, unit) if unit not in _SIGNALS else 1.0
+    if unit in _SIGNALS:
+        notes.append(
+            f"{raw.path.name}: the signal in {unit} is proportional to the {quantity} by an unknown factor: 1 {unit} "
+            f"is taken as 1 {'rad' if quantity == 'angle' else 'rad/s'}, so only times and ratios are meaningful"
+        )
+    if "t" in place and not counts and are_exchanged(time, value, TURN / scale):
+        raise DatasetError(
+            f"{raw.path}: {column_name(raw, place[quantity])} grows in equal steps and "
+            f"{column_name(raw, place['t'])} does not: they may be exchanged.",
+            f"Give the columns: --column 't=...' --column '{quantity}=...'.",
+        )
     sigma = None
-    if "sigma" in columns:
+    if "sigma" in place:
         sigma_unit = units["sigma"]
-        sigma = raw.numbers(columns["sigma"], "sigma") * (
+        sigma = raw.numbers(place["sigma"], "sigma", infinite=True) * (
             scale_of(raw, quantity, sigma_unit) if sigma_unit else scale
         )
-    if quantity == "angle" and "omega" in columns:
-        unused.append(raw.names[columns["omega"]] or "omega")
-    title = raw.names[columns[quantity]]
-    axes = [i for i, n in enumerate(raw.names) if _stem_without_axis(n) == _stem_without_axis(title)]
-    parts = [raw.numeric(i) for i in axes]
-    if (
-        len(axes) in {2, 3}
-        and not options.names
-        and quantity == "omega"
-        and all(p is not None for p in parts)
-    ):
-        others = [[] if i == columns[quantity] else notes for i in axes]
+    parts = [raw.numeric(i) for i in columns.axes]
+    used = {place[role] for role in ("t", "frame", quantity, "sigma") if role in place}
+    if len(parts) in {2, 3} and quantity == "omega" and all(p is not None for p in parts):
+        others = [[] if i == place[quantity] else notes for i in columns.axes]
         cleared = [
             without_spikes(p, raw.names[i], o)
-            for p, i, o in zip(parts, axes, others, strict=True)
+            for p, i, o in zip(parts, columns.axes, others, strict=True)
             if p is not None
         ]
         value, direction = _along_rotation(np.stack(cleared, axis=1))
         text = ", ".join(f"{c:.3f}" for c in direction)
-        unused = [name for name in unused if name not in {raw.names[i] for i in axes}]
+        used |= set(columns.axes)
+        why["omega"] = f"{why['omega']}, with the other axes"
         notes.append(
-            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(axes)} axes of "
-            f"'{_stem_without_axis(title)}', in which it varies most; the scale factor of the sensor is not determined"
+            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(parts)} axes of "
+            f"'{_stem_without_axis(raw.names[place[quantity]])}', in which it varies most; the scale factor of the "
+            "sensor is not determined"
         )
-    if unused:
-        notes.append(f"{raw.path.name}: ignored the column(s) {', '.join(map(repr, unused))[:120]}")
+    inputs = tuple(
+        Input(header_of(raw.names[i])[0], raw.units[i] or header_of(raw.names[i])[1], values)
+        for i in columns.inputs
+        if i not in used and (values := raw.numeric(i)) is not None
+    )
+    taken = columns.taken(raw, "t", "frame", quantity, "sigma")
+    if not {"t", "frame"} & set(place):
+        taken = (Taken("the number of the row", "time", "s", f"at {options.fps:g} rows/s"), *taken)
+    taken += tuple(Taken(f"'{i.name}'", "input", i.unit, "by its name") for i in inputs)
+    shown = {i.name for i in inputs}
+    left_out = tuple(
+        column_name(raw, i) for i, n in enumerate(raw.names) if i not in used and header_of(n)[0] not in shown
+    )
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
-    return checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma)
+    made = checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma, inputs=inputs)
+    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, left_out))
 
 
-def _assumed_units(
-    raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
-) -> list[str]:
-    """Return notes on columns whose unit is not stated and not implied by the symbol of the quantity."""
-    quantity = "angle" if "angle" in columns else "omega"
-    notes = []
-    for role in () if options.names else (quantity, "t"):
-        values = raw.numeric(columns[role]) if role in columns and not units[role] else None
-        name = raw.names[columns[role]] if values is not None else ""
-        if values is None or not name or set(re.split(r"[\s_.,\-:]+", name.casefold())) & _SYMBOLS:
-            continue
-        if role == "t" and (values % 1 != 0).any():
-            continue  # hardly milliseconds
-        if role == "angle" and _wraps_at_360(values):
-            continue  # a note of its own
-        assumed, other = _ASSUMED[role]
-        notes.append(
-            f"{raw.path.name}: the unit of '{name}' is not stated; {assumed} is assumed "
-            f"(another: --column '{role}={name} [{other}]')"
+# units of a signal that may be proportional to an angle or a speed
+_SIGNALS = {"V", "mV", "A", "mA", "m", "cm", "mm", "px", "counts"}
+
+
+def _without_motion(raw: RawTable, columns: Columns) -> DatasetError:
+    """Return the error for a table without a column for the angle or the speed, with the columns that may be one."""
+    what = f"{raw.header_place}: there is no column for the angle or omega among {_listed(raw.names)}."
+    others = [
+        i for i in range(len(raw.names)) if i not in columns.place.values() and raw.numeric(i) is not None
+    ]
+    name = raw.names[others[0]] if others else ""
+    if not name:
+        return DatasetError(what, EXPECTED)
+    return DatasetError(
+        what,
+        f"State what a column is, for example --column 'angle={name}' or --column 'omega={name} [rpm]'; times of "
+        "events and signals with pulses need --pulses-per-turn.",
+    )
+
+
+def _unit_of_angle(raw: RawTable, column: int, unit: str, why: str, value: Floats) -> tuple[str, str]:
+    """Return the unit of an angle and the reason; an angle that wraps shows it, and a DatasetError says otherwise."""
+    wraps = wrapping_unit(value)
+    if not wraps:
+        return unit, why
+    name = column_name(raw, column)
+    if unit and abs((factor("angle", unit) or 0.0) / UNITS["angle"].get(wraps, 1.0) - 1) > 0.01:
+        raise DatasetError(
+            f"{raw.header_place}: {name} is stated in {unit[:30]}, but it wraps at a whole turn in {wraps}.",
+            f"State its unit: --column 'angle={raw.names[column] or column + 1} [{wraps}]'.",
         )
-    return notes
+    return wraps, f"{why}; it wraps at a whole turn in {wraps}"
+
+
+def _compare(raw: RawTable, columns: Columns, time: Floats, angle: Floats) -> None:
+    """Compare an angle with the speed in the same table; units that contradict each other are a DatasetError."""
+    units = columns.unit
+    scales = [factor(role, units[role]) if units[role] else 1.0 for role in ("angle", "omega")]
+    speed = raw.numeric(columns.place["omega"])
+    if None in scales or speed is None:
+        return
+    ratio, cause = ratio_of_units(time, angle * (scales[0] or 1.0), speed * (scales[1] or 1.0))
+    if not cause:
+        return
+    names = [column_name(raw, columns.place[role]) for role in ("angle", "omega")]
+    raise DatasetError(
+        f"{raw.header_place}: the slope of {names[0]} is {abs(ratio):.4g} times {names[1]}: {cause}.",
+        f"State the unit of the one to use: --column 'angle={raw.names[columns.place['angle']]} [deg]'.",
+    )
+
+
+def _ask_for_units(raw: RawTable, columns: Columns, quantity: str, options: ReadOptions) -> None:
+    """Raise a DatasetError for a column whose unit is not stated and not implied by the symbol of the quantity."""
+    for role in (quantity, "t"):
+        if role not in columns.place or columns.unit[role] or columns.why[role].startswith("by --column"):
+            continue
+        column = columns.place[role]
+        values, name = raw.numeric(column), raw.names[column]
+        if values is None or not name:
+            continue
+        if role == "t" and not options.fps and counts_rows(values[np.isfinite(values)]):
+            raise DatasetError(
+                f"{raw.header_place}: {column_name(raw, column)} numbers the rows.",
+                f"Give the rate with --casing-fps N, or the unit with --column 't={name} [s]'.",
+            )
+        symbol = set(re.split(r"[\s_.,\-:]+", name.casefold())) & _SYMBOLS
+        if symbol or (role == "t" and (values % 1 != 0).any()):  # hardly milliseconds
+            continue
+        first, second = (f"--column '{role}={name} [{unit}]'" for unit in _CHOICES[role])
+        what = f"{raw.header_place}: the unit of {column_name(raw, column)} is not stated."
+        raise DatasetError(what, f"State it: {first} or {second}.")
 
 
 def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | None = None) -> Floats:
@@ -388,13 +561,6 @@ def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | 
     where = "" if line is None else f" (first: line {line[rows[0]]})"
     notes.append(f"{len(rows)} values of '{name}' far from both neighbours were excluded{where}")
     return np.where(np.isin(np.arange(len(value)), rows), np.nan, value)
-
-
-def _wraps_at_360(value: Floats) -> bool:
-    """Return whether angles without a unit are in degrees: their range and their steps are about 360."""
-    known = value[np.isfinite(value)]
-    jumps = np.abs(np.diff(known))
-    return bool(len(known) > 2 and 200 < np.ptp(known) <= 400 and (np.abs(jumps - 360) < 60).any())
 
 
 def resolution(value: Floats) -> float:
@@ -425,6 +591,7 @@ def checked(
     notes: list[str],
     *,
     least_sigma: float = 0.0,
+    inputs: tuple[Input, ...] = (),
 ) -> MotionTable:
     """Return a motion with repaired times and without empty rows."""
     name, line = raw.path.name, raw.line
@@ -434,22 +601,29 @@ def checked(
             f"{name}: {absent.sum()} rows without a time were excluded (first: line {line[absent][0]})"
         )
     valid = np.isfinite(value) & ~absent
+    weightless = np.zeros(len(value), dtype=bool) if sigma is None else valid & np.isposinf(sigma)
+    if weightless.any():
+        notes.append(
+            f"{name}: {weightless.sum()} rows with an infinite sigma have no weight and were excluded "
+            f"(first: line {line[weightless][0]})"
+        )
+        valid &= ~weightless
     if sigma is not None:
         _raise_if(raw, valid & np.isnan(sigma), "the sigma is missing", "Add it, or remove the column.")
         _raise_if(raw, valid & ~(sigma > 0), "the sigma is not positive", "Correct it, or remove the column.")
-    lost = int((~valid & ~absent).sum())
-    if lost:
-        first = line[~valid & ~absent][0]
-        notes.append(f"{name}: {lost} rows without a value were excluded (first: line {first})")
+    lost = ~valid & ~absent & ~weightless
+    if lost.any():
+        notes.append(f"{name}: {lost.sum()} rows without a value were excluded (first: line {line[lost][0]})")
     if valid.sum() < MIN_SAMPLES:
         what = f"{raw.path} has {valid.sum()} samples with a value; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
-    if quantity == "angle" and np.ptp(value[valid]) == 0:
-        what = f"{raw.path}: all {valid.sum()} angles are {value[valid][0]:g} rad."
+    if np.ptp(value[valid]) == 0:
+        kind, unit = ("angles", "rad") if quantity == "angle" else ("speeds", "rad/s")
+        what = f"{raw.path}: all {valid.sum()} {kind} are {value[valid][0]:g} {unit}."
         raise DatasetError(what, "Check the column.")
     made = MotionTable(
         raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
-        (), least_sigma,
+        (), least_sigma, inputs=tuple(replace(i, value=i.value[valid]) for i in inputs),
     )  # fmt: skip
     made = in_order(made, notes)
     if len(made.time) < MIN_SAMPLES:
@@ -465,18 +639,18 @@ def _raise_if(raw: RawTable, wrong: npt.NDArray[np.bool_], what: str, hint: str)
         raise DatasetError(f"{raw.path}, line {raw.line[np.argmax(wrong)]}: {what}.", hint)
 
 
+def is_wrapped(angle: Floats) -> bool:
+    """Return whether angles are wrapped: within one turn (except for noise), with steps of more than half a turn."""
+    return bool(np.ptp(angle) <= 1.05 * TURN and (np.abs(np.diff(angle)) > TURN / 2).any())
+
+
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Sort a table by time and average repeated times, with `notes`; a DatasetError if times restart."""
-    name = table.path.name
-    table = replace(table, time=continued_clock(table.path, table.time, table.line, notes))
-    backward = np.flatnonzero(np.diff(table.time) < 0)
-    if len(backward):
-        order = np.argsort(table.time, kind="stable")
-        notes.append(
-            f"{name}: times are not increasing (line {table.line[backward[0] + 1]}); {len(backward)} steps back, "
-            "rows were sorted by time"
-        )
-        table = table.only(order)  # type: ignore[arg-type]
+    """Order a table by time and average repeated times, with `notes`; a DatasetError if the order is in doubt."""
+    name, value = table.path.name, table.value
+    if table.quantity == "angle" and len(value) and is_wrapped(value):
+        value = np.unwrap(value)
+    time, order = ordered(table.path, table.time, table.line, value, notes)
+    table = replace(table, time=time).only(order)
     repeated = np.flatnonzero(np.diff(table.time) == 0)
     if len(repeated):
         notes.append(
@@ -490,33 +664,9 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
             value=np.add.reduceat(table.value, first) / count,
             sigma=None if table.sigma is None else np.sqrt(np.add.reduceat(table.sigma**2, first)) / count,
             line=table.line[first],
+            inputs=tuple(replace(i, value=i.value[first]) for i in table.inputs),
         )
     return table
-
-
-def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return times without the restarts of a 32-bit counter; another restart is a DatasetError."""
-    step = np.diff(time)
-    back = np.flatnonzero(step < 0)
-    if not len(back) or len(time) < 2 * MIN_SAMPLES:
-        return time
-    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
-    for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS), _DAY):
-        if (np.abs(step[back] + period) < 0.02 * period).all() and (period != _DAY or time.max() <= _DAY):
-            which = "time of day" if period == _DAY else "32-bit clock"
-            notes.append(
-                f"{path.name}: the {which} restarts at line {line[back[0] + 1]}; times were continued"
-            )
-            return np.concatenate([[time[0]], time[0] + np.cumsum(np.where(step < 0, step + period, step))])
-    far = back[-step[back] > 20 * usual]
-    lengths = np.diff([0, *(far + 1), len(time)])
-    several = 0 < len(far) <= 5 and lengths.min() >= MIN_SAMPLES
-    # every restart begins at the first time of the file again
-    from_first = np.abs(time[far + 1] - time[0]) < 5 * usual
-    if several or (len(far) and from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
-        what = f"{path}: times are not strictly increasing (line {line[far[0] + 1]}): the clock restarts."
-        raise DatasetError(what, f"Split the file at this line: it contains {len(far) + 1} recordings.")
-    return time
 
 
 def pieces(time: Floats) -> list[slice]:

@@ -1,4 +1,4 @@
-"""Binary and XML files: HDF5 of SLEAP, DeepLabCut, movement, MATLAB and gyrotrack, and projects of OSP Tracker.
+"""Binary and XML files: HDF5 of SLEAP, DeepLabCut, movement and gyrotrack, and projects of OSP Tracker.
 
 A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files, pandas
 stores the names of columns as a pickle, which can contain code. It is never executed: only opcodes for lists and tuples
@@ -20,9 +20,9 @@ import numpy as np
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
 from gyrotrack.io._tables import check_storage, check_tree, load
+from gyrotrack.io.readers._point_tables import grouped_points
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
-from gyrotrack.io.readers._tables import grouped_points, table_of_arrays
 
 _MARK = object()
 _MAX_OPCODES = 10_000
@@ -100,7 +100,7 @@ def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
             check_tree(file)
             if str(file.attrs.get("format", "")) == "gyrotrack":
                 return _case_body(path, file, body)
-            if "position" in file and "keypoints" in file:
+            if "position" in file and {"keypoint", "keypoints"} & set(file.keys()):
                 return _movement(path, file)
             if {"tracks", "node_names"} <= set(file.keys()):
                 return _sleap(path, file)
@@ -113,28 +113,6 @@ def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
     raise DatasetError(f"{path} is an HDF5 file without points in a supported format.", _FOREIGN)
-
-
-def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
-    """Return the vectors, or the columns of a matrix, in a MATLAB 7.3 file: HDF5 with arrays in column order."""
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            check_tree(file)
-            held = dict(file.items())
-            for name, value in list(held.items()):
-                if isinstance(value, h5py.Group):
-                    del held[name]
-                    held |= {} if name.startswith("#") else dict(value.items())
-            arrays = {}
-            for name, value in held.items():
-                numeric = isinstance(value, h5py.Dataset) and value.dtype.kind in "iuf"
-                if numeric and "MATLAB_empty" not in value.attrs:
-                    check_storage(value)
-                    arrays[name] = np.asarray(load(value)).T
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
-        raise DatasetError(what, "Save it with -v7.") from error
-    return table_of_arrays(path, arrays)
 
 
 def _case_body(path: Path, file: Any, body: str) -> RawTable:
@@ -153,8 +131,10 @@ def _case_body(path: Path, file: Any, body: str) -> RawTable:
 
 
 def _movement(path: Path, file: Any) -> Points:
-    """Return the keypoints in a netCDF of `movement`: position (time, space, keypoints, individuals)."""
-    position, names, times = file["position"], file["keypoints"], file["time"]
+    """Return the keypoints in a netCDF of `movement`: position (time, space, keypoint, individual)."""
+    # until 0.16 the names of the dimensions were in the plural
+    names = file["keypoint"] if "keypoint" in file else file["keypoints"]
+    position, times = file["position"], file["time"]
     for dataset in (position, times):
         check_storage(dataset)
     if position.ndim == 3:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, ReadOptions, frame_rate
+from gyrotrack.io.readers._clock import MIN_SAMPLES
+from gyrotrack.io.readers._motion_table import ReadOptions, frame_rate
+from gyrotrack.io.readers._reading import Taken
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
 # rms deviation of a path from a circle about its fitted centre, over the radius; a circle seen at 45 degrees has 0.12
 _LARGEST_DEVIATION = 0.15
+# smallest distance of a centre from that of the path for a doubt, in standard uncertainties and in radii
+_SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class Points:
     counted: bool  # whether `time` contains frame numbers
     notes: tuple[str, ...] = ()  # repairs made while reading
     sha256: str = ""  # hash of the file
+    # shape (n,); standard uncertainty of x and of y from the other program; empty if not available
+    errors: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,10 @@ class PointAngle:
     time: Floats
     angle: Floats
     notes: tuple[str, ...]
+    taken: tuple[Taken, ...]
+    used: frozenset[str]  # names of the points that were used
+    sigma: Floats | None = None  # standard uncertainty of the angle, if that of the point is known
+    doubts: tuple[str, ...] = ()
 
 
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
@@ -66,8 +76,50 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
             what = f"{points.path}: {axis} of '{name[:40]}' is {np.nanmin(values):g} in all frames."
             raise DatasetError(what, "Check the columns.")
     up = -arm[:, 1] if points.y_down else arm[:, 1]
-    notes = (f"{points.path.name}: angle of '{name}' about {where}",)
-    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes)
+    sigma = points.errors[name] / length if name in points.errors else None
+    doubts = () if options.centre == ORBIT else _doubt_of_centre(points.path.name, name, where, arm)
+    notes = (f"{points.path.name}: angle of '{name}' about {where}", *doubts)
+    clock = f"frames at {options.fps:g} 1/s" if points.counted else "times of the file"
+    chosen = (
+        "by --marker" if options.marker else "the only point" if len(points.places) < 3 else "by its name"
+    )
+    why = "by --centre" if options.centre else "by its name" if named_centre else "fitted to the path"
+    taken: tuple[Taken, ...] = (
+        Taken(clock, "time", "s", "of the format"),
+        Taken(f"x, y of '{name}' about {where}", "angle", "", f"point {chosen}, centre {why}"),
+    )
+    if sigma is not None:
+        taken += (Taken("the uncertainty of x, y", "uncertainty", "", "divided by the radius"),)
+    used = frozenset({name} if named_centre is None else {name, named_centre})
+    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes, taken, used, sigma, doubts)
+
+
+def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
+    """Return the doubt about a centre that is not the centre of the path, if the path is a circle.
+
+    The path of a point of a rigid body is a circle about the centre of rotation. The fitted centre has the standard
+    uncertainty of the least-squares fit, with residuals that are as independent as their correlation allows.
+    """
+    known = arm[np.isfinite(arm).all(axis=1)]
+    found = circle_centre(known)
+    radius = np.hypot(*(known - found).T)
+    rest = radius - radius.mean()
+    offset, mean = float(np.hypot(*found)), float(radius.mean())
+    ray = (known - found) / radius[:, None]
+    spread = np.linalg.pinv((ray - ray.mean(axis=0)).T @ (ray - ray.mean(axis=0)))
+    correlation = float(np.clip(np.corrcoef(rest[1:], rest[:-1])[0, 1], 0.0, 0.99)) if rest.any() else 0.0
+    inflation = (1 + correlation) / (1 - correlation)
+    u = float(np.sqrt(inflation * np.mean(rest**2) * np.trace(spread)))
+    length = np.hypot(*known.T)
+    if not (offset > _SIGNIFICANT * u and offset > _LEAST_OFFSET * mean and rest.std() < 0.5 * length.std()):
+        return ()
+    given, fitted = (np.ptp(np.unwrap(np.arctan2(a[:, 1], a[:, 0]))) for a in (known, known - found))
+    doubt = (
+        f"{file}: the distance of '{name}' from {where} varies from {length.min():.3g} to {length.max():.3g}; its path "
+        f"is a circle about a centre that is {offset:.2g} +- {u:.2g} away. The angle ranges over {given:.3g} rad about "
+        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter."
+    )
+    return (doubt,)
 
 
 def _require_samples(points: Points, name: str, place: Floats) -> None:
@@ -92,7 +144,8 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
         return _existing(points, options.marker)
     if options.body in points.places:
         return options.body
-    others = [n for n in points.places if n != centre]
+    # the origin of a project is no point of the body, even where another centre is used
+    others = [n for n in points.places if n != centre and n.casefold() not in CENTRES]
     if len(others) != 1:
         raise UsageError(f"{points.path} contains the points {_list(others)}.", "Choose one with --marker.")
     return others[0]

@@ -23,20 +23,25 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io.readers._clock import MIN_SAMPLES, continued_clock
 from gyrotrack.io.readers._motion_table import (
-    MIN_SAMPLES,
+    Columns,
     MotionTable,
     ReadOptions,
-    continued_clock,
+    column_name,
     find_columns,
+    interpret,
     scale_of,
     scatter,
     times_of,
 )
+from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, may_be_intervals, rises
 from gyrotrack.io.readers._raw_table import TURN, RawTable
+from gyrotrack.io.readers._reading import Reading, Taken
 
 # largest relative deviation of 90 % of the intervals between samples from their median, for a clocked sampler
 _CLOCKED = 0.01
@@ -51,6 +56,10 @@ _LEAST_SAMPLES = 4.0
 _NEIGHBOURS = 9
 _LEAST_PART = 16
 _MAX_MISSED = 20
+_SMOOTHED = 5  # number of intervals of the running median
+_SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
+_MOST_RISES = 1  # a motor at the start of a record
+_LEAST_SINGLE = 0.5  # smallest share of times that are not repeated
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
@@ -168,18 +177,37 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         raise UsageError(what, "Give a positive --pulses-per-turn.")
     notes = list(raw.notes)
     if raw.headed or options.names:
-        columns, units, _ = find_columns(raw, options)
-        place = columns.get("t", 0)
-        time = times_of(raw, {"t": place}, {"t": units.get("t", "")}, options)
+        columns = find_columns(raw, options)
+        place = columns.place.get("interval", columns.place.get("t", 0))
+        unit, why = (
+            columns.unit.get("interval", columns.unit.get("t", "")),
+            columns.why.get("t", "the first column"),
+        )
+        intervals = "interval" in columns.place
+        time = times_of(raw, {"t": place}, {"t": unit}, replace(options, start=0.0))
     else:
-        place, time = 0, raw.numbers(0, "t", times=True)
-        scale = clock_scale(time)
+        place, time, intervals = 0, raw.numbers(0, "t", times=True), False
+        scale = clock_scale(np.cumsum(time) if are_intervals(time) else time)
+        unit, why = _TICK_UNITS.get(scale, "s"), "the first column"
         if scale != 1.0:
-            notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
-        time = time * scale + options.start
+            notes.append(f"{raw.path.name}: times are integers and are assumed to be in {unit}")
+        time = time * scale
     line = raw.line
     refuse_passages(raw, options)
     gate = _gate(raw, place, options)
+    if not intervals and gate is None and are_intervals(time):
+        intervals, why = True, f"no times: {100 * np.mean(np.diff(time) < 0):.0f} % of the rows step back"
+    if not intervals and not (raw.headed or options.names) and len(raw.names) == 1 and may_be_intervals(time):
+        raise DatasetError(
+            f"{raw.path}: the column may contain times of pulses or intervals between them.",
+            "State which: --column t=1 or --column interval=1.",
+        )
+    if intervals:
+        time = _times_of_intervals(raw, time)
+    time = time + options.start
+    taken = [
+        Taken(column_name(raw, place), "intervals between pulses" if intervals else "time", unit or "s", why)
+    ]
     state = raw.numbers(gate, raw.names[gate]) if gate is not None else np.ones(len(time))
     known = np.isfinite(time) & np.isfinite(state)
     time, line, state = continued_clock(raw.path, time[known], line[known], notes), line[known], state[known]
@@ -190,16 +218,37 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
             f"{raw.path.name}: times are not increasing (line {line[first]}); events were sorted by time"
         )
     time, line, state = time[order], line[order], state[order]
+    event = "each row"
     if gate is not None:
         rising = np.flatnonzero((state[1:] > 0.5) & (state[:-1] <= 0.5)) + 1
-        notes.append(f"{raw.path.name}: events are the changes of '{raw.names[gate]}' from 0 to 1")
+        event = column_name(raw, gate)
+        notes.append(f"{raw.path.name}: events are the changes of {event} from 0 to 1")
         time, line = time[rising], line[rising]
+    elif not intervals and not raw.headed and counts_rows(raw.numbers(place)):
+        raise DatasetError(
+            f"{raw.path}: {column_name(raw, place)} numbers the rows and contains no times of pulses.",
+            "Give the column of the times: --column t=2.",
+        )
     elif is_sampled(time) and (signals := _signals(raw, place, options)):
         rows = np.flatnonzero(known)[order]
         pulses = _pulses_of_signal(raw, signals, time, rows, notes)
         if pulses is not None:
-            time, line = pulses
-    return from_events(raw, time, line, per_turn, notes)
+            time, line, event = pulses
+    pulse = "states of a light gate" if gate is not None else "signal" if event != "each row" else "row"
+    taken.append(Taken(event, "pulses", "", f"{per_turn:g} per turn; {pulse}"))
+    made = from_events(raw, time, line, per_turn, notes)
+    used = {t.column for t in taken}
+    left_out = tuple(c for i in range(len(raw.names)) if (c := column_name(raw, i)) not in used)
+    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), tuple(taken), left_out))
+
+
+def _times_of_intervals(raw: RawTable, interval: Floats) -> Floats:
+    """Return the times of the pulses after each interval; an interval that is not positive is a DatasetError."""
+    wrong = ~(interval > 0)
+    if wrong.any():
+        what = f"{raw.path}, line {raw.line[np.argmax(wrong)]}: the interval is missing or not positive."
+        raise DatasetError(what, "Give a record without it: times after it are unknown.")
+    return np.cumsum(interval)
 
 
 def _gate(raw: RawTable, place: int, options: ReadOptions) -> int | None:
@@ -221,8 +270,8 @@ def _signals(raw: RawTable, place: int, options: ReadOptions) -> list[int]:
 
 def _pulses_of_signal(
     raw: RawTable, columns: list[int], time: Floats, rows: Integers, notes: list[str]
-) -> tuple[Floats, Integers] | None:
-    """Return times and lines of the rising edges of the one signal that has regular ones; None if none has.
+) -> tuple[Floats, Integers, str] | None:
+    """Return times, lines and column of the rising edges of the one signal that has regular ones; None if none has.
 
     Raises
     ------
@@ -242,15 +291,15 @@ def _pulses_of_signal(
             continue
         if is_regular(edges):
             said.append(f"{raw.path.name}: pulses are the rising edges of the sampled signal '{name}'")
-            found[name] = edges, raw.line[rows][there][after], said
+            found[name] = edges, raw.line[rows][there][after], column_name(raw, column), said
     if len(found) > 1:
         raise UsageError(
             f"{raw.path}: {len(found)} columns contain regular pulses: {', '.join(map(repr, found))}.",
             f"Choose one, for example --marker '{next(iter(found))}'.",
         )
-    for edges, line, said in found.values():
+    for edges, line, title, said in found.values():
         notes.extend(said)
-        return edges, line
+        return edges, line, title
     if fault is not None:
         raise fault
     notes.append(f"{raw.path.name}: the times are equally spaced; each row is taken for a pulse")
@@ -284,14 +333,14 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
     """Return the passages of a pendulum through light gates; None for another table, or a rotation."""
     if not raw.headed:
         return None
-    columns, units, _ = find_columns(raw, options)
-    if "t" not in columns or {"angle", "omega"} & set(columns):
+    columns = find_columns(raw, options)
+    if "t" not in columns.place or {"angle", "omega"} & set(columns.place):
         return None
-    gates = _gates(raw, columns["t"])[:2]
+    gates = _gates(raw, columns.place["t"])[:2]
     if not gates:
         return None
     notes: list[str] = []
-    time = times_of(raw, columns, units, options)
+    time = times_of(raw, columns.place, columns.unit, options)
     blocked = [_blocked(time, raw.numbers(g, raw.names[g]), raw, notes) for g in gates]
     if min(len(b) for b in blocked) < MIN_SAMPLES:
         return None
@@ -365,8 +414,13 @@ def from_events(
         what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
     single = np.append(True, np.diff(time) > 0)
-    steps = _steps_of_jittering_counts(time[single])
-    single[single] = _not_double(time[single]) if steps is None else steps >= 0
+    if single.mean() < _LEAST_SINGLE:
+        what = f"{raw.path}: {int((~single).sum())} of {len(time)} times of pulses are repeated."
+        raise DatasetError(what, "Check the column and the decimal sign, or give the times with more digits.")
+    driven = varies_both_ways(time[single])
+    steps = None if driven else _steps_of_jittering_counts(time[single])
+    if not driven:
+        single[single] = _not_double(time[single]) if steps is None else steps >= 0
     doubles = int((~single).sum())
     if doubles:
         notes.append(
@@ -377,7 +431,11 @@ def from_events(
         what = f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Check the column of the times.")
     count = np.arange(len(time), dtype=float)
-    if steps is None:
+    if driven:
+        notes.append(
+            f"{raw.path.name}: the speed rises and falls repeatedly; missed and double pulses are not looked for"
+        )
+    elif steps is None:
         count = _with_missed_pulses(raw, time, count, line, notes)
     elif (missed := np.maximum(steps[steps >= 0], 0)).any():
         count = count + np.cumsum(missed)
@@ -386,6 +444,23 @@ def from_events(
             f"(first: before line {line[np.argmax(missed > 0)]})"
         )
     return from_counts(raw, time, count, line, per_turn, notes)
+
+
+def varies_both_ways(time: Floats) -> bool:
+    """Return whether the speed of pulses rises and falls repeatedly, as that of a driven body does.
+
+    Single intervals, in which pulses are missed or doubled, are removed by a running median; of what remains, the
+    turning points are those that are at least `_SWING` of the speed apart, beyond the scatter of the intervals.
+    """
+    interval = np.diff(time)
+    if len(interval) < 3 * _SMOOTHED:
+        return False
+    logs = -np.log(interval)
+    smooth = median_filter(logs, _SMOOTHED, mode="nearest")
+    # the median of n normal values errs by 1.25 s / sqrt(n), and m such errors range over 2 sqrt(2 ln m) times that
+    error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
+    least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
+    return rises(smooth, least) >= _MOST_RISES + 1
 
 
 def _with_missed_pulses(
@@ -568,7 +643,13 @@ def _clock_resolution(time: Floats) -> float:
 
 
 def read_counter(
-    raw: RawTable, column: int, options: ReadOptions, time_column: int = 0, unit: str = ""
+    raw: RawTable,
+    column: int,
+    options: ReadOptions,
+    time_column: int = 0,
+    unit: str = "",
+    *,
+    why: str = "whole numbers in steps of 1",
 ) -> MotionTable:
     """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
@@ -626,7 +707,19 @@ def read_counter(
     rows = choices[int(late)][1]
     time, total, line = _without_false_pulses(time[rows], total, line[rows], notes, raw)
     total = _with_missed_pulses(raw, time, total, line, notes)
-    return from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
+    made = from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
+    clock = unit or _TICK_UNITS.get(scale, "s")
+    taken = (
+        Taken(
+            column_name(raw, time_column),
+            "time",
+            clock,
+            "the first column" if not raw.headed else "by its name",
+        ),
+        Taken(column_name(raw, column), "count", "", f"{why}; {options.pulses_per_turn or 1:g} per turn"),
+    )
+    others = tuple(column_name(raw, i) for i in range(len(raw.names)) if i not in {time_column, column})
+    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, others))
 
 
 def _without_false_pulses(
@@ -681,8 +774,40 @@ def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
     return None if events else place
 
 
-def counted_angles(raw: RawTable, counts: int, time_column: int, unit: str, options: ReadOptions) -> RawTable:
-    """Return the table of times and angles of the sampled counts of an encoder, which may turn in both senses."""
+def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: ReadOptions) -> MotionTable:
+    """Return the angle of a body from the sampled counts of an encoder, which may turn in both senses."""
+    clock = columns.place.get("t", 0), columns.unit.get("t", "")
+    times = raw.numbers(clock[0], "t", times=True)
+    if len(np.unique(times)) < _LEAST_SINGLE * len(times):
+        what = f"{raw.path}: most times in {column_name(raw, clock[0])} are repeated."
+        raise DatasetError(
+            what, "Check the columns and the decimal sign, or give the times with more digits."
+        )
+    angles = _counted_angles(raw, counts, *clock, options)
+    made = interpret(angles, replace(options, names=None, pulses_per_turn=None), counts=True)
+    per_turn = f"{options.pulses_per_turn:g} per turn"
+    taken = (
+        Taken(
+            column_name(raw, clock[0]),
+            "time",
+            angles.units[0] or "s",
+            columns.why.get("t", "the first column"),
+        ),
+        Taken(
+            column_name(raw, counts),
+            "count",
+            "",
+            f"{columns.why.get('revolutions', 'whole numbers')}; {per_turn}",
+        ),
+    )
+    others = tuple(column_name(raw, i) for i in range(len(raw.names)) if i not in {clock[0], counts})
+    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, others))
+
+
+def _counted_angles(
+    raw: RawTable, counts: int, time_column: int, unit: str, options: ReadOptions
+) -> RawTable:
+    """Return the table of times and angles of sampled counts."""
     time = raw.numbers(time_column, "t", times=True)
     note: tuple[str, ...] = ()
     if not unit and not raw.headed and (scale := clock_scale(time)) != 1.0:
@@ -713,14 +838,21 @@ def _continued_count(count: Floats) -> tuple[Floats, int]:
 
 
 def counters_of(raw: RawTable) -> list[int]:
-    """Return the counters among the columns of a table without header: integers that increase in steps of 1."""
+    """Return the counters among the columns of a table without header: integers that increase in steps of 1.
+
+    A column in which every row counts is the number of the row, unless the rows are at the irregular times of pulses.
+    """
     found = []
+    time = raw.numeric(0)
+    sampled = time is None or counts_rows(time) or is_sampled(time)
     for i in range(1, len(raw.names)):
         values = raw.numeric(i)
         if values is None:
             continue
         values = values[np.isfinite(values)]
         if len(values) < MIN_SAMPLES or (values != np.round(values)).any():
+            continue
+        if sampled and counts_rows(values):
             continue
         step = np.diff(values)
         if (

@@ -1,18 +1,16 @@
-"""Tables before interpretation: named columns of numbers or text, and the parser of text files.
+"""Tables before interpretation: named columns of numbers or text, and the limits of what is read.
 
-Text may be UTF-8, UTF-16 or Latin-1; cells may be separated by comma, semicolon, tab or blanks; a comma that is not the
-separator is a decimal comma; comment lines with ``#``, lines above the header and units below it are accepted. Units in
-a header, of seconds, angles and angular velocities, have factors to s, rad and rad/s.
+Units in a header, of seconds, angles and angular velocities, have factors to s, rad and rad/s.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +20,15 @@ from gyrotrack._errors import DatasetError
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
 
-MAX_BYTES = 2**30
-_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", "#n/a"}
-
-_QUOTED = re.compile(r'"[^"]*"')
-# a comment after the last number of a line
-_COMMENT = re.compile(r"(?<=[\d.])[\s,;]+#.*$")
-
-Lines = Sequence[tuple[int, str]]
-_MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
-_FEW_ROWS = 5  # largest number of rows of a transposed table, which has five times as many columns at least
+# limits of a table, so that no file takes more than about 2 GB of memory while it is read
+MAX_BYTES = 2**28  # of a file, and of what an archive expands to
+MAX_ROWS = 5_000_000
+MAX_COLUMNS = 5_000
+MAX_CELLS = 10_000_000  # cells of text; numbers take a tenth of their memory
+_LONGEST_NAME = 500  # characters of a header
+# errors of spreadsheets
+CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
+_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
 
 
 @dataclass(frozen=True)
@@ -50,6 +47,10 @@ class RawTable:
     notes: tuple[str, ...] = field(default=())  # repairs made while reading
     sha256: str = ""  # hash of the file
 
+    def __post_init__(self) -> None:
+        refuse_size(self.path, len(self.line), len(self.names))
+        refuse_long_names(self.path, self.names)
+
     @property
     def headed(self) -> bool:
         """Whether the columns have names."""
@@ -60,8 +61,15 @@ class RawTable:
         """The file, and the line of the header if it has lines, for messages."""
         return f"{self.path}, line {self.header_line}" if self.header_line else str(self.path)
 
-    def numbers(self, index: int, name: str = "", *, times: bool = False) -> Floats:
-        """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text."""
+    def numbers(self, index: int, name: str = "", *, times: bool = False, infinite: bool = False) -> Floats:
+        """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text.
+
+        Loggers write inf after a division by zero: it is NaN without `infinite`.
+        """
+        values = self._parsed(index, name, times=times)
+        return values if infinite else np.where(np.isinf(values), np.nan, values)
+
+    def _parsed(self, index: int, name: str, *, times: bool) -> Floats:
         column = self.columns[index]
         if isinstance(column, np.ndarray):
             return np.asarray(column, dtype=float)
@@ -85,14 +93,29 @@ class RawTable:
             return None
 
 
+def refuse_size(path: Path, rows: int, columns: int) -> None:
+    """Raise a DatasetError for a table that is too large to be read."""
+    if rows > MAX_ROWS or columns > MAX_COLUMNS:
+        raise DatasetError(
+            f"{path} has {rows:,} rows and {columns:,} columns; at most {MAX_ROWS:,} and {MAX_COLUMNS:,} are read.",
+            "Export a part of the record, or fewer columns.",
+        )
+
+
+def refuse_long_names(path: Path, names: Sequence[str]) -> None:
+    """Raise a DatasetError for headers that are no names of columns."""
+    if (longest := max(map(len, names), default=0)) > _LONGEST_NAME:
+        what = f"{path}: a cell of the header has {longest:,} characters; at most {_LONGEST_NAME} are read."
+        raise DatasetError(what, "Check the header.")
+
+
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if empty or infinite, else None."""
+    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if empty, else None."""
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan
     if is_number(text):
-        value = float(text)
-        return value if math.isfinite(value) else math.nan  # loggers write inf after a division by zero
+        return float(text)
     if times and ":" in text:
         try:
             date = datetime.fromisoformat(text)
@@ -118,182 +141,14 @@ def read_bytes(path: Path) -> bytes:
     refuse_special(path)
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise DatasetError(f"{path} is larger than 1 GiB.", "Check the name of the file.")
+            what = f"{path} is larger than {MAX_BYTES >> 20} MiB."
+            raise DatasetError(what, "Check the name, or export a part of the record.")
         return path.read_bytes()
     except FileNotFoundError as error:
         raise DatasetError(f"{path} does not exist.", "Check the name.") from error
     except OSError as error:
         what = f"{path} cannot be read: {error.strerror}."
         raise DatasetError(what, "Give the name of a CSV file.") from error
-
-
-def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """Return numbered lines without blank ones, comments, repeated headers and text below the samples, and notes."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = content.decode("utf-16", errors="replace")
-    elif b"\0" in content:
-        halves = content[1:4000:2], content[0:4000:2]
-        zeros = [half.count(0) > 0.9 * max(len(half), 1) and len(half) > 8 for half in halves]
-        if not any(zeros):
-            what = f"{path} is not a table of text."
-            raise DatasetError(what, "Give a CSV file; use `gyrotrack extract` for films.")
-        text = content.decode("utf-16-le" if zeros[0] else "utf-16-be", errors="replace").lstrip("\ufeff")
-    else:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = content.decode("latin-1")
-    lines = [
-        (number, _COMMENT.sub("", line))
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip(' \t,;"') and not line.lstrip().startswith("#")
-    ]
-    notes = []
-    first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
-    heads = {line for _, line in lines[:first]}
-    again = {number for number, line in lines[first:] if line in heads}
-    if again:
-        notes.append(f"{path.name}: the header is repeated in line {min(again)}; the line was excluded")
-        lines = [pair for pair in lines if pair[0] not in again]
-    last = next((i for i in range(len(lines), first, -1) if _holds_samples(lines[i - 1][1])), len(lines))
-    if last < len(lines) <= last + _MOST_SETTINGS:
-        notes.append(f"{path.name}: the text from line {lines[last][0]} on was excluded")
-        lines = lines[:last]
-    return lines, tuple(notes)
-
-
-def _holds_samples(line: str) -> bool:
-    return _is_data(split(line, delimiter_of(line)), comma=True)
-
-
-def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, without surrounding blanks and quotes; a quoted cell may contain the separator."""
-    quoted = delimiter is not None and any(delimiter in cell for cell in _QUOTED.findall(line))
-    cells = next(csv.reader([line], delimiter=delimiter or " ")) if quoted else line.split(delimiter)
-    return [cell.strip().strip('"').strip() for cell in cells]
-
-
-def delimiter_of(line: str) -> str | None:
-    """Return the separator of the cells of a line: semicolon, tab, comma, or None for blanks."""
-    plain = _QUOTED.sub("", line)
-    return next((d for d in (";", "\t", ",") if d in plain), None)
-
-
-def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
-    """Return whether a line contains samples: its first non-empty cell, or most of them, are numbers or clock times."""
-    filled = [c for c in cells if c]
-    known = [number_of(c, decimal_comma=comma, times=True) is not None for c in filled]
-    return bool(filled) and (known[0] or sum(known) > len(known) / 2)
-
-
-def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
-    """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
-    delimiter = delimiter_of(lines[0][1]) or delimiter_of(lines[len(lines) // 2][1])
-    comma = delimiter != ","
-    first = next(
-        (i for i, (_, text) in enumerate(lines) if _is_data(split(text, delimiter), comma=comma)), None
-    )
-    if first is None:
-        raise DatasetError(f"{path} has a header but no rows.", "Write the samples below the header.")
-    delimiter = (
-        delimiter_of(lines[first][1]) if first and not delimiter_of(lines[first - 1][1]) else delimiter
-    )
-    if delimiter == "\t" and any(_is_list(cell) for cell in split(lines[first][1], delimiter)):
-        delimiter = None  # tabs and blanks are mixed
-    comma = delimiter != ","
-    rows = [split(text, delimiter) for _, text in lines[first:]]
-    names: list[str] = []
-    units: list[str] = []
-    header_line = lines[first][0]
-    if first:
-        above = [split(text, delimiter) for _, text in lines[:first]]
-        names, header_line = above[-1], lines[first - 1][0]
-        if len(above) > 1 and len(above[-2]) == len(names) and _are_units(names):
-            units, names, header_line = names, above[-2], lines[first - 2][0]
-    # a title, separated from the samples by an empty line, may have as many words as there are columns
-    apart = bool(names) and delimiter is None and lines[first][0] > header_line + 1
-    titled = apart and not any(map(role_of, names))
-    if titled:
-        names, header_line = [], lines[first][0]
-    usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
-    above_table = next((i for i, r in enumerate(rows) if len(r) == usual), 0)
-    preamble: list[str] = []
-    regular = all(len(r) == usual for r in rows[above_table:-1])
-    if 0 < above_table <= _MOST_SETTINGS and len(names) != usual and regular:
-        # settings of the instrument, in a table of their own
-        preamble = [
-            f"{path.name}: ignored the lines before line {lines[first + above_table][0]} (another table)"
-        ]
-        rows, first, names, units = rows[above_table:], first + above_table, [], []
-    elif len(rows) <= _FEW_ROWS < usual / _FEW_ROWS and not names:
-        preamble = [f"{path.name}: the {len(rows)} rows are the columns of the table"]
-        rows = [list(cells) for cells in zip(*rows, strict=False)]
-        usual = len(rows[0])
-        lines, first = [(lines[first][0], "")] * len(rows), 0
-    if first and delimiter is None and not titled and len(names) != usual:
-        names = _names_between_blanks(lines[first - 1][1], usual) or names
-    width = len(names) or usual
-    rows, kept, repairs = _checked_rows(
-        path, rows, np.array([n for n, _ in lines[first:]], dtype=np.int64), width, delimiter
-    )
-    return RawTable(
-        path,
-        tuple(names) if names else ("",) * width,
-        tuple(units) if units else ("",) * width,
-        tuple([row[i] for row in rows] for i in range(width)),
-        kept,
-        header_line,
-        comma,
-        (*notes, *preamble, *repairs),
-    )
-
-
-def _is_list(cell: str) -> bool:
-    """Return whether a cell contains several numbers, separated by blanks."""
-    words = cell.split()
-    return len(words) > 1 and all(number_of(word, decimal_comma=True) is not None for word in words)
-
-
-def _names_between_blanks(line: str, width: int) -> list[str]:
-    """Return names with blanks, such as ``t [s] angle [rad]``; empty unless there are `width` of them."""
-    names = (
-        [line.strip().strip('"')]
-        if width == 1
-        else re.findall(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?", line)
-    )
-    return names if len(names) == width else []
-
-
-def _are_units(cells: Sequence[str]) -> bool:
-    filled = [c.strip("[]()") for c in cells if c]
-    return bool(filled) and sum(is_unit(c) for c in filled) >= len(filled) / 2
-
-
-def _checked_rows(
-    path: Path, rows: list[list[str]], line: Integers, width: int, delimiter: str | None
-) -> tuple[list[list[str]], Integers, list[str]]:
-    """Check that all rows have the same number of cells; a truncated last row is excluded."""
-    notes: list[str] = []
-    if delimiter == "," and all(
-        len(r) == 2 * width and all(c.lstrip("+-").isdigit() for c in r[::2]) for r in rows
-    ):
-        rows = [[f"{r[2 * i]}.{r[2 * i + 1]}" for i in range(width)] for r in rows]
-        notes.append(f"{path.name}: the comma is both decimal sign and separator; pairs of cells were joined")
-    keep = np.ones(len(rows), dtype=bool)
-    for i, row in enumerate(rows):
-        if delimiter is not None and len(row) == width + 1 and not row[-1]:
-            row.pop()  # a delimiter at the end of the line
-        if len(row) == width:
-            continue
-        if i == len(rows) - 1 and len(row) < width and i:
-            keep[i] = False
-            notes.append(f"{path.name}, line {line[i]}: the last row is truncated and was excluded")
-            continue
-        raise DatasetError(
-            f"{path}, line {line[i]}: {len(row)} cells where the header has {width}.",
-            "Use ';' as separator if the comma is the decimal sign." if len(row) > width else "",
-        )
-    return [r for r, k in zip(rows, keep, strict=True) if k], line[keep], notes
 
 
 def table_of(path: Path, names: Sequence[str], columns: Sequence[npt.ArrayLike]) -> RawTable:
@@ -330,6 +185,7 @@ _HEADER_WORDS = {
               "gx", "gy", "gz", "gyrox", "gyroy", "gyroz", "gyrx", "gyry", "gyrz", "wx", "wy", "wz"},
     "sigma": {"sigma", "σ", "error", "err", "uncertainty", "std", "sd"},
     "frame": {"frame", "frames", "step", "frameidx"},
+    "interval": {"interval", "intervals", "impulsetime"},
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
@@ -339,6 +195,8 @@ _NAMED_BY_UNIT = {
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
 
 _TICKS = {"millis": "ms", "micros": "us"}  # functions of microcontrollers that give times, and their units
+
+_AMBIGUOUS = {"grad", "grade", "grads"}  # degrees in German, gon elsewhere
 
 ROLES = tuple(_HEADER_WORDS)
 
@@ -364,6 +222,8 @@ def is_unit(text: str) -> bool:
 def factor(role: str, unit: str) -> float | None:
     """Return the factor of a unit to SI for a role (any if empty), with `pint` if installed; None if it is unknown."""
     bare = clean(unit)
+    if bare.casefold() in _AMBIGUOUS:
+        return None
     tables = [UNITS[role]] if role else list(UNITS.values())
     for table in tables:
         for text in (bare, bare.casefold()):
@@ -388,6 +248,9 @@ def header_of(name: str) -> tuple[str, str]:
     """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one); ``rpm`` is both."""
     if clean(name).casefold() in _NAMED_BY_UNIT:
         return name.strip(), clean(name).casefold()
+    if name.startswith("/"):  # a topic of ROS
+        topic, _, unit = name.strip().rstrip("])").partition("[" if "[" in name else "(")
+        return topic.strip(), unit.strip()
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())
     word, unit = (match[1], match[2] or match[3] or "") if match else (name, "")
     unit = unit or _TICKS.get(word.strip().casefold(), "")
@@ -400,6 +263,26 @@ def header_of(name: str) -> tuple[str, str]:
     return word.strip(), unit
 
 
+_INPUTS = {
+    "pwm",
+    "voltage",
+    "volts",
+    "current",
+    "duty",
+    "throttle",
+    "torque",
+    "command",
+    "commanded",
+    "cmd",
+    "setpoint",
+}
+
+
+def is_input(name: str) -> bool:
+    """Return whether a column is a measured cause of the motion, by its name without unit."""
+    return bool(_INPUTS & set(re.split(r"[\s_.,\-:#]+", name.casefold())))
+
+
 def role_of(name: str) -> str | None:
     """Return the quantity of a column by its name without unit; None if it is unknown."""
     text = name.casefold()
@@ -409,12 +292,13 @@ def role_of(name: str) -> str | None:
         ("_sigma", "_err", "_error", " error")
     ):
         return "sigma"
-    words = [w for w in re.split(r"[\s_.,\-:#]+", text) if w]
+    words = [w for w in re.split(r"[\s_.,\-:#%/]+", text) if w]
     words = [re.sub(r"(?<=[^\W\d]{3})\d+$", "", w) for w in words]  # angle1, angle2
     whole = "".join(words)
     for role, known in _HEADER_WORDS.items():
         if whole in known:
             return role
+    words += [a + b for a, b in pairwise(words)]  # angular_velocity
     return next(
         (role for w in words for role, known in _HEADER_WORDS.items() if w in known and role != "sigma"), None
     )

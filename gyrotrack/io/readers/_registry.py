@@ -13,6 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers import _format_names as names
+from gyrotrack.io.readers._archives import read_zip
+from gyrotrack.io.readers._columnar import read_json, read_parquet
+from gyrotrack.io.readers._matlab import read_matlab, read_matlab_hdf5
 from gyrotrack.io.readers._motion_table import (
     COORDINATES,
     EXPECTED,
@@ -24,27 +28,24 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
     without_spikes,
 )
-from gyrotrack.io.readers._point_files import read_hdf5, read_matlab_hdf5, read_project
+from gyrotrack.io.readers._point_files import read_hdf5, read_project
+from gyrotrack.io.readers._point_tables import particles_of, read_point_table
 from gyrotrack.io.readers._points import Points, angle_of
 from gyrotrack.io.readers._pulses import (
     Passages,
-    counted_angles,
     counters_of,
     passages_of,
     read_counter,
     read_pulses,
+    read_sampled_counts,
     refuse_passages,
     sampled_counts,
 )
-from gyrotrack.io.readers._raw_table import RawTable, content_lines, read_bytes, read_text
-from gyrotrack.io.readers._tables import (
-    read_excel_97,
-    read_json,
-    read_matlab,
-    read_parquet,
-    read_point_table,
-    read_zip,
-)
+from gyrotrack.io.readers._raw_table import RawTable, read_bytes
+from gyrotrack.io.readers._reading import Reading
+from gyrotrack.io.readers._sound import read_wav
+from gyrotrack.io.readers._spreadsheets import read_excel_97
+from gyrotrack.io.readers._text_table import content_lines, read_text
 
 Content = RawTable | Points
 
@@ -75,63 +76,70 @@ _BLANK = b"\xef\xbb\xbf \r\n\t"
 
 FORMATS: tuple[Format, ...] = (
     Format(
-        "HDF5 (SLEAP, DeepLabCut, movement, gyrotrack)",
+        names.HDF5,
         _begins(b"\x89HDF"),
         lambda path, _, options: read_hdf5(path, options.body),
     ),
     Format(
-        "Tracker project",
+        names.TRACKER,
         lambda c: c.lstrip(_BLANK)[:1] == b"<" and b"cabrillo.tracker" in c[:5000],
         read_project,
     ),
-    Format("Excel or zipped CSV", _begins(b"PK"), read_zip),
-    Format("Excel 97", _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
-    Format("MATLAB 7.3", _begins(b"MATLAB 7.3"), read_matlab_hdf5),
-    Format("MATLAB", _begins(b"MATLAB 5.0"), read_matlab),
-    Format("Parquet", _begins(b"PAR1"), read_parquet),
-    Format("JSON", lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
-    Format("text", _begins(b""), _text),  # the fallback
+    Format(names.ARCHIVE, _begins(b"PK"), read_zip),
+    Format(names.EXCEL_97, _begins(b"\xd0\xcf\x11\xe0"), read_excel_97),
+    Format(names.MATLAB_7_3, _begins(b"MATLAB 7.3"), read_matlab_hdf5),
+    Format(names.MATLAB, _begins(b"MATLAB 5.0"), read_matlab),
+    Format(names.PARQUET, _begins(b"PAR1"), read_parquet),
+    Format(names.WAV, lambda c: c[:4] == b"RIFF" and c[8:12] == b"WAVE", read_wav),
+    Format(names.JSON, lambda c: c.lstrip(_BLANK)[:1] in {b"{", b"["}, read_json),
+    Format(names.TEXT, _begins(b""), _text),  # the fallback
 )
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
     """Read the motion of one body from any supported file; errors name file and line, or the missing option."""
     options = options or ReadOptions()
-    found = _content(Path(path), options)
-    return _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
+    name, found = _content(Path(path), options)
+    made = _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
+    return made if made.reading is None else replace(made, reading=replace(made.reading, format=name))
 
 
 def read_passages(path: Path, options: ReadOptions) -> Passages | None:
     """Read the passages of a pendulum through light gates; None if a file contains something else."""
-    found = _content(Path(path), options)
+    _, found = _content(Path(path), options)
     return None if isinstance(found, Points) else passages_of(found, options)
 
 
-def _content(path: Path, options: ReadOptions) -> Content:
+def _content(path: Path, options: ReadOptions) -> tuple[str, Content]:
+    """Return the name of the format of a file, and its content."""
     content = read_bytes(path)
-    found = next(f for f in FORMATS if f.matches(content)).read(path, content, options)
-    return replace(found, sha256=hashlib.sha256(content).hexdigest())
+    form = next(f for f in FORMATS if f.matches(content))
+    found = form.read(path, content, options)
+    return form.name.partition(" (")[0], replace(found, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the motion in a table of angles, speeds, pulses or counts."""
+    if not options.names and (particles := particles_of(raw)) is not None:
+        return _from_points(replace(particles, sha256=raw.sha256), options)
     raw = _rows_of_body(raw, options)
     if options.pulses_per_turn:
-        columns, units, _ = find_columns(raw, options)
-        counts = sampled_counts(raw, columns)
-        if counts is not None and not set(columns) & {"angle", "omega"}:
-            angles = counted_angles(raw, counts, columns.get("t", 0), units.get("t", ""), options)
-            return interpret(angles, replace(options, names=None, pulses_per_turn=None))
+        columns = find_columns(raw, options)
+        counts = sampled_counts(raw, columns.place)
+        if counts is not None and not set(columns.place) & {"angle", "omega"}:
+            return read_sampled_counts(raw, columns, counts, options)
     if raw.headed or options.names:
-        columns, units, _ = find_columns(raw, options)
-        if set(COORDINATES) <= set(columns):
-            place = np.stack([raw.numbers(columns[axis], axis) for axis in COORDINATES], axis=1)
-            time = times_of(raw, columns, units, replace(options, start=0.0))
+        columns = find_columns(raw, options)
+        if set(COORDINATES) <= set(columns.place):
+            place = np.stack([raw.numbers(columns.place[axis], axis) for axis in COORDINATES], axis=1)
+            time = times_of(raw, columns.place, columns.unit, replace(options, start=0.0))
             places = {raw.path.stem: place}
             points = Points(raw.path, time, places, {}, y_down=False, counted=False, notes=raw.notes)
             return _from_points(replace(points, sha256=raw.sha256), options)
-        if "revolutions" in columns and not set(columns) & {"angle", "omega"}:
-            return read_counter(raw, columns["revolutions"], options, columns.get("t", 0), units.get("t", ""))
+        if "revolutions" in columns.place and not set(columns.place) & {"angle", "omega"}:
+            why = columns.why["revolutions"]
+            clock = columns.place.get("t", 0), columns.unit.get("t", "")
+            return read_counter(raw, columns.place["revolutions"], options, *clock, why=why)
         refuse_passages(raw, options)
     elif not options.pulses_per_turn:
         counters = counters_of(raw)
@@ -173,5 +181,9 @@ def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     if lost:
         notes.append(f"{points.path.name}: {lost} frames without the marker were excluded")
     rows = np.flatnonzero(valid)
-    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], None)
-    return replace(in_order(MotionTable(*origin, *values, rows + 1, ()), notes), notes=tuple(notes))
+    sigma = None if found.sigma is None else found.sigma[rows]
+    origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], sigma)
+    table = in_order(MotionTable(*origin, *values, rows + 1, (), doubts=found.doubts), notes)
+    others = tuple(f"point '{n}'" for n in points.places if n not in found.used)
+    reading = Reading(points.path.name, "", len(points.time), found.taken, others)
+    return replace(table, notes=tuple(notes), reading=reading)

@@ -22,7 +22,8 @@ from scipy.ndimage import median_filter
 
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Floats
-from gyrotrack.io.readers._motion_table import MIN_SAMPLES, MotionTable, scatter
+from gyrotrack.io.readers._clock import MIN_SAMPLES
+from gyrotrack.io.readers._motion_table import MotionTable, scatter
 
 _BLOCKS = 400
 _MIN_BLOCK = 4

@@ -33,10 +33,9 @@ def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=
 
 
 def frames_of(pictures):
-    return [
-        Frame(k, k, np.clip(np.rint(p), 0, 255).astype(np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1), np.uint8))
-        for k, p in enumerate(pictures)
-    ]
+    grey = np.zeros((1, 1), np.uint8)
+    levels = (np.clip(np.rint(p), 0, 255).astype(np.uint8) for p in pictures)
+    return [Frame(k, k, p, grey, grey) for k, p in enumerate(levels)]
 
 
 def measured(angle, start, pictures, *, batches=1, centre=HUB):
@@ -90,7 +89,9 @@ class TestAngle:
     def test_batches_have_one_zero(self):
         rng = np.random.default_rng(5)
         angle = 0.19 * np.arange(512)
-        start = angle + np.where(np.arange(512) < 256, 0.0, 4e-3)  # the rough angles of the second batch are off
+        start = angle + np.where(
+            np.arange(512) < 256, 0.0, 4e-3
+        )  # the rough angles of the second batch are off
         found = measured(angle, start, [picture(a, grain=rng) for a in angle], batches=2)
         error = found.angle - angle
         assert abs(error[:256].mean() - error[256:].mean()) < 0.2e-3
@@ -185,7 +186,9 @@ class TestWeights:
     def test_no_weight_is_negative(self):
         rng = np.random.default_rng(5)
         common, other = rng.standard_normal((2, 4096))
-        angle = 1e-3 * np.stack([common, 3.0 * common + 0.1 * other, other + rng.standard_normal(4096), other])
+        angle = 1e-3 * np.stack(
+            [common, 3.0 * common + 0.1 * other, other + rng.standard_normal(4096), other]
+        )
         weights, _ = zone_weights(angle, np.zeros(4, dtype=complex))
         assert (weights >= 0.0).all()
         assert weights.sum() == pytest.approx(1.0)

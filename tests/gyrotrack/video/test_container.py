@@ -44,11 +44,6 @@ def test_what_is_no_film_is_refused_in_one_sentence(tmp_path, content, sentence)
     assert "\n" not in caught.value.message
 
 
-def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(VideoError, match="regular file"):
-        probe(tmp_path)
-
-
 def test_a_playlist_cannot_open_other_files(tmp_path):
     secret = _film(tmp_path / "secret.mp4")
     trick = tmp_path / "trick.mp4"

@@ -87,7 +87,9 @@ def test_an_inertial_unit_is_not_a_table_of_points(tmp_path):
     axis = np.array([0.6, 0.0, 0.8])
     speed = np.linspace(14, 5, 400)
     noise = np.random.default_rng(1).normal(0, 1e-6, (400, 2))
-    text = "t,acc_x,acc_y,gyro_x,gyro_y,gyro_z\n" + rows(TIME, *noise.T, *np.outer(axis, speed))
+    text = "t,acc_x,acc_y,gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s]\n" + rows(
+        TIME, *noise.T, *np.outer(axis, speed)
+    )
     read = read_motion(write(tmp_path / "a", text))
     assert read.quantity == "omega"
     np.testing.assert_allclose(read.value, speed, rtol=1e-9)
@@ -600,7 +602,9 @@ def test_times_of_day_through_midnight_and_comments_after_a_row(tmp_path):
 
 def test_a_log_of_a_microcontroller(tmp_path):
     text = "millis,ax,gx,gy,gz\n" + rows(np.round(1000 * TIME), 9.8 + 0 * TIME, 0 * TIME, 0 * TIME, ANGLE)
-    read = read_motion(write(tmp_path / "a", text))
+    with pytest.raises(DatasetError, match="the unit of 'gz' is not stated"):
+        read_motion(write(tmp_path / "a", text))
+    read = read_motion(tmp_path / "a", options("omega=g [dps]"))
     assert read.quantity == "omega"
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
-    np.testing.assert_allclose(read.value, ANGLE, atol=1e-6)
+    np.testing.assert_allclose(read.value, np.radians(ANGLE), atol=1e-6)

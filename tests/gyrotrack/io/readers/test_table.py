@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers._motion_table import without_spikes
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names, without_spikes
 from gyrotrack.io.readers._registry import read_motion
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
@@ -71,26 +71,33 @@ def test_units_in_the_header_are_obeyed(tmp_path, header, factor):
 
 
 @pytest.mark.parametrize(
-    ("header", "told"),
+    ("header", "column", "unit"),
     [
-        ("Time,Wheel Speed", ["'Wheel Speed' is not stated; rad/s is assumed"]),
-        ("Time,Winkel", ["'Winkel' is not stated; rad is assumed"]),
-        ("Time,Wheel Speed [rpm]", []),
-        ("time,theta", []),
-        ("t,omega", []),
+        ("Time,Wheel Speed", "omega=Wheel Speed [rpm]", np.pi / 30),
+        ("Time,Winkel", "angle=Winkel [deg]", np.pi / 180),
     ],
 )
-def test_a_unit_that_is_assumed_is_told(tmp_path, header, told):
-    notes = [n for n in read_motion(table(tmp_path, text(header))).notes if "not stated" in n]
-    assert len(notes) == len(told)
-    assert all(part in note for part, note in zip(told, notes, strict=True))
+def test_a_unit_that_is_not_stated_is_asked_for(tmp_path, header, column, unit):
+    path = table(tmp_path, text(header))
+    with pytest.raises(DatasetError, match="is not stated") as caught:
+        read_motion(path)
+    assert f"--column '{column}'" in str(caught.value)
+    read = read_motion(path, ReadOptions(names=read_names([column])))
+    np.testing.assert_allclose(read.value[3], 4.5 * unit, rtol=1e-6)
 
 
-def test_whole_times_without_a_unit_are_told(tmp_path):
-    rows = [(10 * k, 1.5 * k) for k in range(12)]
-    assert "'Time' is not stated; s is assumed" in " ".join(
-        read_motion(table(tmp_path, text("Time,angle", rows=rows))).notes
-    )
+@pytest.mark.parametrize("header", ["Time,Wheel Speed [rpm]", "time,theta", "t,omega"])
+def test_a_stated_unit_or_a_symbol_is_enough(tmp_path, header):
+    assert read_motion(table(tmp_path, text(header))).reading.taken[1].unit in {"rpm", "rad", "rad/s"}
+
+
+@pytest.mark.parametrize(
+    ("step", "match"), [(10, "the unit of 'Time' is not stated"), (1, "'Time' numbers the rows")]
+)
+def test_whole_times_without_a_unit_are_asked_for(tmp_path, step, match):
+    rows = [(step * k, 1.5 * k) for k in range(12)]
+    with pytest.raises(DatasetError, match=match):
+        read_motion(table(tmp_path, text("Time,angle", rows=rows)))
 
 
 def test_a_title_with_as_many_words_as_columns_is_no_header(tmp_path):
@@ -113,7 +120,7 @@ def test_rows_without_a_value_are_left_out_and_told(tmp_path):
 def test_a_column_that_is_ignored_is_told(tmp_path):
     read = read_motion(table(tmp_path, "t,angle,omega\n" + "".join(f"{t},{a},7\n" for t, a, _ in ROWS)))
     assert read.quantity == "angle"
-    assert any("'omega'" in note for note in read.notes)
+    assert read.reading.lines()[1].endswith("left out: 'omega'.")
 
 
 @pytest.mark.parametrize(
@@ -185,7 +192,7 @@ def test_contradicting_units_constant_angles_and_two_angles_are_refused(tmp_path
     rows = "".join(f"{0.1 * k:.1f},{k}\n" for k in range(12))
     for content, match in (
         ("t [ms],angle\ns,rad\n" + rows, "the unit of 't \\[ms\\]' is 's' in the next line"),
-        ("t,angle\n" + "".join(f"{k},2\n" for k in range(12)), "all 12 angles are 2 rad"),
+        ("t,angle\n" + "".join(f"{k / 2},2\n" for k in range(12)), "all 12 angles are 2 rad"),
         ("t,angle1,angle2\n" + "".join(f"{k},{k},{k}\n" for k in range(12)), "2 columns for 'angle'"),
     ):
         with pytest.raises(DatasetError, match=match):

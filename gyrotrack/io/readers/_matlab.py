@@ -1,0 +1,122 @@
+"""MATLAB files: vectors, matrices and structs, and the captures of dSPACE."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import DatasetError
+from gyrotrack.io._tables import check_storage, check_tree, load
+from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
+
+_COMPRESSED = 15  # type of a compressed element of a MATLAB file
+
+
+def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
+    """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3)."""
+    from scipy.io import loadmat
+
+    _refuse_inflation(path, content)
+    try:
+        held = loadmat(io.BytesIO(content))  # type: ignore[arg-type]
+    except Exception as error:
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
+    arrays = {k: v for k, v in held.items() if not k.startswith("__") and isinstance(v, np.ndarray)}
+    for name, value in list(arrays.items()):
+        if value.dtype.names and value.size == 1:
+            fields = {n: np.asarray(value[n].ravel()[0]) for n in value.dtype.names}
+            arrays |= _capture(fields) or fields
+            del arrays[name]
+    return table_of_arrays(path, arrays)
+
+
+def _capture(fields: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Return the signals of a capture of dSPACE: a struct of times, X(i).Data, and signals, Y(i).Data and Y(i).Name."""
+    signals: dict[str, npt.NDArray[Any]] = {}
+    times, values = fields.get("X"), fields.get("Y")
+    if times is None or values is None:
+        return signals
+    names = values.dtype.names or ()
+    if "Data" not in names or "Data" not in (times.dtype.names or ()):
+        return signals
+    signals["t"] = times["Data"].ravel()[0]
+    for k, signal in enumerate(values.ravel(), 1):
+        name = "".join(map(str, np.ravel(signal["Name"]))) if "Name" in names else ""
+        words = [w for w in name.replace('"', "").split("/") if w]
+        base = "/".join(words[-2:]).replace("/Out1", "") or f"Y{k}"
+        signals[base if base not in signals else f"{base} {k}"] = signal["Data"]
+    return signals
+
+
+def _refuse_inflation(path: Path, content: bytes) -> None:
+    """Raise a DatasetError for a MATLAB file whose compressed elements expand beyond the limit."""
+    order: Literal["big", "little"] = "big" if content[126:128] == b"MI" else "little"
+    at, size = 128, 0
+    while at + 8 <= len(content):
+        kind, length = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
+        if kind == _COMPRESSED:
+            inflater, rest = zlib.decompressobj(), content[at + 8 : at + 8 + length]
+            while rest and size <= MAX_BYTES:
+                try:
+                    size += len(inflater.decompress(rest, 2**24))
+                except zlib.error:
+                    break
+                rest = inflater.unconsumed_tail
+        at += 8 + length
+    if size > MAX_BYTES:
+        what = f"{path} is larger than {MAX_BYTES >> 20} MiB when expanded."
+        raise DatasetError(what, "Save the variables of time and angle alone.")
+
+
+def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
+    """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays."""
+    plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
+    vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
+    if vectors:
+        longest = max(len(v) for v in vectors.values())
+        vectors = {k: v for k, v in vectors.items() if len(v) == longest}
+        return table_of(path, list(vectors), list(vectors.values()))
+    matrices = [v for v in plain.values() if v.ndim == 2]
+    if len(matrices) == 1:
+        matrix = matrices[0]
+        return table_of(path, [""] * matrix.shape[1], list(matrix.T))
+    kept = [f"{k} ({' x '.join(map(str, v.shape)) or 'scalar'} {_kind(v)})" for k, v in arrays.items()]
+    raise DatasetError(
+        f"{path} contains neither vectors of equal length nor a single matrix, but "
+        f"{', '.join(kept)[:200] or 'nothing'}.",
+        "Save time and angle as vectors.",
+    )
+
+
+def _kind(array: npt.NDArray[Any]) -> str:
+    return "struct" if array.dtype.names else {"O": "cell", "U": "text"}.get(array.dtype.kind, "numbers")
+
+
+def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
+    """Return the vectors, or the columns of a matrix, in a MATLAB 7.3 file: HDF5 with arrays in column order."""
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            check_tree(file)
+            held = dict(file.items())
+            for name, value in list(held.items()):
+                if isinstance(value, h5py.Group):
+                    del held[name]
+                    held |= {} if name.startswith("#") else dict(value.items())
+            arrays = {}
+            for name, value in held.items():
+                numeric = isinstance(value, h5py.Dataset) and value.dtype.kind in "iuf"
+                if numeric and "MATLAB_empty" not in value.attrs:
+                    check_storage(value)
+                    arrays[name] = np.asarray(load(value)).T
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        raise DatasetError(what, "Save it with -v7.") from error
+    return table_of_arrays(path, arrays)

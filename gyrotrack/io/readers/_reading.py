@@ -1,0 +1,58 @@
+"""What a file was taken for: the quantity, the unit and the reason for each column, and what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+_MOST_NAMES = 12  # number of unused columns that are named
+
+
+@dataclass(frozen=True)
+class Taken:
+    """One column or point, and what it was taken for."""
+
+    column: str
+    quantity: str
+    unit: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The interpretation of one file."""
+
+    file: str
+    format: str
+    rows: int
+    taken: tuple[Taken, ...]
+    left_out: tuple[str, ...]  # columns or points that are not used
+
+    def lines(self) -> tuple[str, str]:
+        """Return two lines: what each column was taken for and why; what was left out."""
+        parts = [
+            f"{t.quantity} from {t.column}{f' [{t.unit}]' if t.unit else ''} ({t.why})" for t in self.taken
+        ]
+        more = len(self.left_out) - _MOST_NAMES
+        names = [*self.left_out[:_MOST_NAMES], *([f"{more} more"] if more > 0 else [])]
+        return (
+            f"{self.file} ({self.format}, {self.rows} rows): {'; '.join(parts)}.",
+            f"{self.file}: left out: {', '.join(names) or 'no column'}.",
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the interpretation for JSON and for the provenance of a case."""
+        return {
+            "file": self.file,
+            "format": self.format,
+            "rows": self.rows,
+            "columns": [vars(t) for t in self.taken],
+            "left_out": list(self.left_out),
+        }
+
+
+def reading_of(document: Mapping[str, Any]) -> Reading:
+    """Return the interpretation from its document."""
+    taken = tuple(Taken(**column) for column in document["columns"])
+    return Reading(document["file"], document["format"], document["rows"], taken, tuple(document["left_out"]))

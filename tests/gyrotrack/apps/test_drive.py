@@ -1,0 +1,123 @@
+"""A driven body: recognised, its first-order response with uncertainties, and never a law of friction."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrotrack.apps._drive import drive_of
+from gyrotrack.apps._motion import motion_of_speeds
+from gyrotrack.apps.cli import _app as app
+from gyrotrack.io._records import Series
+from gyrotrack.io.readers._motion_table import Input
+
+CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
+
+
+def series(time, omega, sigma):
+    step = np.diff(time)
+    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
+    return Series(
+        time,
+        angle,
+        np.full(len(time), 1e-3),
+        omega,
+        np.full(len(time), sigma),
+        np.zeros(len(time), dtype=np.int64),
+    )
+
+
+def response(time, voltage, tau, gain, delay=0.0):
+    """Exact speed of tau omega' = gain u(t - delay) - omega for one step of u at t = 1."""
+    since = np.clip(time - 1.0 - delay, 0, None)
+    return gain * (voltage[0] + (voltage[-1] - voltage[0]) * (1 - np.exp(-since / tau)))
+
+
+TIME = np.arange(2000) / 400
+STEP = np.where(TIME < 1.0, 2.0, 12.0)
+
+
+def test_the_response_to_a_step_of_a_voltage():
+    pulls = []
+    for seed in range(8):
+        noise = np.random.default_rng(seed).normal(0, 0.5, len(TIME))
+        made = series(TIME, response(TIME, STEP, 0.2, 8.0, 0.03) + noise, 0.5)
+        found = drive_of(made, "omega", [Input("voltage", "V", STEP)]).response
+        assert found.explained > 0.99
+        assert found.gain.value == pytest.approx(8.0, abs=5 * found.gain.stderr)
+        assert found.final.value == pytest.approx(96.0, abs=5 * found.final.stderr)
+        assert found.delay.value == pytest.approx(0.03, abs=5 * found.delay.stderr)
+        pulls.append((found.time_constant.value - 0.2) / found.time_constant.stderr)
+    assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.8  # chi of 8
+
+
+def test_a_spin_up_by_a_constant_drive():
+    noise = np.random.default_rng(1).normal(0, 0.1, len(TIME))
+    made = series(TIME, 60 * (1 - np.exp(-TIME / 0.8)) + noise, 0.1)
+    found = drive_of(made, "omega", [])
+    assert found.reason == "its speed rises 1 time"
+    assert found.response.time_constant.value == pytest.approx(0.8, rel=0.02)
+    assert found.response.gain is None
+    assert found.response.final.value == pytest.approx(60, rel=0.01)
+
+
+@pytest.mark.parametrize(("rise", "driven"), [(0.03, False), (0.08, True)])
+def test_the_smallest_rise_of_a_driven_body(rise, driven):
+    omega = 60 * np.exp(-TIME / 10) + 60 * rise * np.exp(-(((TIME - 3) / 0.3) ** 2)) * 1.5
+    assert (drive_of(series(TIME, omega, 1e-3), "omega", []) is not None) is driven
+
+
+def test_the_ripple_of_an_unbalance_within_a_turn_is_no_drive():
+    omega = 30 * np.exp(-TIME / 10)
+    turned = np.concatenate([[0.0], np.cumsum(omega[1:] / 400)])
+    assert drive_of(series(TIME, omega + 3 * np.cos(turned), 1e-3), "omega", []) is None
+
+
+@pytest.mark.parametrize(("level", "driven"), [(0.02, False), (0.1, True)])
+def test_an_input_that_stays_on_is_a_drive(level, driven):
+    current = np.where(TIME < 0.1, 1.0, level)
+    omega = 60 * np.exp(-TIME / 10)
+    found = drive_of(series(TIME, omega, 1e-3), "omega", [Input("current", "A", current)])
+    assert (found is not None) is driven
+
+
+def test_speeds_are_fitted_as_speeds():
+    """The errors of mean speed and acceleration are those of white noise of the speeds, not of their integral."""
+    time = np.arange(80) / 10
+    pulls = []
+    for seed in range(6):
+        omega = 12 * np.exp(-time / 4) + np.random.default_rng(seed).normal(0, 0.04, len(time))
+        made = series(time, omega, 0.04)
+        found = motion_of_speeds(time, omega, made.omega_sigma, made.angle)
+        mean = 12 * 4 * (1 - np.exp(-time[-1] / 4)) / time[-1]
+        alpha = -3 * np.exp(-time[-1] / 8)
+        pulls.append((found.omega_mean.value - mean) / found.omega_mean.stderr)
+        pulls.append((found.alpha.value - alpha) / found.alpha.stderr)
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+def spindown(capsys, tmp_path, name, *options):
+    path = CASES / name
+    if not path.is_file():
+        pytest.skip("the shared cases are not here")
+    code = app.run(["spindown", str(path), "-o", str(tmp_path / "a.h5"), "--json", *options])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_the_step_of_a_real_motor(capsys, tmp_path):
+    code, found = spindown(capsys, tmp_path, "motor_step.csv")
+    assert code == 0
+    assert found["motion"]["kind"] == "driven"
+    assert found["diagnosis"] is None
+    assert found["response"]["input"] == "Commanded_PWM"
+    assert found["response"]["time_constant"]["value"] == pytest.approx(25.2e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["pulse_intervals_short.csv", "pulse_intervals_long.csv"])
+def test_a_rowing_flywheel_is_no_coast_down(capsys, tmp_path, name):
+    code, found = spindown(capsys, tmp_path, name, "--pulses-per-turn", "3")
+    assert code == 3
+    assert found["motion"]["kind"] == "driven"
+    assert found["diagnosis"] is None
+    assert found["reading"][0]["columns"][0]["quantity"] == "intervals between pulses"

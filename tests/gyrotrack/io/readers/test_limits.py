@@ -1,0 +1,124 @@
+"""Small files that expand to far more than memory holds are refused with one sentence."""
+
+import io
+import json
+import time
+import tracemalloc
+import wave
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+
+from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers import _raw_table as limits
+from gyrotrack.io.readers._motion_table import ReadOptions
+from gyrotrack.io.readers._registry import read_motion
+
+
+def zipped(name, parts):
+    stream = io.BytesIO()
+    with (
+        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open(name, "w") as out,
+    ):
+        for part in parts:
+            out.write(part)
+    return stream.getvalue()
+
+
+def matlab(size):
+    """A MATLAB file whose only element claims to be compressed, and expands to `size` bytes."""
+    packer = zlib.compressobj(1)
+    body = b"".join(packer.compress(bytes(2**20)) for _ in range(size >> 20)) + packer.flush()
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    return head + (15).to_bytes(4, "little") + len(body).to_bytes(4, "little") + body
+
+
+BOMBS = {
+    "zip": (lambda: zipped("a.csv", [b"0,0\n" * 2**18] * 257), "larger than 256 MiB when unpacked"),
+    "matlab": (lambda: matlab(2**28 + 2**20), "larger than 256 MiB when expanded"),
+    "rows": (lambda: b"0\n" * (limits.MAX_ROWS + 1), "at most 5,000,000"),
+    "columns": (
+        lambda: b",".join([b"0"] * 6000) + b"\n" + b"\n".join([b",".join([b"1"] * 6000)] * 12),
+        "6,000 columns",
+    ),
+    "header": (lambda: b"t,angle" + b"(" * 100_000 + b"\n" + b"0,1\n" * 20, "a cell of the header has"),
+    "json": (lambda: json.dumps({"t": [0] * 10}).encode().ljust(2**26 + 1), "larger than 64 MiB"),
+    "nested": (lambda: b"[" * 200_000, "not a JSON table"),
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_a_bomb_is_refused(tmp_path, kind):
+    make, match = BOMBS[kind]
+    path = tmp_path / "a"
+    path.write_bytes(make())
+    begin = time.process_time()
+    with pytest.raises(DatasetError, match=match):
+        read_motion(path)
+    assert time.process_time() - begin < 2.0
+
+
+def test_a_workbook_whose_stated_size_is_a_million_columns_is_read(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in [("t", "angle"), *((k / 10, 2.0 * k) for k in range(20))]:
+        book.active.append(row)
+    stream = io.BytesIO()
+    book.save(stream)
+    spoiled = io.BytesIO()
+    with zipfile.ZipFile(stream) as source, zipfile.ZipFile(spoiled, "w") as target:
+        for name in source.namelist():
+            target.writestr(name, source.read(name).replace(b'ref="A1:B21"', b'ref="A1:XFD1048576"'))
+    path = tmp_path / "a.xlsx"
+    path.write_bytes(spoiled.getvalue())
+    tracemalloc.start()
+    read = read_motion(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(read.value, 2.0 * np.arange(20))
+    assert peak < 50e6
+
+
+def test_a_parquet_file_of_a_repeated_long_text(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    count = 1000
+    columns = {"t": np.arange(count) / 10, "angle": 2.0 * np.arange(count), "note": ["x" * 100_000] * count}
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table(columns), path)
+    read = read_motion(path)
+    np.testing.assert_allclose(read.value, columns["angle"])
+    many = pa.table({"t": pa.array(np.zeros(limits.MAX_ROWS + 1))})
+    pq.write_table(many, path)
+    with pytest.raises(DatasetError, match="at most 5,000,000"):
+        read_motion(path)
+
+
+def test_numbers_are_read_without_a_text_for_each_cell(tmp_path):
+    count = 100_000
+    path = tmp_path / "a.csv"
+    path.write_text("t,angle\n" + "".join(f"{k / 1000:.3f},{k / 7:.6f}\n" for k in range(count)))
+    tracemalloc.start()
+    read = read_motion(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(read.time) == count
+    assert peak < 60e6  # 400 MB for a million rows, with the interpreter
+
+
+def test_the_sound_of_a_pickup_is_pulses(tmp_path):
+    rate = 4000
+    t = np.arange(3 * rate) / rate
+    angle = 60 * t - 3 * t**2
+    path = tmp_path / "a.wav"
+    with wave.open(str(path), "wb") as sound:
+        sound.setparams((1, 2, rate, 0, "NONE", ""))
+        sound.writeframes((8000 * np.cos(angle)).astype("<i2").tobytes())
+    with pytest.raises(DatasetError, match="need --pulses-per-turn"):
+        read_motion(path)
+    read = read_motion(path, ReadOptions(pulses_per_turn=1.0))
+    np.testing.assert_allclose(np.polyfit(read.time, read.value, 2)[:2], [-3, 60], rtol=1e-3)
