@@ -348,7 +348,4 @@ def _changed_rows(data: CaseData, prediction: Prediction, of: Callable[[Array, A
         t = run.samples.time
         return of(t, Sampler(path.mesh, t).value(path.y[..., state]))[:, None]
 
-    rows = data.casing_rows(change(data.casing, 1))[:, 0]
-    if data.rotor:
-        rows[data.slices["rotor"]] = np.concatenate([w.at_samples(change(w, 0))[0][:, 0] for w in data.rotor])
-    return data.start_time_noise.whitened(rows)
+    return data.sample_rows(change(data.casing, 1), [change(w, 0) for w in data.rotor])[:, 0]

@@ -570,9 +570,13 @@ class CaseData:
 
     def casing_rows(self, values: Array) -> Array:
         """Return the rows of any function given at the samples of the casing (samples, columns)."""
-        polynomial, harmonic = self.casing.at_samples(values)
-        middle = np.zeros((self.slices["rotor"].stop - self.slices["rotor"].start, values.shape[1]))
-        return self.whitened(np.concatenate([polynomial, middle, self._tail(harmonic)]))
+        return self.sample_rows(values, [np.zeros((len(w.samples), values.shape[1])) for w in self.rotor])
+
+    def sample_rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
+        """Return the rows of any function given at the samples of the casing and of each window (samples, columns)."""
+        polynomial, harmonic = self.casing.at_samples(casing)
+        windows = [w.at_samples(values)[0] for w, values in zip(self.rotor, rotor, strict=True)]
+        return self.whitened(np.concatenate([polynomial, *windows, self._tail(harmonic)]))
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""

@@ -8,7 +8,7 @@ import pytest
 import twobody
 
 from fitting.dynamics._model import Model
-from fitting.inference._angle_noise import stated_error_rows
+from fitting.inference._angle_noise import AngleNoise, stated_error_rows
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated
 from fitting.inference._fit import fit
@@ -85,6 +85,24 @@ def test_it_is_read_from_the_casing_of_a_case(tmp_path):
         assert _correlated(file) == (0.0, 0.0)
         group.attrs["correlated_time"] = TIME
         assert _correlated(file) == (SIGMA, TIME)
+
+
+def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):
+    """Rows of smooth functions, whitened by the noise of the casing and by that of the windows."""
+    windows = [len(w.z) for w in stated.rotor]
+    rng = np.random.default_rng(0)
+    root = np.eye(sum(windows)) + 0.3 * np.diag(rng.uniform(0.0, 1.0, sum(windows)))
+    noisy = replace(stated)
+    noisy.__dict__["angle_noise"] = stated.angle_noise
+    noisy.__dict__["rotor_angle_noise"] = AngleNoise(sigma=1e-4, root=root, inverse=np.linalg.inv(root))
+
+    def bend(t):
+        return np.asarray(3.0 + 0.2 * t - 0.01 * t**2)[:, None]
+
+    samples = noisy.sample_rows(bend(noisy.casing.samples.time), [bend(w.samples.time) for w in noisy.rotor])
+    nodes = noisy.rows(bend(noisy.casing.node_times)[:, 0], [bend(w.node_times)[:, 0] for w in noisy.rotor])
+    smooth = noisy.slices["smooth"]
+    assert samples[smooth, 0] == pytest.approx(nodes[smooth], rel=1e-6, abs=1e-6 * np.abs(nodes).max())
 
 
 @pytest.mark.slow
