@@ -32,7 +32,7 @@ from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import case_of_body, no_series
 from gyrotrack.io.readers._motion_table import Input, MotionTable, ReadOptions, read_names
-from gyrotrack.io.readers._number_range import usable_numbers
+from gyrotrack.io.readers._number_range import check_numbers, usable_numbers
 from gyrotrack.io.readers._registry import read_motion, read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
@@ -105,9 +105,10 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
     else:
-        case, table = case_of_body(
-            read_motion(source, _reading(options)), moment.value, limits=options.limits
-        )
+        with usable_numbers(source):
+            read = read_motion(source, _reading(options))
+            case, table = case_of_body(read, moment.value, limits=options.limits)
+        check_numbers(case)
     case = replace(case, I_casing_u=moment.u, per_inertia=int(options.inertia is None))
     warnings = list(case.warnings)
     if options.inertia is None:

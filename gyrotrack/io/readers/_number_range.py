@@ -38,14 +38,16 @@ def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> Case:
         with usable_numbers(args[0]):
             case = read(*args, **kwargs)
-        for name, series in (
-            ("casing" if len(case.rotor.time) else "body", case.casing),
-            ("rotor", case.rotor),
-        ):
-            _check(name, series)
+        check_numbers(case)
         return case
 
     return checked
+
+
+def check_numbers(case: Case) -> None:
+    """Raise a `DatasetError` if a case contains numbers that arithmetic cannot handle."""
+    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+        _check(name, series)
 
 
 def _check(name: str, series: Series) -> None:
