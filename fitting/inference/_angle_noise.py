@@ -248,14 +248,28 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
     return _Peak(float(np.exp(at)) * unit, relative_u, float(value))
 
 
-def stated_error_rows(run: Compressed, sigma: float, time: float) -> Array:
-    """Return B, (rows, columns), with B B' the covariance sigma^2 P R P' of a stated Ornstein-Uhlenbeck error [rad; s].
+def stated_error_rows(run: Compressed, sigma: float, time: float, periodic: float = 0.0) -> Array:
+    """Return B, (rows, columns), with B B' the covariance of the polynomial rows by stated errors of the angle.
 
-    The mean of the error is the zero of the angle, which is free.
+    The one is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
+    mean is the zero of the angle, which is free. The other are harmonics of orders 1 and 2 of the angle with amplitudes
+    of standard deviation `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal
+    to the polynomials.
     """
-    values, vectors = np.linalg.eigh(sigma**2 * _row_covariance(run, time))
-    known = values > _NEGLIGIBLE
-    return np.asarray(vectors[:, known] * np.sqrt(values[known]))
+    found = [np.zeros((len(run.z), 0))]
+    if sigma > 0 and time > 0:
+        values, vectors = np.linalg.eigh(sigma**2 * _row_covariance(run, time))
+        known = values > _NEGLIGIBLE
+        found.append(vectors[:, known] * np.sqrt(values[known]))
+    k = run.lift.shape[1]
+    for i, (where, operator) in enumerate(run.operators if periodic > 0 else ()):
+        psi = run.samples.value[where]
+        if np.ptp(psi) < _TURNS_PER_BLOCK * 2 * np.pi:
+            rows = np.zeros((len(run.z), 4))
+            waves = np.stack([f(order * psi) for order in (1, 2) for f in (np.cos, np.sin)], axis=1)
+            rows[i * k : (i + 1) * k] = periodic * operator[:k] @ waves
+            found.append(rows)
+    return np.concatenate(found, axis=1)
 
 
 def _unit(covariance: Array) -> float:

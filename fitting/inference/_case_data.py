@@ -430,7 +430,7 @@ class CaseData:
     @cached_property
     def _stated_error(self) -> Array:
         """Polynomial rows of the slowly varying error that tracking states, at one standard deviation."""
-        if not self.record.correlated[0] or not self.is_angle or self.oscillation is not None:
+        if not any(self.record.correlated) or not self.is_angle or self.oscillation is not None:
             return np.zeros((len(self.casing.z), 0))
         return stated_error_rows(self.casing, *self.record.correlated)
 

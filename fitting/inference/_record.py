@@ -81,8 +81,8 @@ class Record:
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle; zeros
-        without one.
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
+        uncertainty of an error once and twice per turn [rad]; zeros without one.
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
@@ -105,7 +105,7 @@ class Record:
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     per_inertia: bool = False
-    correlated: tuple[float, float] = (0.0, 0.0)
+    correlated: tuple[float, float, float] = (0.0, 0.0, 0.0)
     digest: str = field(default="")
     prior: Prior | None = None
 
@@ -151,7 +151,7 @@ def make_record(
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
     per_inertia: bool = False,
-    correlated: tuple[float, float] = (0.0, 0.0),
+    correlated: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -178,7 +178,8 @@ def make_record(
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle.
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, and
+        standard uncertainty of an error once and twice per turn [rad].
 
     Raises
     ------
@@ -201,7 +202,7 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
-        per_inertia=per_inertia, correlated=correlated if min(correlated) > 0 else (0.0, 0.0),
+        per_inertia=per_inertia, correlated=_stated(*correlated),
     )  # fmt: skip
 
 
@@ -217,6 +218,12 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     return Samples(time, value, np.where(good, sigma, typical))
 
 
+def _stated(sigma: float, time: float, periodic: float = 0.0) -> tuple[float, float, float]:
+    """Return the stated errors; one without a level or a correlation time is none."""
+    slow = (sigma, time) if sigma > 0 and time > 0 else (0.0, 0.0)
+    return (*slow, max(periodic, 0.0))
+
+
 def _digest(record: Record) -> str:
     hasher = hashlib.sha256(f"{record.I_rotor!r} {record.I_casing!r} {record.quantity}".encode())
     for samples in (record.casing, *record.rotor):
@@ -224,7 +231,7 @@ def _digest(record: Record) -> str:
             hasher.update(np.ascontiguousarray(a).tobytes())
     if any(record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
-    if record.correlated[0]:
+    if any(record.correlated):
         hasher.update(repr(record.correlated).encode())
     uncertainties = (record.I_rotor_u, record.I_casing_u)
     if not all(map(math.isnan, uncertainties)):

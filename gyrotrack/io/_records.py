@@ -114,6 +114,8 @@ class BodyTrack:
         Points of the medians.
     correlated_sigma, correlated_time : float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+    periodic_sigma : float
+        Standard uncertainty of an error once and twice per turn while the body is slow [rad]; 0 without one.
     """
 
     name: str
@@ -127,6 +129,7 @@ class BodyTrack:
     smoothing_width: int
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
+    periodic_sigma: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -190,6 +193,8 @@ class Series:
         "measured" (by tracking), "given" (in a table), "estimated" (from the scatter), or "mixed".
     correlated_sigma, correlated_time : float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+    periodic_sigma : float
+        Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     """
 
     time: Floats
@@ -202,27 +207,21 @@ class Series:
     sigma_source: str = "measured"
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
+    periodic_sigma: float = 0.0
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
     """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is a factor."""
     names = ("time", "angle", "sigma", "omega", "omega_sigma")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     joined |= {name: sense * joined[name] for name in ("angle", "omega")}
     turn = np.floor(joined["angle"] / (2 * np.pi)).astype(np.int64)
     window = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.time) for part in parts])
-    slow = max(
-        ((getattr(p, "correlated_sigma", 0.0), getattr(p, "correlated_time", 0.0)) for p in parts),
-        default=(0.0, 0.0),
-    )
-    return Series(
-        **joined,
-        turn=turn,
-        window=window,
-        sigma_source=sigma_source,
-        correlated_sigma=slow[0],
-        correlated_time=slow[1],
-    )
+    stated: dict[str, Any] = {
+        name: max((getattr(part, name, 0.0) for part in parts), default=0.0)
+        for name in ("correlated_sigma", "correlated_time", "periodic_sigma")
+    }
+    return Series(**joined, turn=turn, window=window, sigma_source=sigma_source, **stated)
 
 
 def windows_of(series: Series) -> Integers:

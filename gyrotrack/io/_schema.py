@@ -108,6 +108,9 @@ MARKER = Table(
 _CORRELATED = (
     Attribute("correlated_sigma", float, "rad", "standard uncertainty of a slowly varying error", 0.0),
     Attribute("correlated_time", float, "s", "correlation time of this error", 0.0),
+    Attribute(
+        "periodic_sigma", float, "rad", "standard uncertainty of an error once and twice per turn", 0.0
+    ),
 )
 
 BODY = Table(

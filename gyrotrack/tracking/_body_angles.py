@@ -743,7 +743,9 @@ def by_texture(
     if not both.any() or median_of(found.sigma[both]) >= median_of(body.sigma[both]):
         return body
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
-    return replace(body, angle=angle, sigma=sigma, slow=(scatter, float(BATCH)))
+    # where a body is slow, its template may respond to the centre more than where the errors are learnt
+    periodic = float(np.nanmax(of_view)) if scatter else 0.0
+    return replace(body, angle=angle, sigma=sigma, slow=(scatter, float(BATCH)), periodic=periodic)
 
 
 _ALIKE = 64  # frames that are averaged: errors beside a neighbour that passes in step with the frames are alike in them

@@ -111,13 +111,14 @@ def body_track(
     columns = {"time": time[use], "angle": angle, "sigma": sigma, "n_markers": body.count[use]}
     columns["sigma_paper"] = _paper_sigma([markers[m].sigma for m in body.markers])[use]
     columns["omega"], columns["omega_sigma"] = angular_velocity(columns["time"], angle, sigma, WIDTH)
-    slow = (body.slow[0], body.slow[1] / fps)
+    stored: dict[str, Any] = dict(in_file(columns))
     return BodyTrack(
         name=name,
         smoothing_width=WIDTH,
-        **in_file(columns),
-        correlated_sigma=slow[0],
-        correlated_time=slow[1],
+        correlated_sigma=body.slow[0],
+        correlated_time=body.slow[1] / fps,
+        periodic_sigma=body.periodic,
+        **stored,
     )
 
 

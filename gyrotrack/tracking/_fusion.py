@@ -614,8 +614,10 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
-    # standard uncertainty [rad] and correlation time [frames] of a slowly varying error
+    # standard uncertainty [rad] and correlation time [frames] of a slowly varying error; uncertainty of an error once
+    # and twice per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
+    periodic: float = 0.0
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:

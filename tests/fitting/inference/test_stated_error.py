@@ -11,8 +11,9 @@ from fitting.dynamics._model import Model
 from fitting.inference._angle_noise import AngleNoise, stated_error_rows
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated
+from fitting.inference._compression import compress
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
+from fitting.inference._record import Samples, make_record
 
 SIGMA, TIME = 1.5e-4, 2.0
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
@@ -67,9 +68,31 @@ def test_whitened_rows_have_less_weight_by_this_covariance(stated):
     assert stated.angle_noise.root @ whitening == pytest.approx(np.eye(len(rows)), abs=1e-8)
 
 
-@pytest.mark.parametrize("given", [(SIGMA, 0.0), (0.0, TIME), (-SIGMA, TIME)])
+@pytest.mark.parametrize("given", [(SIGMA, 0.0), (0.0, TIME), (-SIGMA, TIME), (0.0, 0.0, -SIGMA)])
 def test_without_level_or_time_there_is_none(given):
-    assert film(stated=given).correlated == (0.0, 0.0)
+    assert film(stated=given).correlated == (0.0, 0.0, 0.0)
+
+
+def test_errors_once_and_twice_per_turn_belong_to_blocks_of_few_turns():
+    """A body that spins up: slow at first, then fast."""
+    t = np.arange(0.0, 60.0, 0.01)
+    angle = 0.5 * 2.0 * t**2
+    samples = Samples(t, angle, np.full(len(t), 1e-3))
+    run = compress(samples, degree=7, angle=angle, blocks=30)
+    rows = stated_error_rows(run, 0.0, 0.0, SIGMA)
+    turns = [np.ptp(angle[where]) / (2 * np.pi) for where, _ in run.operators]
+    few = sum(x < 3.0 for x in turns)
+    assert 2 <= few < len(turns) / 2
+    assert rows.shape == (len(run.z), 4 * few)
+    where, operator = run.operators[1]
+    expected = SIGMA * operator[:8] @ np.sin(2 * angle[where])
+    assert rows[8:16, 4:8] @ np.array([0.0, 0.0, 0.0, 1.0]) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert not rows[:8, 4:].any()
+
+
+def test_a_periodic_error_alone_is_a_stated_error():
+    assert film(stated=(0.0, 0.0, SIGMA)).correlated == (0.0, 0.0, SIGMA)
+    assert film(stated=(0.0, 0.0, SIGMA)).digest != film(stated=(0.0, 0.0)).digest
 
 
 def test_it_is_a_part_of_the_digest():
@@ -80,11 +103,13 @@ def test_it_is_a_part_of_the_digest():
 def test_it_is_read_from_the_casing_of_a_case(tmp_path):
     with h5py.File(tmp_path / "case.h5", "w") as file:
         group = file.create_group("casing")
-        assert _correlated(file) == (0.0, 0.0)
+        assert _correlated(file) == (0.0, 0.0, 0.0)
         group.attrs["correlated_sigma"] = SIGMA
-        assert _correlated(file) == (0.0, 0.0)
+        assert _correlated(file) == (0.0, 0.0, 0.0)
         group.attrs["correlated_time"] = TIME
-        assert _correlated(file) == (SIGMA, TIME)
+        assert _correlated(file) == (SIGMA, TIME, 0.0)
+        group.attrs["periodic_sigma"] = 3 * SIGMA
+        assert _correlated(file) == (SIGMA, TIME, 3 * SIGMA)
 
 
 def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):
