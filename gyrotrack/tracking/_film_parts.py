@@ -449,6 +449,9 @@ def _columns(scene: Scene, work: FilmTracker) -> dict[str, tuple[tuple[int, ...]
             for f in fields(MarkerObservations):
                 shape = (2,) if f.name in pairs else ()
                 found[f"{name}/{marker.name}/{f.name}"] = shape, "|b1" if f.name == "open" else "<f8"
+        for f in fields(TextureObservations) if name in work.textures else ():
+            pair = f.name in {"centre", "first", "second"}
+            found[f"{name}/texture/{f.name}"] = (2,) if pair else (), "<f8"
     return found | ({"disc": ((2,), "<f8")} if work.disc is not None else {})
 
 

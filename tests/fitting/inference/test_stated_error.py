@@ -131,15 +131,9 @@ def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nod
 
 
 @pytest.mark.slow
-def test_a_stated_error_raises_the_uncertainties_and_no_alarm():
-    pulls, larger = [], []
+def test_with_a_stated_error_the_uncertainties_are_right():
+    name, pulls = "casing.air.linear.b2", []
     for seed in range(6):
-        with_it, without = (
-            fit(Model.of("reduced"), [film(seed, stated, SIGMA)]) for stated in ((SIGMA, TIME), (0.0, 0.0))
-        )
-        name = "casing.air.linear.b2"
-        one, other = with_it.parameters[name], without.parameters[name]
-        pulls.append((one.value - GYROSCOPE["b2"]) / one.stderr)
-        larger.append(one.stderr / other.stderr)
-    assert np.sqrt(np.mean(np.square(pulls))) < 1.7
-    assert np.median(larger) > 1.2
+        found = fit(Model.of("reduced"), [film(seed, (SIGMA, TIME), SIGMA)]).estimates[name]
+        pulls.append((found.value - GYROSCOPE["b2"]) / found.stderr)
+    assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.7

@@ -151,7 +151,7 @@ def test_parts_join_without_a_step(long_film, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     # the first frames of each part are then decoded a second time
-    monkeypatch.setattr("gyrotrack.tracking._film_parts.TemporaryDirectory", full_disk)
+    monkeypatch.setattr("gyrotrack.tracking._film_parts.scratch_folder", full_disk)
     same(extract(film), parts)
 
 

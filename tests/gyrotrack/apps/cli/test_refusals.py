@@ -103,7 +103,7 @@ def test_a_folder_that_refuses_to_be_written(gyrotrack, case, tmp_path, monkeypa
     """As on a read-only disk, whoever runs it."""
 
     def refuse(self, *args, **kwargs):
-        if "w" in (args[0] if args else kwargs.get("mode", "r")):
+        if {"w", "x"} & set(args[0] if args else kwargs.get("mode", "r")):
             raise PermissionError(13, "Permission denied", str(self))
         return opened(self, *args, **kwargs)
 
