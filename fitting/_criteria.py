@@ -85,6 +85,10 @@ class Criteria:
         "family-wise p-value above which candidates of an oscillation are not refitted")
     gross_misfit: float = _criterion(0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]")
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
+    angle_noise_ratio: float = _criterion(
+        30.0, "correlated over white angle noise above which it is no noise")
+    slip_tolerance: float = _criterion(0.1, "deviation of a step from a whole turn that slipped [turns]")
+    slip_sigma: float = _criterion(8.0, "scatter of the steps of an angle up to which a slip is evident [sigma]")
     # fmt: on
 
     def refits_through(self, reversals: int) -> int:

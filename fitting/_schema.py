@@ -251,6 +251,7 @@ class FitDocument(Document):
     n_eff: Number = math.nan
     bic: Number = math.nan
     verdict: str = ""
+    findings: list[str] = []
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []

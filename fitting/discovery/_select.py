@@ -206,6 +206,7 @@ def _is_applicable(effect: Effect, base: Fit) -> bool:
 def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:
     """Return which candidates, sorted by score, to refit."""
     chosen, count, best_score = [], 0, None
+    significant = any(c.significant for c in candidates)
     for c in candidates:
         testable = not c.screened.absorbed
         if testable and best_score is None:
@@ -215,7 +216,9 @@ def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]
             and c.p_value < criteria.refit_p
             and c.score > criteria.refit_share * (best_score or 0.0)
         )
-        chosen.append(testable and (count < criteria.refit_least or promising))
+        # about a base that a fault of the measurement has bent, the linear score misses this fault
+        faulty = significant and not c.physical
+        chosen.append(testable and (count < criteria.refit_least or promising or faulty))
         count += testable
     return chosen
 

@@ -37,6 +37,7 @@ from fitting.discovery._lack_of_fit import (
     nonparametric_rivals,
     significant_peak,
 )
+from fitting.discovery._measurement import slipped
 from fitting.discovery._named_effect import (
     FormTest,
     InertiaRival,
@@ -263,6 +264,32 @@ def diagnose(
     FittingError
         If the fit cannot be evaluated.
     """
+    return _with_findings(_diagnosis(fit, extra, criteria, candidates, history, workers))
+
+
+def _with_findings(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with the faults that the data show without a model; slipped turns are a candidate."""
+    fit = found.fit
+    if not fit.findings:
+        return found
+    slips = [s for d in fit.problem.data for s in d.slips]
+    told = replace(found, sentence=" ".join([*fit.findings, found.sentence]))
+    if not slips:
+        return replace(told, verdict="unexplained") if found.verdict == "adequate" else told
+    told = replace(told, candidates=(slipped(fit, slips), *found.candidates))
+    if found.verdict != "adequate":
+        return told
+    return replace(told, verdict="missing_effect", form="exact", explained=1.0)
+
+
+def _diagnosis(
+    fit: Fit,
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    candidates: Sequence[Candidate] | None,
+    history: Sequence[Step],
+    workers: WorkerPool | None,
+) -> Diagnosis:
     workers = workers or WorkerPool(0)
     curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates

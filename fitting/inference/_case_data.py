@@ -53,6 +53,7 @@ from fitting.inference._process_noise import (
     mean_acceleration,
 )
 from fitting.inference._record import WIDTH, PiecewiseCubics, Record, Samples, initial_speeds, speeds
+from fitting.inference._slips import Slip, without_slips
 from fitting.inference._spectral_lines import (
     SpectralLine,
     line_rows,
@@ -160,7 +161,8 @@ class CaseData:
 
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
     `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
-    stated uncertainties.
+    stated uncertainties. `slips` are whole turns that slipped in the angles as measured; the record and all rows are
+    those of the corrected angles.
     """
 
     record: Record
@@ -169,10 +171,12 @@ class CaseData:
     oscillation: Oscillation | None = None
     noiseless: bool = False
     free_inertia: bool = False
+    slips: tuple[Slip, ...] = ()
 
     @classmethod
     def of(cls, record: Record) -> CaseData:
-        """Project a record."""
+        """Project a record, after the correction of whole turns that slipped."""
+        record, slips = without_slips(record)
         angle = record.quantity == "angle"
         oscillation = find_oscillation(record)
         if oscillation is None:
@@ -207,7 +211,7 @@ class CaseData:
             )
             for w in record.rotor
         )
-        return cls(record, casing, rotor, oscillation)
+        return cls(record, casing, rotor, oscillation, slips=slips)
 
     def with_prior(self, prior: Prior | None) -> CaseData:
         """Return the same data with this prior."""
@@ -367,13 +371,53 @@ class CaseData:
         It is distinguished from the motion by its higher frequencies; of an oscillation, the noise is assumed to be
         white.
         """
+        noise = self._correlated_noise
+        known = AngleNoise() if self._excess_angle_noise(noise, (self.casing,)) else noise
+        return known.with_stated(self._stated_error)
+
+    @cached_property
+    def _correlated_noise(self) -> AngleNoise:
         if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
-        return estimate_angle_noise(self.casing, self._nuisance_rows).with_stated(self._stated_error)
+        return estimate_angle_noise(self.casing, self._nuisance_rows)
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
-        """Correlated angle noise of the rotor's windows; white if none is significant."""
+        """Correlated angle noise of the rotor's windows; white if none is significant, or if it exceeds its limit."""
+        noise = self._correlated_rotor_noise
+        return AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
+
+    @staticmethod
+    def _excess_angle_noise(noise: AngleNoise, runs: Sequence[Compressed]) -> float:
+        """Return the ratio of correlated to white noise if it exceeds `Criteria.angle_noise_ratio`, else zero."""
+        white = [run.scale * float(np.median(run.samples.sigma)) for run in runs]
+        ratio = max(noise.sigma, noise.turn_sigma) / min(white, default=math.inf)
+        return ratio if ratio > DEFAULT.angle_noise_ratio else 0.0
+
+    @cached_property
+    def findings(self) -> tuple[str, ...]:
+        """Faults of the measurement that the data show without a model, as sentences: slipped turns, excessive noise.
+
+        Noise above its limit enters no covariance: it would explain every lack of fit.
+        """
+        found = [
+            f"{slip.sentence[0].upper()}{slip.sentence[1:]}; the fit corrects it." for slip in self.slips
+        ]
+        for body, noise, runs in (
+            (self.record.body, self._correlated_noise, (self.casing,)),
+            ("rotor", self._correlated_rotor_noise, self.rotor),
+        ):
+            ratio = self._excess_angle_noise(noise, runs)
+            if ratio:
+                size = max(noise.sigma, noise.turn_sigma)
+                found.append(
+                    f"The angles of the {body} deviate from a smooth motion by {1e3 * size:.2g} mrad, {ratio:.0f} "
+                    "times their white noise: check the tracking and the clock."
+                )
+        return tuple(found)
+
+    @cached_property
+    def _correlated_rotor_noise(self) -> AngleNoise:
         record = self.record
         if (
             not self.is_angle

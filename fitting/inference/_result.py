@@ -197,6 +197,8 @@ def summary_lines(fit: FitSummary) -> list[str]:
             79,
             subsequent_indent="  ",
         )
+    for text in getattr(fit, "findings", ()):
+        lines += wrap(text, 79, subsequent_indent="  ")
     lines.append("")
     held = fit.model.constants
     for name, e in fit.estimates.items():
@@ -235,7 +237,7 @@ def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
     for d in data:
         case = f" of {d.record.label}" if len(data) > 1 else ""
         found += [(case, d.angle_noise), (f"{case} in the rotor's windows", d.rotor_angle_noise)]
-    return [(label, noise) for label, noise in found if not noise.is_white]
+    return [(label, noise) for label, noise in found if noise.is_significant]
 
 
 def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
@@ -339,9 +341,17 @@ class Fit(FitSummary):
             return "misfit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not converged"
-        if self.fails():
+        if self.fails() or self.findings:
             return "misfit"
         return "not determined" if self.undetermined else "adequate"
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Faults of the measurement that the recordings show without a model, as sentences."""
+        several = len(self.problem.data) > 1
+        return tuple(
+            f"{d.record.label}: {text}" if several else text for d in self.problem.data for text in d.findings
+        )
 
     @property
     def lacks_restoring_torque(self) -> bool:

@@ -103,7 +103,7 @@ _UNITS = {"t": "s", "psi_c": "rad"}
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
-    return AngleNoiseDocument.model_validate(vars(noise)) if not noise.is_white else None
+    return AngleNoiseDocument.model_validate(vars(noise)) if noise.is_significant else None
 
 
 def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
@@ -127,6 +127,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         n_eff=fit.n_eff,
         bic=fit.bic,
         verdict=fit.verdict,
+        findings=list(fit.findings),
         equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),

@@ -347,7 +347,8 @@ def improve_command(
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept.entries]
-    verdict = history_verdict(history)
+    # a history without an added effect has the answer of its diagnosis
+    verdict = history_verdict(history) if len(history) > 1 else found.verdict
     if history.stopped:
         out.warn(f"the search stopped at a failed fit, {history.stopped}")
     out.result(

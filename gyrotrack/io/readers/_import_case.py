@@ -24,6 +24,7 @@ from gyrotrack.io.readers._motion_table import (
     scatter,
 )
 from gyrotrack.io.readers._number_range import within_number_range
+from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
@@ -52,6 +53,8 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
 
 
 _JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
+_MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow
+_SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
 # times above this limit [s] (three years) are seconds since 1970, not since the start of a record
 _DATES = 1e8
 
@@ -88,7 +91,10 @@ def _refuse_jumps(table: MotionTable) -> None:
     step[interval > 1.5 * np.median(interval)] = 0.0
     usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
     beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
-    jumps = np.flatnonzero(step > _JUMP * np.maximum(beside, usual))
+    # a step of whole turns is a slip, which the fit finds and corrects
+    turns = (step - beside) / TURN
+    slipped = (np.rint(turns) > 0) & (turns < _MOST_SLIPPED) & (np.abs(turns - np.rint(turns)) < _SLIP)
+    jumps = np.flatnonzero((step > _JUMP * np.maximum(beside, usual)) & ~slipped)
     if len(jumps) and usual:
         first = jumps[0]
         raise DatasetError(

@@ -68,9 +68,10 @@ def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
 
 @pytest.mark.slow
 def test_noise_of_the_rotors_camera_is_found_in_its_windows():
-    """Three windows of one camera: 2 mrad over 0.3 s, told within what 24 rows allow; white noise is told as white."""
+    """Three windows of one camera: 2 mrad over 0.3 s, told within what 24 rows allow; of white noise little."""
     plain = case()
-    assert plain.rotor_angle_noise.sigma == 0
+    assert plain.rotor_angle_noise.sigma < 1e-4  # a tenth of the white noise
+    assert not plain.rotor_angle_noise.is_significant
     noisy = [
         Samples(w.time, w.value + wandering(w.time, 2e-3, 0.3, i), w.sigma)
         for i, w in enumerate(plain.record.rotor)
@@ -94,7 +95,7 @@ def test_a_torque_that_changes_within_the_windows_is_no_angle_noise():
         for w in plain.record.rotor
     )
     found = CaseData.of(replace(plain.record, rotor=moved, digest="")).rotor_angle_noise
-    assert found.sigma == 0
+    assert found.sigma < 1e-4
 
 
 def test_row_covariance_agrees_with_that_of_many_simulated_recordings():

@@ -1,0 +1,116 @@
+"""Whole turns that slipped in a series of angles: found as steps of 2 pi between two samples, and corrected.
+
+A tracker that confuses two alike markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
+all later angles by a whole turn. With the local speed v, the median of the difference quotients of the neighbouring
+samples, the angle changes from one sample to the next by v dt plus noise, and a slip of n turns is
+
+    e = y[i+1] - y[i] - v (t[i+1] - t[i]) = 2 pi n + noise,   n = round(e / 2 pi) != 0.
+
+The number of turns is an integer that the data determine without uncertainty, so the corrected angles need no error
+mode; what was found is kept with the data and is a finding of every fit. No motion does this, and no noise: a window
+with a slip would otherwise seem to have angle noise of hundreds of milliradians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting.inference._record import Record, Samples, running_median
+
+Array = NDArray[np.float64]
+
+_TURN = 2 * math.pi
+# difference quotients from which a local speed is estimated
+_NEIGHBOURS = 31
+_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Whole turns that slipped in one series.
+
+    Attributes
+    ----------
+    body : str
+        "casing", "rotor", or "body" where only one was recorded.
+    window : int or None
+        Number of the rotor window, from 1; None for the casing.
+    time : float
+        Time of the first sample after the step [s].
+    turns : int
+        Whole turns by which the measured angle is too large from then on.
+    """
+
+    body: str
+    window: int | None
+    time: float
+    turns: int
+
+    @property
+    def where(self) -> str:
+        """The series, in words."""
+        return f"rotor window {self.window}" if self.window is not None else f"the {self.body}"
+
+    @property
+    def sentence(self) -> str:
+        """What slipped, where and when."""
+        many = "a whole turn" if abs(self.turns) == 1 else f"{abs(self.turns)} whole turns"
+        sign = "+" if self.turns > 0 else "-"
+        return f"{many} slipped in {self.where} at {self.time:.3f} s ({sign}{abs(self.turns)})"
+
+
+def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[int, int]]:
+    """Return index and number of turns of every slip: all angles from this index on are too large by that.
+
+    Parameters
+    ----------
+    samples : Samples
+        Angles [rad].
+    criteria : Criteria
+        Its `slip_tolerance` is the largest deviation from a whole turn, as a share of a turn.
+    """
+    step, interval = np.diff(samples.value), np.diff(samples.time)
+    # beyond half a turn per sample, a whole turn more is no different from a faster motion
+    if len(step) < _NEIGHBOURS or not np.median(np.abs(step)) < 0.5 * _TURN:
+        return []
+    quotient = step / interval
+    before = quotient[np.maximum(np.arange(len(step)) - 1, 0)]
+    if not (np.abs(step - before * interval) > 0.5 * _TURN).any():
+        return []
+    excess = step - running_median(quotient, _NEIGHBOURS) * interval
+    scatter = _MAD * float(np.median(np.abs(excess)))
+    allowed = criteria.slip_tolerance * _TURN
+    if not criteria.slip_sigma * scatter < allowed:
+        return []
+    turns = np.rint(excess / _TURN).astype(int)
+    found = np.flatnonzero((turns != 0) & (np.abs(excess - _TURN * turns) < allowed))
+    return [(int(i) + 1, int(turns[i])) for i in found]
+
+
+def without_slips(record: Record) -> tuple[Record, tuple[Slip, ...]]:
+    """Return the record with slipped turns corrected, under the digest of the measured numbers, and the slips."""
+    if record.quantity != "angle" or record.generated:
+        return record, ()
+    slips: list[Slip] = []
+    runs = []
+    for i, run in enumerate((record.casing, *record.rotor)):
+        found = slipped_turns(run)
+        body, window = (record.body, None) if i == 0 else ("rotor", i)
+        slips += [Slip(body, window, float(run.time[k]), n) for k, n in found]
+        runs.append(_corrected(run, found))
+    if not slips:
+        return record, ()
+    return replace(record, casing=runs[0], rotor=tuple(runs[1:])), tuple(slips)
+
+
+def _corrected(samples: Samples, slips: Sequence[tuple[int, int]]) -> Samples:
+    value: Array = samples.value.copy()
+    for first, turns in slips:
+        value[first:] -= _TURN * turns
+    return Samples(samples.time, value, samples.sigma)
