@@ -87,6 +87,8 @@ class Criteria:
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
     angle_noise_ratio: float = _criterion(
         30.0, "correlated over white angle noise above which it is no noise")
+    start_u: float = _criterion(3e-3,
+        "typical error of a start whose uncertainty is not stated [s]")
     slip_tolerance: float = _criterion(0.1, "deviation of a step from a whole turn that slipped [turns]")
     slip_sigma: float = _criterion(8.0, "scatter of the steps of an angle up to which a slip is evident [sigma]")
     # fmt: on

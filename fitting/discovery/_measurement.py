@@ -1,44 +1,152 @@
-"""Faults of the measurement that the data show without a model, as candidates of a diagnosis: slipped turns."""
+"""Faults of measuring as alternatives to a missing effect: starts of the rotor windows, slipped turns.
+
+An error dt_i of the start of window i changes its angles, apart from its free phase, by c_i dt_i (see
+`fitting.inference._case_data`). Where nothing is stated about the starts, all dt_i are drawn from a normal distribution
+of an unknown standard deviation s. With the residuals r and the columns C = (c_1, c_2 ...), whitened by the noise of
+the fit and orthogonal to its free columns,
+
+    -2 log L(s) = r'r - r'C (C'C + 1/s^2)^-1 C'r + log det(1 + s^2 C'C),
+
+and the evidence is the mean of L over s, equally distributed in ln s from a tenth to ten times `Criteria.start_u`. It
+is the fall of a restricted deviance with the prior of all parameters integrated out, so it is compared with the fall of
+BIC of an effect as it is. The errors themselves are the conditional means (C'C + 1/s^2)^-1 C'r.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fitting.discovery._score import Score
-from fitting.discovery._select import Candidate
+from fitting._criteria import Criteria
+from fitting._errors import FittingError
+from fitting.discovery._score import Score, ScoreContext
 from fitting.effects._effect import Effect, Parameter
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._linear_algebra import orthogonal_to
+from fitting.inference._noise import Noise
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._problem import Problem, recording_noise, refine_level
 from fitting.inference._result import Estimate, Fit
 from fitting.inference._slips import Slip
 
+Array = NDArray[np.float64]
+
+START = Effect(
+    "camera.start", "camera.rotor", "dt*omega", (Parameter("dt", "s", meaning="error of the start of a window"),),
+    kind="measurement", signature="each rotor window is shifted in time by its own amount",
+    confused_with=("camera.offset",), source="first order of psi(t + dt)", searched=False,
+)  # fmt: skip
 SLIP = Effect(
     "camera.slip", "camera.rotor", "n*omega", (Parameter("n", "1", meaning="whole turns that slipped"),),
     kind="measurement", signature="a step of whole turns between two samples", source="an integer of turns",
     searched=False,
 )  # fmt: skip
+_LEVELS = 21
 
 
-def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
-    """Return slipped turns as a candidate; its score is the chi-square of the steps, in units of the white noise.
+class StartErrors:
+    """The errors of the starts of all rotor windows of a fit, as random effects of unknown size."""
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit, whose data are corrected.
-    slips : sequence of Slip
-        The slips.
-    """
-    sigma = min(
-        r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
-    )
-    score = sum((2 * math.pi * s.turns / sigma) ** 2 for s in slips) / 2
-    none = np.zeros(0)
-    screened = Score(SLIP, score, none, ({},), len(slips), 1, absorbed=False, direction=none, null=none)
-    bic = len(slips) * math.log(fit.rows) - score
-    estimates = {
+    def __init__(self, base: Fit, criteria: Criteria) -> None:
+        self.base = base
+        context = ScoreContext(base, 1)
+        columns, self._names = [], []
+        several = len(base.problem.data) > 1
+        for index, data in enumerate(base.problem.data):
+            for i, own in data.start_columns():
+                column = np.zeros(int(context.ends[-1]))
+                column[context.ends[index] : context.ends[index + 1]] = own
+                columns.append(column)
+                at = f" of {data.record.label}" if several else ""
+                self._names.append(f"{START.name}.dt@window {i + 1}{at}")
+        rotated = context.rotated(np.stack(columns, axis=1))
+        sizes = np.geomspace(0.1, 10.0, _LEVELS) * criteria.start_u
+        lowest = min(level.deviance for level in context.levels)
+        best = (-math.inf, 0, 0)
+        falls = []
+        for k, level in enumerate(context.levels):
+            c = orthogonal_to(level.basis, level.gain[:, None] * rotated)
+            gram, b = c.T @ c, c.T @ level.residual
+            fall = np.array([_fall(gram, b, s) for s in sizes]) + lowest - level.deviance
+            falls.append(fall)
+            top = int(np.argmax(fall))
+            best = max(best, (float(fall[top]), k, top))
+        _, k, top = best
+        level, self.u = context.levels[k], float(sizes[top])
+        c = orthogonal_to(level.basis, level.gain[:, None] * rotated)
+        covariance = np.linalg.inv(c.T @ c + np.eye(c.shape[1]) / self.u**2)
+        self.errors: Array = covariance @ (c.T @ level.residual)
+        self.stderrs: Array = np.sqrt(np.diag(covariance))
+        self.fall = best[0]
+        whole = np.array(falls)
+        self.evidence = float(2 * np.log(np.mean(np.exp(0.5 * (whole.max(axis=0) - best[0])))) + best[0])
+        direction = c @ self.errors
+        self.direction: Array = direction / max(float(np.linalg.norm(direction)), 1e-300)
+
+    @property
+    def p_value(self) -> float:
+        """Return the probability of such a fall without errors of the starts: s is at its bound, zero, in half."""
+        from scipy.special import chdtrc
+
+        return 0.5 * float(chdtrc(1, max(self.fall, 0.0)))
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The error of each start."""
+        return {
+            name: Estimate(float(value), float(u), "s", at_bound=False)
+            for name, value, u in zip(self._names, self.errors, self.stderrs, strict=True)
+        }
+
+    @property
+    def score(self) -> Score:
+        """The same as a score of a candidate."""
+        none = np.zeros(0)
+        shape: tuple[dict[str, float], ...] = ({},)
+        size = max(self.fall, 0.0)
+        return Score(
+            START, size, self.errors, shape, 1, 1, absorbed=False, direction=self.direction, null=none
+        )
+
+    def refit(self) -> Fit | None:
+        """Return the fit with starts of this uncertainty; None if it fails."""
+        with suppress(FittingError):
+            return with_start_u(self.base, self.u)
+        return None
+
+
+def _fall(gram: Array, b: Array, s: float) -> float:
+    n = len(b)
+    gain = float(b @ np.linalg.solve(gram + np.eye(n) / s**2, b))
+    return gain - float(np.linalg.slogdet(np.eye(n) + s**2 * gram)[1])
+
+
+def with_start_u(base: Fit, u: float) -> Fit:
+    """Return a fit with unstated starts replaced by starts of this standard uncertainty [s]."""
+    data = [d.with_start_u(u) for d in base.problem.data]
+    old = base.problem.layout
+    layout = ParameterLayout.of(base.model, [d.record for d in data], *old.choices, old.ranges)
+    problem = Problem.of(layout, data)
+    predictions = problem.predict(base.theta)
+    noise: Sequence[Noise] = [recording_noise(d, p) for d, p in zip(data, predictions, strict=True)]
+    noise = refine_level(problem, base.theta, noise)
+    share, per_case = old.choices
+    return fit(base.model, data, share=share, per_case=per_case, start=base.values, noise=noise)
+
+
+def starts_are_unknown(data: Sequence[CaseData]) -> bool:
+    """Return whether nothing is stated about the starts of some rotor windows."""
+    return any(d.is_angle and d.record.rotor and d.record.unstated_starts for d in data)
+
+
+def slip_estimates(slips: Sequence[Slip]) -> dict[str, Estimate]:
+    """Return the turns that slipped, by series and time."""
+    return {
         f"{SLIP.name}.n@{s.where}, {s.time:.3f} s": Estimate(float(s.turns), 0.0, "1", at_bound=False)
         for s in slips
     }
-    return Candidate(SLIP, score, bic, 0.0, math.nan, (), estimates, significant=True, screened=screened)

@@ -23,6 +23,7 @@ from fitting._errors import FittingError
 from fitting._numbers import short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
+from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
     has_less_process_noise,
@@ -168,7 +169,21 @@ def rank(
         ]
         refits = iter((workers or WorkerPool(0)).map(_refit_candidate, base, promising, shared_data))
         found = [next(refits) if w else c for c, w in zip(found, chosen, strict=True)]
+        if starts_are_unknown(data):
+            found.append(_start_candidate(base, family, criteria))
     return ordered(found, criteria)
+
+
+def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> Candidate:
+    """Return errors of the starts of the rotor windows, about which nothing is stated, as a candidate."""
+    starts = StartErrors(base, criteria)
+    p_value = family(np.array([starts.p_value]), np.ones(1))
+    significant = p_value < criteria.significance
+    refitted = starts.refit() if significant else None
+    return Candidate(
+        START, max(starts.fall, 0.0), -starts.evidence, p_value, np.nan, (), starts.estimates, significant,
+        starts.score, refitted,
+    )  # fmt: skip
 
 
 # range of an oscillation from which on a harmonic of the angle is distinguishable from its Taylor series [rad]
@@ -294,6 +309,14 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
         return min(abs(a.delta_bic - b.delta_bic), abs(a.score - b.score)) < criteria.equivalence_width
 
     candidates = sorted(found, key=order)
+    unstated = next(
+        (c for c in candidates if c.effect is START and c.significant and c.fit is not None), None
+    )
+    if unstated is not None and all(
+        unstated.delta_bic < c.delta_bic + criteria.equivalence_width for c in candidates if c.fit is not None
+    ):
+        # an effect that is not separable from errors of starts about which nothing is stated is not physics yet
+        candidates = [unstated, *(c for c in candidates if c is not unstated)]
     return [
         replace(
             c,
@@ -376,7 +399,7 @@ class Step:
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
-    `stopped` is the message of the fit that failed, if the search ended before its criteria did.
+    `stopped` is the reason, such as the message of a fit that failed, if the search ended before its criteria did.
     """
 
     stopped: str = ""
@@ -454,6 +477,8 @@ def select(
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
         return Selection(ranked, None, base, base)
+    if chosen.effect is START:
+        return Selection(ranked, chosen, chosen.fit, chosen.fit)
     end = _refined(chosen.fit, criteria)
     # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
@@ -572,6 +597,11 @@ def improve(
     for step in range(criteria.max_steps if max_steps is None else max_steps):
         chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:
+            break
+        if chosen.effect is START:
+            history.stopped = (
+                "the rotor windows may start at other times; state their u with `import --start-u`"
+            )
             break
         try:
             known_steps = len(history)

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fitting._criteria import DEFAULT, Criteria
 from fitting._display import (
     block,
@@ -37,7 +39,7 @@ from fitting.discovery._lack_of_fit import (
     nonparametric_rivals,
     significant_peak,
 )
-from fitting.discovery._measurement import slipped
+from fitting.discovery._measurement import SLIP, START, slip_estimates
 from fitting.discovery._named_effect import (
     FormTest,
     InertiaRival,
@@ -59,10 +61,12 @@ from fitting.discovery._residuals import (
     residual_torques,
     whiteness,
 )
+from fitting.discovery._score import Score
 from fitting.discovery._select import Candidate, Selection, Step, rank, select, separate_values
 from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._result import Estimate, Fit
+from fitting.inference._slips import Slip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -280,6 +284,20 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
     if found.verdict != "adequate":
         return told
     return replace(told, verdict="missing_effect", form="exact", explained=1.0)
+
+
+def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
+    """Return slipped turns as a candidate; its score is the chi-square of the steps, in units of the white noise."""
+    sigma = min(
+        r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
+    )
+    score = sum((2 * math.pi * s.turns / sigma) ** 2 for s in slips) / 2
+    none = np.zeros(0)
+    screened = Score(SLIP, score, none, ({},), len(slips), 1, absorbed=False, direction=none, null=none)
+    bic = len(slips) * math.log(fit.rows) - score
+    return Candidate(
+        SLIP, score, bic, 0.0, math.nan, (), slip_estimates(slips), significant=True, screened=screened
+    )
 
 
 def _diagnosis(
@@ -541,6 +559,8 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if chosen is None:
         return []
     names = [chosen.effect.name, *chosen.indistinguishable_from]
+    if chosen.effect is START:
+        return _started_elsewhere(chosen)
     what = "effect" if chosen.physical else "measurement effect"
     close = "close to " if size.form == "approximate" else ""
     if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(names[1:]):
@@ -570,6 +590,20 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     elif size.form is None and size.test is not None:
         parts += _untested(size.test, criteria)
     return parts
+
+
+def _started_elsewhere(chosen: Candidate) -> list[str]:
+    """Return the answer where the starts of the rotor windows, about which nothing is stated, may be wrong."""
+    errors = [e.value for e in chosen.estimates.values()]
+    rms = 1e3 * math.sqrt(sum(x**2 for x in errors) / len(errors))
+    sentence = (
+        f"Errors of the starts of the rotor windows (camera.start) of {rms:.2g} ms rms explain it; nothing is stated "
+        "about them: import the recording with --start-u."
+    )
+    if not chosen.indistinguishable_from:
+        return [sentence]
+    others = ", ".join(chosen.indistinguishable_from)
+    return [sentence, f"This data cannot separate them from {others}: no effect is established."]
 
 
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:

@@ -219,7 +219,7 @@ class _Linearised:
             for rows, direction, size in data.start_time_noise.parts:
                 column = np.zeros(len(data.z))
                 column[rows] = direction * size / math.hypot(1.0, size)
-                starts += (gain @ w(column)) ** 2
+                starts += (gain @ w(data.with_white_angles(column))) ** 2
         variances = {"angle noise": base - process - starts, "process noise": process, "start times": starts}
         before = base
         for k, name in enumerate(NUISANCE, 1):

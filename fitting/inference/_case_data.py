@@ -16,7 +16,7 @@ whose speeds were measured, the bias of the gyroscope.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -77,10 +77,7 @@ class StartTimeNoise:
         for window, s in zip(windows, sigma, strict=False):
             rows = slice(first, first + len(window.z))
             first = rows.stop
-            t = window.node_times
-            c = window.at_nodes(
-                acceleration(window.samples, angle=angle) * (t - t.mean() if angle else np.ones_like(t))
-            )
+            c = start_response(window, angle=angle)
             size = float(np.linalg.norm(c))
             if s > 0 and size > 0:
                 parts.append((rows, c / size, s * size))
@@ -102,6 +99,14 @@ class StartTimeNoise:
             along = u @ rows[where]
             rows[where] += (factor - 1) * (u * along if rows.ndim == 1 else np.outer(u, along))
         return rows
+
+
+def start_response(window: Compressed, *, angle: bool) -> Array:
+    """Return the rows of a window by an error of its start, per second, apart from its free phase."""
+    t = window.node_times
+    return window.at_nodes(
+        acceleration(window.samples, angle=angle) * (t - t.mean() if angle else np.ones_like(t))
+    )
 
 
 def acceleration(samples: Samples, *, angle: bool) -> float:
@@ -212,6 +217,25 @@ class CaseData:
             for w in record.rotor
         )
         return cls(record, casing, rotor, oscillation, slips=slips)
+
+    def with_start_u(self, u: float) -> CaseData:
+        """Return the same data with this standard uncertainty of every start that is not stated [s]."""
+        start_sigma = tuple(u if math.isnan(s) else s for s in self.record.start_sigma)
+        changed = replace(self, record=replace(self.record, start_sigma=start_sigma))
+        # the noise is that of the same samples
+        changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in _OF_THE_SAMPLES})
+        return changed
+
+    def start_columns(self) -> Iterator[tuple[int, Array]]:
+        """Yield window and rows of the response to an error of its start, per second, where nothing is stated."""
+        first = self.slices["rotor"].start
+        for i, (window, s) in enumerate(zip(self.rotor, self.record.start_sigma, strict=False)):
+            rows = np.zeros(len(self.z))
+            part = start_response(window, angle=self.is_angle)
+            rows[first : first + len(part)] = part
+            first += len(part)
+            if math.isnan(s):
+                yield i, self.with_white_angles(rows)
 
     def with_prior(self, prior: Prior | None) -> CaseData:
         """Return the same data with this prior."""
@@ -503,7 +527,10 @@ class CaseData:
 
     def whitened(self, rows: Array) -> Array:
         """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
-        rows = self.start_time_noise.whitened(rows)
+        return self.with_white_angles(self.start_time_noise.whitened(rows))
+
+    def with_white_angles(self, rows: Array) -> Array:
+        """Return rows whitened by the correlated angle noise alone."""
         return self._transformed(rows, self.angle_noise.inverse, self.rotor_angle_noise.inverse)
 
     def unwhitened(self, rows: Array) -> Array:
@@ -669,6 +696,13 @@ class CaseData:
                 harmonic += len(operator) - k
             first += len(run.z)
         return rows
+
+
+# what is computed from the samples alone
+_OF_THE_SAMPLES = frozenset({
+    "_correlated_noise", "_correlated_rotor_noise", "angle_noise", "rotor_angle_noise", "findings", "process_noise",
+    "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds", "speeds",
+})  # fmt: skip
 
 
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:

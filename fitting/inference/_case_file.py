@@ -186,7 +186,7 @@ def _read(path: Path, file: Any) -> Record:
         casing=casing,
         rotor=rotor,
         single=single,
-        start_sigma=_start_sigma(file, window),
+        start_sigma=_start_sigma(file, window, float(np.asarray(attributes.get("start_u", np.nan)))),
         quantity=quantity,
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
@@ -206,7 +206,12 @@ def _correlated(file: Any) -> tuple[float, float, float]:
     return (*slow, periodic if math.isfinite(periodic) else 0.0)
 
 
-def _start_sigma(file: Any, window: Array) -> list[float]:
-    """Return the uncertainty of each window's start on the casing's clock [s], zero where no camera is known."""
+def _start_sigma(file: Any, window: Array, stated: float) -> list[float]:
+    """Return the uncertainty of each window's start on the casing's clock [s], of its camera or as stated; NaN if none.
+
+    `stated` is that of the case; it has no camera if it was imported.
+    """
     sigma = [number(file, f"recording/rotor_{int(w)}", "clock_offset_sigma") for w in np.unique(window)]
+    if not np.isfinite(sigma).any():
+        return [stated if np.isfinite(stated) and stated >= 0 else float("nan")] * len(sigma)
     return [s if np.isfinite(s) and s > 0 else 0.0 for s in sigma]

@@ -77,7 +77,8 @@ class Record:
     windows : tuple of Samples
         The measured windows of a generated rotor.
     start_sigma : tuple of float
-        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known.
+        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known, NaN if it is not
+        stated.
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
@@ -129,6 +130,11 @@ class Record:
         return PER_INERTIA if self.per_inertia else TORQUE
 
     @property
+    def unstated_starts(self) -> bool:
+        """Whether nothing is known about the uncertainty of the starts of the rotor windows."""
+        return any(math.isnan(s) for s in self.start_sigma)
+
+    @property
     def span(self) -> tuple[float, float]:
         """The first and the last time of any sample [s]."""
         ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
@@ -172,7 +178,8 @@ def make_record(
     single : bool
         There is one body only, given as `casing`.
     start_sigma : sequence of float
-        Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact.
+        Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact, NaN if
+        unknown.
     I_rotor_u, I_casing_u : float
         Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
     per_inertia : bool
@@ -229,7 +236,7 @@ def _digest(record: Record) -> str:
     for samples in (record.casing, *record.rotor):
         for a in (samples.time, samples.value, samples.sigma):
             hasher.update(np.ascontiguousarray(a).tobytes())
-    if any(record.start_sigma):
+    if any(s > 0 for s in record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
     if any(record.correlated):
         hasher.update(repr(record.correlated).encode())

@@ -62,6 +62,7 @@ def write_record(
         casing=replace(_series([record.casing]), window=None),
         rotor=_series(record.rotor),
         quantity=record.quantity,
+        start_u=max(record.start_sigma, default=0.0),
     )
     return write_case(path, case, command=command, settings=settings, force=force)
 

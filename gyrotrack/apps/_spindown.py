@@ -481,7 +481,7 @@ def _analysed(
                     "`gyrotrack improve` continues the search."
                 )
             if history.stopped:
-                warnings.append(f"The search stopped at a failed fit, {history.stopped}")
+                warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
             if laws is not None:
                 laws, disagreement = laws.with_fit(history[-1].fit)

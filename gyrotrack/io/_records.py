@@ -295,6 +295,8 @@ class Case(_Tabular):
         Moments of inertia [kg m2].
     I_rotor_u, I_casing_u : float
         Their standard uncertainties [kg m2]; NaN if not given.
+    start_u : float
+        Standard uncertainty of the start of each rotor window on the clock of the casing [s]; NaN if not given.
     quantity : {"angle", "omega"}
         Measured quantity; with "omega" the angle is its integral.
     bodies : {"two", "one"}
@@ -319,6 +321,7 @@ class Case(_Tabular):
     per_inertia: int = 0
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
+    start_u: float = math.nan
 
 
 _STATUS_NAMES = np.array(list(STATUS), dtype=object)

@@ -186,6 +186,13 @@ CASE_ATTRIBUTES = (
     Attribute(
         "I_casing_u", float, "kg m2", "standard uncertainty of I_casing; absent if not given", math.nan
     ),
+    Attribute(
+        "start_u",
+        float,
+        "s",
+        "standard uncertainty of the start of each rotor window; absent if not given",
+        math.nan,
+    ),
     Attribute("label", str, "", "name of the case"),
     Attribute("surface", str, "", "surface on which the casing turned"),
     Attribute("quantity", str, "", "what was measured: angle or omega", "angle"),

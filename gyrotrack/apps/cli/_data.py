@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
@@ -60,6 +61,14 @@ def import_command(
     keep_all: Annotated[
         bool, option("--keep-all", "Keep drive, brake and rest at the ends of the record (--body).")
     ] = False,
+    start_u: Annotated[
+        float | None,
+        option(
+            "--start-u U",
+            "Standard uncertainty of the start of each rotor window on the clock of the casing [s], 0 if exact; "
+            "without it, errors of the starts are an alternative in every diagnosis.",
+        ),
+    ] = None,
     label: shared.Label = None,
     surface: shared.Surface = "",
     inertia_rotor: shared.InertiaRotor = None,
@@ -104,6 +113,10 @@ def import_command(
         ReadOptions(names[part], marker, centre, fps, begin, likelihood, pulses_per_turn)
         for part, fps, begin in [("casing", casing_fps, 0.0), *(("rotor", rotor_fps, t) for t in starts)]
     ]
+    if start_u is not None and not 0 <= start_u < math.inf:
+        raise UsageError(
+            f"--start-u {start_u:g} is not an uncertainty.", "Give it in s, such as --start-u 0.002."
+        )
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
     if body is not None and (inertia is not None or dry_run) and casing is None and not rotor:
@@ -114,7 +127,7 @@ def import_command(
         r = Inertia.required(inertia_rotor or one, "rotor")
         c = Inertia.required(inertia_casing or one, "casing")
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
-        case = replace(case, I_rotor_u=r.u, I_casing_u=c.u)
+        case = replace(case, I_rotor_u=r.u, I_casing_u=c.u, start_u=math.nan if start_u is None else start_u)
     else:
         what = "A case needs either --casing and --rotor, or --body and --inertia."
         raise UsageError(what, "Give one of these pairs.")

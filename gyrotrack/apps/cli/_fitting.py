@@ -350,7 +350,7 @@ def improve_command(
     # a history without an added effect has the answer of its diagnosis
     verdict = history_verdict(history) if len(history) > 1 else found.verdict
     if history.stopped:
-        out.warn(f"the search stopped at a failed fit, {history.stopped}")
+        out.warn(f"the search stopped: {history.stopped}")
     out.result(
         {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
     )
