@@ -53,6 +53,7 @@ class Criteria:
     essential_sigma: float = _criterion(3.3, "strength below which an added effect is tried without", "p = 0.001")
     crowded: int = _criterion(3, "added effects from which on each is tried without")
     max_steps: int = _criterion(5, "effects that `improve` adds at most")
+    named_sigma: float = _criterion(3.0, "strength over its standard uncertainty from which an effect is named")
     follow_up: int = _criterion(1, "further effects that `diagnose` adds at most")
     explained: float = _criterion(0.95, "share of unmodelled torque that an approximate answer explains")
     lack_of_fit: float = _criterion(1e-5, "p-value of slow torques below which a fit fails", "Draper 1998")
@@ -130,7 +131,8 @@ class Criteria:
 
 
 _AT_MOST_ONE = frozenset({
-    "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate", "spectral_line",
+    "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate",
+    "spectral_line",
     "periodic_torque", "shape_share", "refit_share", "refit_p", "refit_oscillation_p", "rival_share", "quieter",
 })  # fmt: skip
 

@@ -25,9 +25,11 @@ Array = NDArray[np.float64]
 BLUE, VERMILLION, GREY, YELLOW = "#0072B2", "#D55E00", "#BBBBBB", "#F0E442"
 _VERDICTS = {
     "adequate": ("✓", "consistent with noise"),
-    "misfit": ("!", "significant lack of fit"),
-    "not determined": ("!", "a parameter is not determined"),
-    "not converged": ("✗", "not converged: do not use these numbers"),
+    "no_lack_of_fit": ("✓", "no significant lack of fit"),
+    "lack_of_fit": ("!", "significant lack of fit"),
+    "not_determined": ("!", "a parameter is not determined"),
+    "not_converged": ("✗", "not converged: do not use these numbers"),
+    "undecided": ("?", "undecided: nothing is established"),
     "missing_effect": ("✚", "an effect is missing"),
     "unexplained": ("!", "an unexplained torque remains"),
 }

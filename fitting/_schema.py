@@ -152,6 +152,16 @@ def _with_added_fields(stored: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+# words of earlier versions for the verdict of a fit
+_EARLIER_VERDICTS = {
+    "adequate": "no_lack_of_fit",
+    "misfit": "lack_of_fit",
+    "not determined": "not_determined",
+    "not converged": "not_converged",
+}
+FitVerdict = Annotated[
+    str, BeforeValidator(lambda word: _EARLIER_VERDICTS.get(word, word) if isinstance(word, str) else word)
+]
 Flag = Annotated[bool, BeforeValidator(bool)]
 StoredEffect = Annotated[Effect, BeforeValidator(_with_added_fields)]
 
@@ -492,7 +502,7 @@ class StepDocument(Document):
     energy_drift: Number
     torque_left_Nm: Number  # noqa: N815
     moved: list[str]
-    verdict: str
+    verdict: FitVerdict
 
 
 class NoiseDocument(Document):
@@ -615,7 +625,7 @@ class SavedFitDocument(Document):
     estimates: dict[str, StoredEstimate]
     cases: list[MetricsDocument]
     noise: list[NoiseDocument]
-    verdict: str
+    verdict: FitVerdict
     names: list[str]
     covariance: list[list[Number]]
     sources: list[str]

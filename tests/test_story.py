@@ -51,8 +51,8 @@ def strength_and_friction_are_right(document, truth):
 
 def the_error_falls_to_the_noise(document):
     first, *_, last = document["ladder"]
-    assert first["verdict"] == "misfit"
-    assert last["verdict"] == "adequate"
+    assert first["verdict"] == "lack_of_fit"
+    assert last["verdict"] == "no_lack_of_fit"
     assert last["rmse_casing"] < 0.5 * first["rmse_casing"]
     assert last["held_out"] < 0.5 * first["held_out"]
     assert last["reduced_chi2"] < 0.2 * first["reduced_chi2"]

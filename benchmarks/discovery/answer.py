@@ -133,9 +133,9 @@ def _added(chosen: Candidate, run: Planned) -> dict[str, Any]:
 def _ladder(rungs: list[Step], base_names: list[str], run: Planned) -> dict[str, Any]:
     final = [n for n in rungs[-1].fit.model.names if n not in base_names]
     if not final:
-        verdict = "adequate" if rungs[-1].fit.verdict == "adequate" else "unexplained"
+        verdict = "adequate" if rungs[-1].fit.verdict == "no_lack_of_fit" else "unexplained"
     else:
-        verdict = "missing_effect" if rungs[-1].fit.verdict == "adequate" else "unexplained"
+        verdict = "missing_effect" if rungs[-1].fit.verdict == "no_lack_of_fit" else "unexplained"
     return {
         "verdict": verdict,
         "named": final,

@@ -236,7 +236,7 @@ def _right(line: dict[str, Any]) -> bool:
 
 def _shares(part: str, lines: list[dict[str, Any]]) -> list[Any]:
     first = [bool(x.get("named")) and x["named"][0] in twins(x["hidden"]) for x in lines]
-    agree = [(x["fit"] == "adequate") == (x["verdict"] == "adequate") for x in lines]
+    agree = [(x["fit"] in ("no_lack_of_fit", "adequate")) == (x["verdict"] == "adequate") for x in lines]
     return [Share(map(_right, lines)), Share(first) if part != "nothing" else "-", Share(agree)]
 
 

@@ -59,10 +59,10 @@ if TYPE_CHECKING:
 
 
 VERDICT_TEXT = {
-    "adequate": "adequate; the residuals are consistent with noise",
-    "misfit": "significant lack of fit; run `gyrotrack diagnose`",
-    "not determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
-    "not converged": "not converged; the values are not reliable",
+    "no_lack_of_fit": "no significant lack of fit; run `gyrotrack diagnose` for candidates",
+    "lack_of_fit": "significant lack of fit; run `gyrotrack diagnose`",
+    "not_determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
+    "not_converged": "not converged; the values are not reliable",
 }
 
 
@@ -201,9 +201,11 @@ def summary_lines(fit: FitSummary) -> list[str]:
         lines += wrap(text, 79, subsequent_indent="  ")
     lines.append("")
     held = fit.model.constants
+    reliable = fit.verdict != "not_converged"
     for name, e in fit.estimates.items():
         note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
-        value = rounded(e.value, e.stderr, e.unit)
+        # the curvature where a search stopped is no uncertainty
+        value = rounded(e.value, e.stderr if reliable else math.nan, e.unit)
         lines += [f"  {name}"] if len(name) >= 32 else []
         lines.append(f"  {name if len(name) < 32 else '':<32}{value}{note}")
     if getattr(fit, "generated", False):
@@ -336,14 +338,14 @@ class Fit(FitSummary):
 
     @cached_property
     def verdict(self) -> str:
-        """One of "adequate", "misfit", "not determined" and "not converged"."""
+        """One of "no_lack_of_fit", "lack_of_fit", "not_determined" and "not_converged"."""
         if self.lacks_restoring_torque:
-            return "misfit"  # whether or not the search for the best of the wrong parameters converged
+            return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
-            return "not converged"
+            return "not_converged"
         if self.fails() or self.findings:
-            return "misfit"
-        return "not determined" if self.undetermined else "adequate"
+            return "lack_of_fit"
+        return "not_determined" if self.undetermined else "no_lack_of_fit"
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -301,7 +301,7 @@ class Scan:
     def converged(self) -> bool:
         """Whether both models converged for all cases (runs of the tables may fail)."""
         fits = [f for m in self.models for f in (*m.separate, *([m.joint] if m.joint else []))]
-        return all(f.verdict != "not converged" for f in fits)
+        return all(f.verdict != "not_converged" for f in fits)
 
 
 @single_blas_thread()

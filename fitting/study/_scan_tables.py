@@ -95,7 +95,7 @@ def _runs(rows: Sequence[Row], symbols: Sequence[str]) -> list[str]:
             continue
         values = "".join(_cell(row.fit, s) for s in symbols)
         r2 = f"{row.r2:>8.5f}" if row.r2 > -10 else f"{row.r2:>8.2g}"
-        end = "!" if row.fit.verdict == "not converged" else ""
+        end = "!" if row.fit.verdict == "not_converged" else ""
         lines.append(f"{values}{r2}{_MARKS[row.shade]}{_short(row.fit.bic - best):>6}{end}".rstrip())
     return lines
 

@@ -15,7 +15,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
 from importlib.metadata import version
@@ -119,10 +119,14 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         )
         for c, n, d in zip(fit.cases, fit.noise, fit.problem.data, strict=True)
     ]
+    reliable = fit.verdict != "not_converged"
     document = FitDocument(
         fit_id=fit_id,
         model=list(fit.model.names),
-        parameters={k: EstimateDocument.model_validate(e) for k, e in fit.estimates.items()},
+        parameters={
+            k: EstimateDocument.model_validate(e if reliable else replace(e, stderr=math.nan))
+            for k, e in fit.estimates.items()
+        },
         cases=cases,
         n_eff=fit.n_eff,
         bic=fit.bic,
@@ -442,7 +446,7 @@ def _moved(fit: Fit, previous: Fit | None) -> list[str]:
 
 def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
-    if steps[-1].fit.verdict != "adequate":
+    if steps[-1].fit.verdict != "no_lack_of_fit":
         return "unexplained"
     # a parameter with a value for each recording is no effect
     return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"

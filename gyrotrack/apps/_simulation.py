@@ -364,13 +364,18 @@ def unseal(path: Path) -> Seal:
     return Seal(effect, parameters, commitment)
 
 
+# the second one is that of earlier versions
+_WITHOUT_MISFIT = ("no_lack_of_fit", "adequate")
+
+
 def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
     """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
 
     If the last fit has significant lack of fit, no effect is returned: those that were added are hypotheses.
     """
     first, last = entries[0].document, entries[-1].document
-    named = [n for n in last["model"] if n not in first["model"]] if last["verdict"] == "adequate" else []
+    passes = last["verdict"] in _WITHOUT_MISFIT
+    named = [n for n in last["model"] if n not in first["model"]] if passes else []
     return named, {k: (v["value"], v["stderr"]) for k, v in last["parameters"].items() if v["stderr"]}
 
 

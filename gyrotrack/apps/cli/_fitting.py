@@ -116,7 +116,7 @@ def fit_command(
         out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
         out.show(*prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
-    return NOT_TRUSTED if any(d["verdict"] == "not converged" for d in documents) else DONE
+    return NOT_TRUSTED if any(d["verdict"] == "not_converged" for d in documents) else DONE
 
 
 def _document(
@@ -363,6 +363,7 @@ _VERDICTS = {
     "adequate": "the model is adequate; no effect was added",
     "missing_effect": "the missing effect was added; the residuals are consistent with noise",
     "unexplained": "an unexplained torque remains; run `gyrotrack diagnose`",
+    "undecided": "nothing is established; run `gyrotrack diagnose`",
 }
 
 

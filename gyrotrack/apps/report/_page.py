@@ -46,12 +46,13 @@ _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
     "missing_effect": ("found", "✚", "Missing effect"),
     "unexplained": ("open", "!", "Unexplained torque"),
+    "undecided": ("open", "?", "Undecided"),
 }
 _FINAL = {
-    "adequate": "The residual of the final model is consistent with noise.",
-    "misfit": "The final model has a significant lack of fit; the added effect is a hypothesis.",
-    "not determined": "The data do not determine all parameters of the final model; remove unnecessary effects.",
-    "not converged": "The final fit did not converge; its results are not valid.",
+    "no_lack_of_fit": "The final model has no significant lack of fit.",
+    "lack_of_fit": "The final model has a significant lack of fit; the added effect is a hypothesis.",
+    "not_determined": "The data do not determine all parameters of the final model; remove unnecessary effects.",
+    "not_converged": "The final fit did not converge; its results are not valid.",
 }
 
 
@@ -235,7 +236,7 @@ def _whiteness(view: StudyView) -> str:
     """Return the result of the whiteness test, with an explanation if it seems to contradict the verdict."""
     several = len(view.whiteness) > 1
     text = ", ".join(f"{label} " * several + f"p {_equal(probability(p))}" for label, p in view.whiteness)
-    if any(p < _SMALL_P for _, p in view.whiteness) and view.final.verdict == "adequate":
+    if any(p < _SMALL_P for _, p in view.whiteness) and view.final.verdict == "no_lack_of_fit":
         text += ". A small p indicates correlated residuals; process noise causes them and is included in the verdict"
     noise = [typeset(line[:1].upper() + line[1:]) for line in angle_noise_lines(view.final)]
     return ". ".join([text, *noise])

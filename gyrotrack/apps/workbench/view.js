@@ -33,8 +33,8 @@ const Laboratory = (() => {
   }
 
   const VERDICTS = {
-    adequate: "consistent with noise", misfit: "significant lack of fit",
-    "not determined": "a parameter is not determined by the data", "not converged": "not converged: results are not valid",
+    no_lack_of_fit: "no significant lack of fit", lack_of_fit: "significant lack of fit",
+    not_determined: "a parameter is not determined by the data", not_converged: "not converged: results are not valid",
   };
 
   function render(state) {

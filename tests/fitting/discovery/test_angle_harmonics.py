@@ -51,7 +51,7 @@ def test_a_lack_of_fit_elsewhere_is_no_harmonic(centre, width):
     found = fit(
         Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, seed=4, cameras=cameras)))]
     )
-    assert found.verdict == "misfit"
+    assert found.verdict == "lack_of_fit"
     kinds = [f.kind for f in find_failures(found, residual_torques(found), angle_harmonics(found))]
     assert kinds
     assert "ripple" not in kinds

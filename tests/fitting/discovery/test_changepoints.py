@@ -45,7 +45,7 @@ def test_a_distant_changepoint_is_found_from_the_residual_torque():
         data,
         start={"touchpoint.step.t0": T0 + 60, "touchpoint.step.k": 1e-8},
     )
-    assert far.verdict == "misfit"
+    assert far.verdict == "lack_of_fit"
     assert abs(far.estimates["touchpoint.step.t0"].value - T0) > 10  # beyond the reach of the near search
     found = distant_changepoints(far, LIBRARY["touchpoint.step"], Criteria())
     assert abs(found["touchpoint.step.t0"] - T0) < 4
@@ -78,9 +78,9 @@ def test_a_changepoint_that_is_added_to_a_fit_is_searched_first(name):
     step = resolve(name)
     parent = {name: e.value for name, e in base.estimates.items()}
     found = fit(base.model.with_effect(step), data, start=parent | found_starts(base, [step]))
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     t0, k = (found.estimates[f"{name}.{s}"] for s in ("t0", "k"))
     assert t0.value == pytest.approx(126.4, abs=0.1)
     assert k.value == pytest.approx(1.2e-5, abs=4 * k.stderr)
     # from the parent's values alone the search stays in another hollow
-    assert fit(base.model.with_effect(step), data, start=parent).verdict == "misfit"
+    assert fit(base.model.with_effect(step), data, start=parent).verdict == "lack_of_fit"

@@ -60,7 +60,7 @@ def test_a_missing_effect_is_ranked_first_with_its_strength(name):
     assert first.effect.name in TWINS.get(name, {name})
     assert {first.effect.name, *first.indistinguishable_from} == TWINS.get(name, {name})
     assert first.p_value < 1e-6
-    assert first.fit.verdict == "adequate"
+    assert first.fit.verdict == "no_lack_of_fit"
     assert 0.95 < first.fit.cases[0].casing.held_out < 1.05
     symbol, truth = STRENGTH[name]
     estimate = first.estimates[f"{first.effect.name}.{symbol}"]

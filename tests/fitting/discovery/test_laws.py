@@ -135,7 +135,7 @@ def test_a_saturating_drag_is_found_with_its_parameters():
     speed = np.linspace(5, 160, 500)
     assert 0.5 * K < best.torque_rms_Nm < K * math.tanh(speed.max() / W)
     assert best.p_value < 1e-6
-    assert best.fit.verdict == "adequate"
+    assert best.fit.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_v
     assert restored.differs == diagnosis.differs
     history = improve(base, first=diagnosis.candidates)
     assert [s.change for s in history] == ["", f"+{found.name} per recording"]
-    assert history[-1].fit.verdict == "adequate"
+    assert history[-1].fit.verdict == "no_lack_of_fit"
     assert history_verdict(history) == "adequate"
 
 
@@ -261,7 +261,7 @@ def test_a_saved_law_fits_as_an_effect(tmp_path):
     with pytest.raises(EffectError, match="already"):
         check_name("lab.saturation", file)
     again = fit(base.model.with_effect(effects[0]), base.problem.data)
-    assert again.verdict == "adequate"
+    assert again.verdict == "no_lack_of_fit"
     assert again.estimates["lab.saturation.w"].value == pytest.approx(W, rel=0.01)
     document = laws_document(found, "f1")
     assert document["laws"][0]["terms"] == [{"body": "casing", "law": "-k*tanh(omega_c/w)", "rate": ""}]

@@ -68,7 +68,7 @@ def test_errors_of_starts_are_found_where_nothing_is_stated():
     truth = -np.array(SHIFTS)
     # three errors of which the friction of the bodies absorbs a part, to which the u belongs
     assert (np.abs(errors - truth) < 4 * u).all()
-    assert with_start_u(found.fit, 5e-3).verdict == "adequate"
+    assert with_start_u(found.fit, 5e-3).verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow

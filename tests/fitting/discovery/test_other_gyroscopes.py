@@ -79,12 +79,12 @@ def test_rivals_are_separated_at_the_noise_of_the_better_one():
     best = found.candidates[0]
     assert best.effect.name == "touchpoint.stribeck"
     assert best.indistinguishable_from == ()
-    assert best.fit.verdict == "adequate"
+    assert best.fit.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow
 def test_an_exponent_at_its_bound_is_reported():
     steep = {"f": 1.2e-9, "g": 1.65, "d": 3e-8}
     base = fit(Model.of(REDUCED), [case(steep, 3, "case1")])
-    assert base.verdict != "adequate"
+    assert base.verdict != "no_lack_of_fit"
     assert "Active bound: bearing.power.g = 1.4" in diagnose(base, candidates=[]).sentence

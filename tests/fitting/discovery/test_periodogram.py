@@ -35,7 +35,7 @@ def shaken():
 
 @pytest.mark.slow
 def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
-    assert shaken.verdict == "misfit"
+    assert shaken.verdict == "lack_of_fit"
     assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)
     line = periodogram_peak(shaken)
     assert line.p_value < 1e-6

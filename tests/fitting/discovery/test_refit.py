@@ -33,6 +33,6 @@ def test_a_refit_that_falls_short_of_its_score_is_repeated(base):
     assert base.deviance - plain.deviance < 0.1 * scored.score
     found = refit(base, scored, Criteria())
     assert base.deviance - found.deviance > scored.score
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     estimate = found.estimates["bearing.linear.d"]
     assert abs(estimate.value - PAR["d"]) < 4 * estimate.stderr

@@ -125,7 +125,7 @@ def test_interval_of_the_free_exponent_contains_the_truth():
     assert abs(n.value - 1.9) < 4 * n.stderr + 1e-3
     assert n.stderr < 0.02
     assert steps[-1].fit.bic < steps[1].fit.bic - 10
-    assert steps[-1].fit.verdict == "adequate"
+    assert steps[-1].fit.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow

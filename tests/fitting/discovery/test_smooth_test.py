@@ -35,7 +35,7 @@ def found(seed, hidden, *more):
 @pytest.mark.parametrize("seed", [1, 5])
 def test_smooth_test_rejects_a_law_of_the_wrong_shape_that_slow_torques_accept(seed):
     named = found(seed, DIP, "touchpoint.step")
-    assert named.verdict == "adequate"
+    assert named.verdict == "no_lack_of_fit"
     assert smooth_test(named).p_value < 0.01
     assert smooth_test(named).body == "casing"
 

@@ -55,7 +55,7 @@ def test_an_added_effect_is_recovered(name):
     result = fit(Model.of((*REDUCED, name)), [measured], start=start)
     true = TRUTH | {f"{name}.{k}": v for k, v in own.items()}
     found = pulls(result, true)
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert max(map(abs, found.values())) < 4.5, found
     strength = result.estimates[f"{name}.k"]
     assert abs(strength.value) > 5 * strength.stderr
@@ -81,7 +81,7 @@ def test_a_free_power_of_a_users_law_is_found(n, k, after):
     )
     start = {a: e.value for a, e in fit(Model.of(REDUCED), [measured]).estimates.items()} if after else None
     result = fit(Model.of(REDUCED).with_effect(resolve(POWER)), [measured], start=start)
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     true = TRUTH | {f"{POWER}.k": k, f"{POWER}.n": n}
     assert max(map(abs, pulls(result, true).values())) < 4
     assert result.estimates[f"{POWER}.n"].stderr < 1e-3
@@ -97,7 +97,7 @@ def test_a_harmonic_torque_on_the_casing_is_recovered():
     record = make_record(**twobody.film(motion, seed=5, cameras=cameras))
     # the phase counts from the measured angle, which here starts at the motion's own zero
     result = fit(Model.of((*REDUCED, "casing.unbalance")), [record], start={"casing.unbalance.phi": 0.5})
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     k, phi = (result.estimates[f"casing.unbalance.{s}"] for s in ("k", "phi"))
     amplitude = k.value * np.exp(1j * phi.value)
     expected = 1e-5 * np.exp(1.1j)
@@ -117,14 +117,14 @@ def test_a_slow_clock_of_the_rotor_camera_is_recovered():
     raw["rotor"] = clips
     result = fit(Model.of((*REDUCED, "camera.clock")), [make_record(**raw)])
     clock = result.estimates["camera.clock.eps"]
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert abs(clock.value - eps) < 4 * clock.stderr
     assert clock.stderr < 1e-4
 
 
 def test_a_missing_torque_is_a_lack_of_fit_of_the_right_size():
     result = fitted(seed=0, hidden="step")
-    assert result.verdict == "misfit"
+    assert result.verdict == "lack_of_fit"
     assert 3e-8 < result.torque_noise < 1e-6
 
 
@@ -140,7 +140,7 @@ def test_the_position_of_a_user_peak_is_found():
     base = fit(Model.of(REDUCED), [measured])
     start = {name: e.value for name, e in base.estimates.items()}
     found = fit(base.model.with_effect(resolve(BUMP)), [measured], start=start)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     for symbol, value in true.items():
         e = found.estimates[f"{BUMP}.{symbol}"]
         assert e.value == pytest.approx(value, abs=4.5 * e.stderr)

@@ -125,7 +125,7 @@ def test_whitening_is_invertible():
 @pytest.mark.slow
 def test_a_fit_with_correlated_noise_is_adequate_and_its_uncertainties_hold():
     found = fit(MODEL, [case(3e-3, 0.1)])
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     quiet = fit(MODEL, [case()])
     for key in TRUTH:
         e = found.estimates[key]
@@ -152,7 +152,7 @@ def test_deceleration_of_a_real_wheel_is_fitted():
     friction = found.estimates["touchpoint.constant.b1"]
     assert 0.012 < friction.stderr < 0.03
     assert friction.value == pytest.approx(0.402, abs=2 * np.hypot(0.018, friction.stderr))
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     noise = found.problem.data[0].angle_noise
     assert noise.turn_sigma > 3 * noise.turn_sigma_u
     # one error scale: a claim that is too wide by a factor of two would give 0.25

@@ -21,7 +21,7 @@ TRUTH = twobody.truth()
 def test_holding_parameters_at_the_truth_reduces_other_uncertainties(held):
     base = fitted(seed=0)
     result = fit(Model.of(REDUCED).with_fixed(held), [data(seed=0)])
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert base.chi2 <= result.chi2 + 0.01 < base.chi2 + 12
     assert result.bic < base.bic
     constants = result.model.constants
@@ -37,16 +37,16 @@ def test_holding_parameters_at_the_truth_reduces_other_uncertainties(held):
 
 @pytest.mark.slow
 def test_a_parameter_held_far_off_is_a_misfit():
-    assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "misfit"
+    assert fit(Model.of(REDUCED).with_fixed({"g": 0.7}), [data(seed=0)]).verdict == "lack_of_fit"
 
 
 @pytest.mark.slow
 def test_a_superfluous_power_law_has_strength_zero():
     measured = case({"f": 0.0, "d": 2.5e-7}, 41, "case1")
     full, linear = fit(Model.of(REDUCED), [measured]), fit(Model.of(LINEAR), [measured])
-    assert linear.verdict == "adequate"
+    assert linear.verdict == "no_lack_of_fit"
     # a power law of strength 0 has an exponent that no data determine
-    assert full.verdict in {"adequate", "not determined"}
+    assert full.verdict in {"no_lack_of_fit", "not_determined"}
     assert full.chi2 <= linear.chi2 + 0.01
     assert linear.bic < full.bic
     assert max(map(abs, pulls(linear, TRUTH | {"bearing.linear.d": 2.5e-7}).values())) < 4
@@ -83,7 +83,7 @@ def test_general_model_in_the_ranges_of_the_paper():
     for key, (low, high) in ranges.items():
         assert low <= result.estimates[key].value <= high
     assert result.chi2 <= base.chi2 + 0.01
-    assert result.verdict in {"adequate", "not determined"}
+    assert result.verdict in {"no_lack_of_fit", "not_determined"}
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed)
 def test_nine_parameters_of_one_recording_are_not_determined():
     """The general model fits as well, with uncertainties of d, f and g that are hundreds of times larger."""
     general, reduced = fit(Model.of(GENERAL), [data(seed=0)]), fitted(seed=0)
-    assert general.verdict == "not determined"
+    assert general.verdict == "not_determined"
     assert general.chi2 == pytest.approx(reduced.chi2, abs=6)
     for key in ("bearing.linear.d", "bearing.power.f", "bearing.power.g"):
         assert general.estimates[key].stderr > 30 * reduced.estimates[key].stderr

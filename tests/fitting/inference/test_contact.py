@@ -139,7 +139,7 @@ def test_a_fit_finds_ratio_and_losses_of_rolling_bodies():
             e = found.estimates[key]
             assert abs(e.value - true) < 4 * e.stderr or e.at_bound, key
             assert e.stderr < 0.05 * true or true == 0, key
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow

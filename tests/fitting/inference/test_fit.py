@@ -21,7 +21,7 @@ TRUTH = twobody.truth()
 @pytest.mark.parametrize("seed", range(5))
 def test_parameters_of_the_paper_are_recovered_without_initial_values(seed):
     result = fitted(seed=seed)
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     found = pulls(result, TRUTH)
     assert set(found) == set(TRUTH)
     assert max(map(abs, found.values())) < 4, found
@@ -84,7 +84,7 @@ def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
         start[name] = estimate.value * factor
     start["bearing.power.g"] = rng.uniform(0.4, 1.4)
     again = fit(Model.of(REDUCED), [data(seed=1)], start=start, noise=base.noise)
-    assert again.verdict == "adequate"
+    assert again.verdict == "no_lack_of_fit"
     assert again.chi2 == pytest.approx(base.chi2, abs=0.01)
     for name, estimate in base.estimates.items():
         assert abs(again.estimates[name].value - estimate.value) < 0.05 * estimate.stderr
@@ -93,7 +93,7 @@ def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_measured_speeds_give_the_same_parameters_as_angles(seed):
     result = fitted(seed=seed, quantity="omega")
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert max(map(abs, pulls(result, TRUTH).values())) < 4
     assert 0.9 < result.reduced_chi2 < 1.1
     assert result.noise[0].pure < 2e-8
@@ -107,7 +107,7 @@ def test_a_few_single_speeds_of_the_rotor_are_sufficient():
     speeds = motion.at(times, 0)[1] + 0.05 * rng.standard_normal(12)
     raw["rotor"] = [(times[i : i + 1], speeds[i : i + 1], np.array([0.05])) for i in range(12)]
     result = fit(Model.of(REDUCED), [make_record(**raw)])
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert max(map(abs, pulls(result, TRUTH).values())) < 4
 
 
@@ -127,7 +127,7 @@ def test_every_corner_of_a_factor_of_two_ends_in_the_same_minimum():
         start = {n: true[n] * f for n, f in zip(names, corner, strict=True)}
         start["bearing.power.g"] = min(start["bearing.power.g"], 1.4)
         again = fit(Model.of(REDUCED), [measured], start=start)
-        assert again.verdict == "adequate", corner
+        assert again.verdict == "no_lack_of_fit", corner
         assert again.deviance == pytest.approx(base.deviance, abs=0.01), corner
         for name, e in base.estimates.items():
             assert abs(again.estimates[name].value - e.value) < 0.05 * e.stderr, (corner, name)

@@ -38,7 +38,7 @@ def test_joint_fit_of_two_surfaces_recovers_the_parameters():
     }
     assert set(result.estimates) == set(true)
     assert max(map(abs, pulls(result, true).values())) < 4
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert [c.label for c in result.cases] == ["glass", "steel"]
     alone = fit(Model.of(REDUCED), both[:1])
     for key in ("bearing.linear.d", "bearing.power.g", "rotor.air.quadratic.a2"):
@@ -46,7 +46,7 @@ def test_joint_fit_of_two_surfaces_recovers_the_parameters():
     # what the surfaces do not share is not shared; asked to share it, the model must fail
     shared = fit(Model.of(REDUCED), both, share=["touchpoint.constant", "b2"])
     assert "touchpoint.constant.b1" in shared.estimates
-    assert shared.verdict != "adequate"
+    assert shared.verdict != "no_lack_of_fit"
 
 
 @pytest.mark.parametrize("free", [["d"], pytest.param(["d", "f", "g"], marks=pytest.mark.slow)])
@@ -57,7 +57,7 @@ def test_a_bearing_with_per_case_parameters_is_fitted(free):
     both = [case({}, 21, "glass"), case(other, 22, "steel", start=(850.0, 9.0))]
     result = fit(Model.of(REDUCED), both, per_case=free)
     assert len(result.problem.power_laws) == 2
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     true = {twobody.KEYS[k]: v for k, v in twobody.PAPER.items() if k not in free}
     for k in free:
         true |= {f"{twobody.KEYS[k]}@glass": twobody.PAPER[k], f"{twobody.KEYS[k]}@steel": other[k]}
@@ -93,7 +93,7 @@ def test_a_case_with_a_lack_of_fit_does_not_bias_the_other(seed):
         motion = twobody.simulate({**twobody.PAPER, **par}, start, span=40.0, seed=own, hidden=hidden)
         both.append(make_record(**twobody.film(motion, seed=own, cameras=cameras, label=label)))
     found = fit(Model.of(GENERAL), both)
-    assert found.verdict == "misfit"
+    assert found.verdict == "lack_of_fit"
     failed, sound = found.noise
     assert failed.level > 10 * sound.level
     assert found.estimates["rotor.air.quadratic.a2"].value == pytest.approx(9.97e-11, rel=0.02)

@@ -48,4 +48,4 @@ def test_a_law_of_the_wrong_shape_has_a_lack_of_fit():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * np.exp(-(((wc - 110) / 12) ** 2)))
     fitted = found(hidden, 1, (*REDUCED, "touchpoint.step"))
     assert fitted.lack_of_fit.p_value < 1e-3
-    assert fitted.verdict == "misfit"
+    assert fitted.verdict == "lack_of_fit"

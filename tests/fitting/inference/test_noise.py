@@ -84,7 +84,7 @@ def test_a_missing_effect_does_not_count_as_process_noise(hidden, seed):
     (noise,) = result.noise
     assert noise.pure < 1e-8
     assert noise.level > 3e-8
-    assert result.verdict == "misfit"
+    assert result.verdict == "lack_of_fit"
 
 
 @pytest.mark.slow

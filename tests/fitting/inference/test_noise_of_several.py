@@ -26,13 +26,13 @@ def quiet_camera():
 @pytest.mark.slow
 def test_process_noise_is_estimated_with_a_noisy_camera(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("loud", 3, LEVEL, 1e-2, (700.0, 12.0))])
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     assert [n.pure for n in found.noise] == pytest.approx([LEVEL] * 2, rel=0.5)
 
 
 @pytest.mark.slow
 def test_a_recording_that_excludes_process_noise_has_a_low_level(quiet_camera):
     found = fit(Model.of(REDUCED), [quiet_camera, recorded("still", 3, 0.0, 1e-3, (700.0, 12.0))])
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     assert found.noise[0].pure == pytest.approx(LEVEL, rel=0.5)
     assert found.noise[1].pure < 0.3 * LEVEL

@@ -60,7 +60,7 @@ def test_parameters_and_errors(quantity):
     pulls = []
     for seed in range(2):
         found = fit(BASE, [wheel(quantity=quantity, seed=seed)])
-        assert found.verdict == "adequate"
+        assert found.verdict == "no_lack_of_fit"
         pulls += [pull(found, "touchpoint.constant.b1", DRY), pull(found, "casing.air.linear.b2", LINEAR)]
     assert np.abs(pulls).max() < 4
 
@@ -93,14 +93,14 @@ def test_uncertainties_agree_with_the_scatter_of_many_wheels(quantity):
 @pytest.mark.slow
 def test_a_missing_effect_of_a_single_body_is_found():
     base = fit(BASE, [wheel(SQUARE)])
-    assert base.verdict == "misfit"
+    assert base.verdict == "lack_of_fit"
     found = diagnose(base)
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.air.quadratic"
     assert all(c.effect.single_body for c in found.candidates)
     assert {f.body for f in found.failures} == {"casing"}
     last = improve(base, first=found.candidates)[-1].fit
-    assert last.verdict == "adequate"
+    assert last.verdict == "no_lack_of_fit"
     assert abs(pull(last, "casing.air.quadratic.k", SQUARE)) < 4
     assert np.isnan(last.cases[0].rotor.rmse)
     assert not any(name.startswith("initial.omega_r") for name in last.estimates)
@@ -127,10 +127,10 @@ def test_a_degenerate_law_is_never_adequate():
     law = formula("own", "casing", "-k*w1*omega_c", {"w1": {"unit": "1", "start": 1.0}})
     found = fit(Model.of(["touchpoint.constant"]).with_effect(law), [wheel()])
     assert found.undetermined == ["own.k", "own.w1"]
-    assert found.verdict == "not determined"
+    assert found.verdict == "not_determined"
     whole = fit(BASE, [wheel()])
     assert whole.undetermined == []
-    assert whole.verdict == "adequate"
+    assert whole.verdict == "no_lack_of_fit"
 
 
 def test_laws_that_need_rotor_data_are_refused():

@@ -47,14 +47,14 @@ def test_a_damped_oscillator_is_fitted_without_initial_values(quantity):
     # Cramer-Rao: sigma_k = 2 w sigma_w, with the phase of N samples spread over the record
     assert found.estimates[f"{SPRING}.k"].stderr < 2e-3
     assert found.estimates["initial.deflection@body"].unit == "rad"
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.parametrize("bias", [0.05, -0.3])
 def test_the_bias_of_a_gyroscope_changes_no_parameter(bias):
     t, _, omega = oscillators.motion(lambda t, a, w: -9.0 * a - 0.05 * w, (1.0, 0.3), 30.0, 50.0)
     found = fit(Model.of([SPRING, DRAG]), [oscillators.record(t, omega + bias, 0.01, 3, "omega")])
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     within(
         found,
         {f"{SPRING}.k": 9.0, f"{DRAG}.b2": 0.05, "initial.omega_c@body": 0.3, "initial.deflection@body": 1.0},
@@ -78,7 +78,7 @@ def test_an_eccentric_torsion_pendulum_is_fitted_over_many_periods(dry):
     found = fit(model, [oscillators.record(t, angle, 2e-3, 4)])
     truth = {f"{SPRING}.k": 12.0, f"{DRAG}.b2": 0.03, "casing.unbalance.k": 0.7, "casing.unbalance.phi": 2.2}
     within(found, truth | dropped)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.parametrize("dry", [0.0, 0.02])
@@ -117,11 +117,11 @@ def test_the_view_of_a_camera_does_not_explain_an_oscillation_on_film(amplitude)
     t, angle, _ = oscillators.motion(lambda t, a, w: -25.6 * a - 0.02 * w, (amplitude, 0.0), 20.0, 30.0)
     record = replace(oscillators.record(t, angle, 6e-4, 8), tracked=True)
     base = fit(Model.of(["touchpoint.constant", DRAG]), [record])
-    assert base.verdict == "misfit"
+    assert base.verdict == "lack_of_fit"
     assert base.lacks_restoring_torque
     found = fit(Model.of([SPRING, "touchpoint.constant", DRAG]), [record])
     within(found, {f"{SPRING}.k": 25.6, "initial.deflection@body": amplitude})
-    assert found.verdict in {"adequate", "not determined"}
+    assert found.verdict in {"no_lack_of_fit", "not_determined"}
     with pytest.raises(EstimationError, match="oscillates"):
         plan(found)
 
@@ -274,7 +274,7 @@ def test_a_missing_restoring_torque_is_found(name, law):
     steps = improve(base, max_steps=1)
     assert steps[-1].change == f"+{name}"
     within(steps[-1].fit, {f"{name}.k": 12.0})
-    assert steps[-1].fit.verdict == "adequate"
+    assert steps[-1].fit.verdict == "no_lack_of_fit"
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def test_a_casing_that_comes_to_rest_within_the_record_is_fitted(name):
     record, true, events = with_rest(RESTS[name])
     effects = dict.fromkeys([*REDUCED, *(k.rpartition(".")[0] for k in RESTS[name])])
     result = fit(Model.of(effects), [record])
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert max(map(abs, pulls(result, true).values())) < 4
     assert result.predictions[0].path.kinks == pytest.approx([t for t, _ in events], abs=0.01)
     # the moment at which it stops fixes the friction as nothing else does
@@ -64,7 +64,7 @@ def test_a_rotor_of_the_opposite_sense_is_fitted(start):
     """All laws of the reduced model follow the sense of the motion: the parameters are the same."""
     motion = twobody.simulate(start=start, seed=3)
     result = fit(Model.of(REDUCED), [make_record(**twobody.film(motion, seed=3))])
-    assert result.verdict == "adequate"
+    assert result.verdict == "no_lack_of_fit"
     assert max(map(abs, pulls(result, twobody.truth(start=start)).values())) < 4
 
 
@@ -79,6 +79,6 @@ def test_initial_values_with_many_stops_converge():
     factors = dict(zip(twobody.PAPER, (2.0, 2.0, 2.0, 2.0, 0.5, 1.06), strict=True))
     start = {twobody.KEYS[k]: f * par[k] for k, f in factors.items()}
     found = fit(Model.of(REDUCED), [record], start=start)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     for key, e in found.estimates.items():
         assert abs(e.value - true[key]) < 4 * e.stderr

@@ -31,7 +31,7 @@ def unbalanced():
 def test_a_strong_unbalance_is_found_from_zero_and_from_the_opposite_phase(unbalanced, start):
     found = fit(Model.of((*REDUCED, "casing.unbalance")), [unbalanced], start=start)
     k, phi = (found.estimates[f"casing.unbalance.{s}"] for s in ("k", "phi"))
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     assert k.stderr < 0.05 * STRENGTH
     assert k.value == pytest.approx(STRENGTH, abs=4 * k.stderr)
     assert math.remainder(phi.value - PHASE, 2 * math.pi) == pytest.approx(0.0, abs=4 * phi.stderr)

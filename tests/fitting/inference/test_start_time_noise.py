@@ -77,7 +77,7 @@ def test_uncertain_window_starts_are_no_missing_effect():
         found = fit(model, [CaseData.of(filmed(seed))])
         assert exact.lack_of_fit.p_value < 0.1 < found.lack_of_fit.p_value
         assert exact.lack_of_fit.chi2 > 10 * found.lack_of_fit.chi2
-        assert found.verdict == "adequate"
+        assert found.verdict == "no_lack_of_fit"
         assert found.cases[0].rotor.reduced_chi2 == pytest.approx(1.0, abs=0.2)
         for key, true in TRUTH.items():
             assert abs(found.estimates[key].value - true) < 4 * found.estimates[key].stderr

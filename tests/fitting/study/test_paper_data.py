@@ -110,7 +110,7 @@ def test_a_fit_with_a_generated_rotor_is_marked(record):
     assert np.isnan(case.rotor.held_out)
     assert case.rotor.r2 > 0.999
     assert case.casing.r2 > 0.99
-    assert found.verdict == "misfit"
+    assert found.verdict == "lack_of_fit"
     assert "generated, not measured" in repr(found)
     bias = curve_bias(found)
     assert set(bias) == set(Model.of(REDUCED).free)

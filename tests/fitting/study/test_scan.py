@@ -92,9 +92,9 @@ def test_the_true_model_is_the_best_run(found):
         # what contains the truth describes as well; no sum of whole powers does
         for row in rows:
             if {"d", "f"} <= set(row.run.terms):
-                assert row.fit.verdict == "adequate", row.run
+                assert row.fit.verdict == "no_lack_of_fit", row.run
             if "f" not in row.run.terms:
-                assert row.fit.verdict == "misfit", row.run
+                assert row.fit.verdict == "lack_of_fit", row.run
 
 
 def test_a_model_is_never_worse_than_one_that_it_contains(found):

@@ -213,7 +213,7 @@ def test_an_odd_answer_is_a_failure(lab, wrong):
 
 
 def test_not_to_be_trusted_is_kept_in_mind(lab):
-    wrong = {"code": 3, "document": {"fit_id": "f1", "verdict": "not converged"}, "version": "0.1.0"}
+    wrong = {"code": 3, "document": {"fit_id": "f1", "verdict": "not_converged"}, "version": "0.1.0"}
     (lab.results / "a").mkdir(parents=True)
     (lab.results / "batch.lock").touch()
     (lab.results / "a" / "case.fits.json").write_text('{"fits": [{"fit_id": "f1"}]}')

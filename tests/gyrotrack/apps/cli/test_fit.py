@@ -37,7 +37,7 @@ def test_numbers_and_keys_of_the_document(gyrotrack, case):
     assert far(found["parameters"], {"initial.omega_r@plain": 900.0, "initial.omega_c@plain": 5.0}) == {}
     # and the errors are small: a guess with huge errors would pass the lines above
     assert all(found["parameters"][k]["stderr"] < 0.1 * v for k, v in TRUTH.items())
-    assert found["verdict"] == "adequate"
+    assert found["verdict"] == "no_lack_of_fit"
     # the keys are a contract: other programs rely on them
     assert {"fit_id", "model", "parameters", "cases", "n_eff", "bic", "verdict"} <= set(found)
     assert found["model"] == [
@@ -76,7 +76,7 @@ def test_for_people_the_verdict_comes_first_and_the_ledger_is_where_one_wants_it
     assert document["format"] == "gyrotrack ledger"
     assert document["fits"][0]["fit_id"] == "f1"
     assert not list(tmp_path.glob("*.part"))
-    assert said.out.startswith("fit f1: adequate")
+    assert said.out.startswith("fit f1: no significant lack of fit")
     assert "x 10^-11 N m s2" in said.out
     assert max(map(len, said.out.splitlines())) <= 80
 
@@ -86,8 +86,8 @@ def test_a_named_effect_mends_a_model_that_misses_it(gyrotrack, case):
     path = case("drag")
     base = gyrotrack("fit", path, "--json").json
     more = gyrotrack("fit", path, "--add", "casing.air.quadratic", "--json").json
-    assert base["verdict"] == "misfit"
-    assert more["verdict"] == "adequate"
+    assert base["verdict"] == "lack_of_fit"
+    assert more["verdict"] == "no_lack_of_fit"
     assert far(more["parameters"], {**TRUTH, "casing.air.quadratic.k": DRAG}) == {}
     assert more["cases"][0]["casing"]["rmse"] < 0.5 * base["cases"][0]["casing"]["rmse"]
     assert more["bic"] < base["bic"] - 100
@@ -147,7 +147,7 @@ def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch
     said = gyrotrack("fit", study, "--drop", "casing.air.quadratic", "--json")
     assert said.code == 0
     assert [start is None for start in starts] == [False, True]
-    assert said.json["verdict"] == "misfit"
+    assert said.json["verdict"] == "lack_of_fit"
 
 
 @pytest.mark.slow
@@ -177,7 +177,7 @@ def test_named_models(gyrotrack, case, model, names):
     said = gyrotrack("fit", case("plain"), "--model", model, "--json")
     assert said.code == 0
     assert set(said.json["model"]) == names
-    assert said.json["verdict"] == ("adequate" if model == "reduced" else "misfit")
+    assert said.json["verdict"] == ("no_lack_of_fit" if model == "reduced" else "lack_of_fit")
 
 
 @pytest.mark.slow

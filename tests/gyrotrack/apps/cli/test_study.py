@@ -96,7 +96,7 @@ class TestImprove:
         assert last["delta_bic"] < -100
         final = found["final"]
         assert final["fit_id"] == last["fit_id"] == "f2"
-        assert final["verdict"] == "adequate"
+        assert final["verdict"] == "no_lack_of_fit"
         strength = final["parameters"]["casing.air.quadratic.k"]
         assert abs(strength["value"] - DRAG) < 4 * strength["stderr"]
 
@@ -261,7 +261,7 @@ class TestAsAProcess:
         done = self.run("fit", case("plain"), "--json")
         assert done.returncode == 0
         assert done.stderr == ""
-        assert json.loads(done.stdout)["verdict"] == "adequate"
+        assert json.loads(done.stdout)["verdict"] == "no_lack_of_fit"
 
     def test_a_missing_file(self, tmp_path):
         done = self.run("diagnose", tmp_path / "missing.h5", "--json")
