@@ -88,6 +88,10 @@ class Criteria:
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
     angle_noise_ratio: float = _criterion(
         30.0, "correlated over white angle noise above which it is no noise")
+    random_torque: float = _criterion(0.01,
+        "random torque above which it is no noise, as a share of the mean torque")
+    random_torque_shortest: float = _criterion(0.05, "shortest correlation time of a random torque [s]")
+    random_torque_longest: float = _criterion(10.0, "longest correlation time of a random torque [s]")
     start_u: float = _criterion(3e-3,
         "typical error of a start whose uncertainty is not stated [s]")
     slip_tolerance: float = _criterion(0.1, "deviation of a step from a whole turn that slipped [turns]")
@@ -131,7 +135,7 @@ class Criteria:
 
 
 _AT_MOST_ONE = frozenset({
-    "significance", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate",
+    "significance", "random_torque", "collinearity", "explained", "lack_of_fit", "doubt_named", "doubt_adequate",
     "spectral_line",
     "periodic_torque", "shape_share", "refit_share", "refit_p", "refit_oscillation_p", "rival_share", "quieter",
 })  # fmt: skip

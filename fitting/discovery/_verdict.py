@@ -38,6 +38,7 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
     significant_peak,
+    smooth_test,
 )
 from fitting.discovery._measurement import SLIP, START, slip_estimates
 from fitting.discovery._named_effect import (
@@ -49,6 +50,7 @@ from fitting.discovery._named_effect import (
 )
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._power import UpperLimit, largest_hidden
+from fitting.discovery._random_torque import RandomTorque, describes, is_established, with_random_torque
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
     AngleHarmonics,
@@ -84,8 +86,9 @@ class Diagnosis:
     ----------
     fit : Fit
         The fit in question.
-    verdict : {"adequate", "missing_effect", "unexplained"}
-        The answer.
+    verdict : {"adequate", "missing_effect", "unexplained", "undecided"}
+        The answer. "undecided": nothing is established. The best effect is not determined, or a random torque, whose
+        level the recording does not establish without the model, describes the data as well.
     sentence : str
         The answer in words.
     failures : tuple of Failure
@@ -348,6 +351,11 @@ def _diagnosis(
     within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
     if within_uncertainty:
         verdict, size = "adequate", Grade(None, None, None)
+    hint = _undetermined(selection, criteria) if verdict == "missing_effect" else ""
+    random = None if hint else _random_alternative(fit, selection, verdict, doubt, criteria)
+    if hint or random is not None:
+        unexplained = random is None and (misfit or doubt is not None)
+        verdict, size = "unexplained" if unexplained else "undecided", Grade(None, None, None)
     if verdict == "missing_effect":
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
     nuisance = nuisance_parameters(selection.final)
@@ -356,7 +364,11 @@ def _diagnosis(
     failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" else []
     # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = () if any(d.oscillation is not None for d in fit.problem.data) else nuisance
-    sentence = _sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)
+    sentence = (
+        _undecided(selection, random, hint, told, criteria)
+        if verdict == "undecided"
+        else _sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)
+    )
     return Diagnosis(
         fit=fit,
         verdict=verdict,
@@ -376,6 +388,75 @@ def _diagnosis(
         upper_limits=hidden,
         form_limit=size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
     )
+
+
+def _undetermined(selection: Selection, criteria: Criteria) -> str:
+    """Return why a significant effect is a hint and not named, as a sentence; empty if it is named."""
+    chosen = selection.chosen
+    if chosen is None or chosen.effect is START:
+        return ""
+    name = chosen.effect.name
+    if not selection.named.converged:
+        return f"The fit with {name} did not converge, so {name} is a hint only."
+    amplitude = chosen.effect.amplitude
+    estimates = {k: e for k, e in selection.named.estimates.items() if k.startswith(f"{name}.")}
+    for key, e in estimates.items():
+        is_strength = amplitude is not None and key.partition("@")[0] == f"{name}.{amplitude.symbol}"
+        if is_strength and math.isfinite(e.stderr) and not abs(e.value) >= criteria.named_sigma * e.stderr:
+            value = rounded(e.value, e.stderr, e.unit)
+            return f"The strength {key} = {value} is not determined, so {name} is a hint only."
+    return ""
+
+
+def _random_alternative(
+    fit: Fit,
+    selection: Selection,
+    verdict: str,
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
+    criteria: Criteria,
+) -> RandomTorque | None:
+    """Return the slow random torque that describes the data as well as the answer; None if none does."""
+    oscillates = any(d.oscillation is not None for d in fit.problem.data)
+    # the sinusoids of an angle or of time are no random torque
+    periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
+    if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
+        return None
+    chosen = selection.chosen
+    if chosen is not None and (not chosen.physical or chosen.effect.periodic):
+        return None
+    random = with_random_torque(fit, criteria)
+    if not describes(random, criteria):
+        return None
+    if chosen is not None and is_established(random, selection.named, len(selection.candidates), criteria):
+        return None
+    # a deterministic law of a speed leaves a structure that a random torque does not have
+    return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
+
+
+def _undecided(
+    selection: Selection,
+    random: RandomTorque | None,
+    hint: str,
+    nuisance: Sequence[Nuisance],
+    criteria: Criteria,
+) -> str:
+    """Return the answer where nothing is established."""
+    parts = ["Nothing is established."]
+    if hint:
+        parts.append(hint)
+    if random is not None:
+        chosen = selection.chosen
+        names = [] if chosen is None else [chosen.effect.name, *chosen.indistinguishable_from]
+        rivals = f" as well as {', '.join(names)}" if names else ""
+        words = f"{random.words[0].upper()}{random.words[1:]}"
+        parts.append(
+            f"{words} describes the data{rivals}; without the model the recording does not establish its level."
+        )
+        if chosen is not None:
+            parts.append(
+                "Repeat the recording: a law returns with the same strength, a random torque does not."
+            )
+    return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
 
 
 def _contradiction(

@@ -111,7 +111,7 @@ def test_no_periodic_torque_is_named_where_there_is_none():
     for seed in range(6):
         record, _ = wheel(0.0, 200 + seed)
         found = fitting.diagnose(fit(fitting.Model.of(BASE), [record]))
-        named += [c.effect.name for c in found.candidates[:1]] if found.verdict != "no_lack_of_fit" else []
+        named += [c.effect.name for c in found.candidates[:1]] if found.verdict != "adequate" else []
     # a family-wise threshold of 5 % in 6 recordings
     assert len(named) <= 2
     assert "casing.unbalance" not in named
