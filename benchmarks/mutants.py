@@ -337,19 +337,16 @@ class _Places(ast.NodeVisitor):
 
 def faults_of(file: str, root: Path = ROOT) -> list[Fault]:
     """Return all faults of a module."""
-    source = (root / file).read_bytes()
-    good, seen = [], set()
-    plain = ast.dump(ast.parse(source))
-    for fault in _Places(file, source).faults:
-        if (fault.start, fault.stop, fault.after) in seen:
-            continue
-        seen.add((fault.start, fault.stop, fault.after))
-        try:
-            if ast.dump(ast.parse(fault.planted(source))) != plain:
-                good.append(fault)
-        except (SyntaxError, ValueError):
-            continue
-    return good
+    return list(dict.fromkeys(_Places(file, (root / file).read_bytes()).faults))
+
+
+def is_a_change(fault: Fault, root: Path = ROOT) -> bool:
+    """Return whether the changed module can be compiled and differs in more than its layout."""
+    source = (root / fault.file).read_bytes()
+    try:
+        return ast.dump(ast.parse(fault.planted(source))) != ast.dump(ast.parse(source))
+    except (SyntaxError, ValueError):
+        return False
 
 
 def draw(files: list[str], count: int, seed: int) -> list[Fault]:
@@ -364,7 +361,7 @@ def draw(files: list[str], count: int, seed: int) -> list[Fault]:
     while len(drawn) < count:
         kinds = places[chance.choices(files, weights)[0]]
         fault = chance.choice(kinds[chance.choice(sorted(kinds))]) if kinds else None
-        if fault is not None and fault not in drawn:
+        if fault is not None and fault not in drawn and is_a_change(fault):
             drawn.append(fault)
     return drawn
 
