@@ -14,8 +14,7 @@ and if they pass, for `--wider` seconds more. The quickest tests of the other fi
 survivor within these limits counts as not detected. Faults in `EQUIVALENT` change no result; they are listed
 with the reason and not counted.
 
-`map` has to be repeated when tests were added; `run --tests FILE` runs further test files first. Results are appended
-to `DIR/mutants.jsonl`.
+`map --tests FILE` adds test files to an earlier map. Results are appended to `DIR/mutants.jsonl`.
 """
 
 import argparse
@@ -376,7 +375,8 @@ class Map:
         self.data.read()
         self.files = {Path(f).relative_to(ROOT).as_posix(): f for f in self.data.measured_files()}
         self.seconds: dict[str, float] = {}
-        for case in ET.parse(folder / "durations.xml").iter("testcase"):  # noqa: S314 - our own file
+        cases = (c for f in sorted(folder.glob("durations*.xml")) for c in ET.parse(f).iter("testcase"))  # noqa: S314
+        for case in cases:
             parts = case.get("classname", "").split(".")
             file = next(
                 (
@@ -505,11 +505,11 @@ def _verdict(fault: Fault, tree: Path, tests: Map, options: argparse.Namespace) 
         *_within(further, tests.seconds, options.wider),
         *_within(others, tests.seconds, 0.2 * options.wider),
     ]
-    stages = [options.tests, first, wider]
+    stages = [first, wider]
     path.write_bytes(fault.planted(source))
     try:
         for stage in filter(None, stages):
-            limit = 90.0 + 8.0 * sum(tests.seconds.get(n, 1.0) for n in stage)
+            limit = 60.0 + 4.0 * sum(tests.seconds.get(n, 1.0) for n in stage)
             passed, where = _passes(tree, stage, limit)
             if not passed:
                 return True, where
@@ -553,13 +553,18 @@ def _run(options: argparse.Namespace, folder: Path) -> None:
 
 
 def _map(options: argparse.Namespace, folder: Path) -> None:
-    """Run the fast tests once under coverage, with the name of each test as context."""
+    """Run the fast tests, or some test files in addition to an earlier map, with the name of each test as context."""
     (folder / "coveragerc").write_text(
         f"[run]\nbranch = false\nsource =\n    gyrotrack\n    fitting\ndata_file = {folder / 'coverage'}\n"
     )
+    if not options.tests:
+        for old in folder.glob("durations*.xml"):
+            old.unlink()
+    durations = folder / f"durations{len(list(folder.glob('durations*.xml')))}.xml"
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(options.tests or ["tests"])]
     command += ["--cov", "--cov-context=test", f"--cov-config={folder / 'coveragerc'}", "--cov-report="]
-    subprocess.run([*command, f"--junitxml={folder / 'durations.xml'}"], cwd=ROOT, check=False)
+    command += ["--cov-append"] if options.tests else []
+    subprocess.run([*command, f"--junitxml={durations}"], cwd=ROOT, check=False)
 
 
 def main() -> None:
@@ -575,7 +580,9 @@ def main() -> None:
     parser.add_argument(
         "--wider", type=float, default=40.0, help="seconds of those that are run for survivors"
     )
-    parser.add_argument("--tests", nargs="*", default=[], help="test files that are run before")
+    parser.add_argument(
+        "--tests", nargs="*", default=[], help="with `map`: only these test files, in addition"
+    )
     parser.add_argument(
         "--at", nargs="*", default=[], help="FILE:LINE, all faults there instead of a drawing"
     )
