@@ -124,6 +124,8 @@ SHIFTED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 OPPOSITE = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 SILENT = {"warn", "print", "debug", "info", "warning", "TypeVar", "getLogger", "NewType"}
 """Calls whose arguments are texts for people."""
+SHOWN = {"plot", "sentence", "words", "_sentence", "_repr_html_", "__repr__", "__str__", "latex"}
+"""Functions that only draw or word a result; their texts have tests of their own."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,8 @@ class _Places(ast.NodeVisitor):
         self.visit(ast.parse(source))
 
     def visit(self, node: ast.AST) -> None:
+        if isinstance(node, ast.FunctionDef) and (node.name in SHOWN or node.name.startswith("_draw")):
+            return
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             # neither decorators nor annotations; defaults are visited
             self.depth += isinstance(node, ast.FunctionDef)
@@ -260,7 +264,10 @@ class _Places(ast.NodeVisitor):
             self._add("factor", node, ast.Constant(2.0))
 
     def _operator(self, node: ast.BinOp) -> None:
-        if isinstance(node.left, ast.Constant) and isinstance(node.left.value, str):
+        texts = (
+            isinstance(n, ast.JoinedStr) or isinstance(getattr(n, "value", None), str) for n in ast.walk(node)
+        )
+        if any(texts):
             return
         new = OPPOSITE.get(type(node.op))
         if new is not None:
