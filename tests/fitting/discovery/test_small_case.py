@@ -4,6 +4,7 @@ The truth is the equation of motion integrated by SciPy; uncertainties are compa
 fit of the same samples.
 """
 
+import math
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from fitting._criteria import DEFAULT, Criteria
 from fitting.discovery import _verdict as verdict
 from fitting.discovery._lack_of_fit import contradiction, smooth_test
 from fitting.discovery._refine import with_shape_parameter
-from fitting.discovery._remainder import Grade, Remainder, Torques
+from fitting.discovery._remainder import Grade, Nuisance, Remainder, Torques, nuisance_parameters
 from fitting.discovery._residuals import find_failures, residual_torques, whiteness
 from fitting.discovery._select import (
     Selection,
@@ -466,3 +467,50 @@ class TestGrade:
         )
         (_, text) = verdict._missing(selection, Grade(None, 1.0, None, noisy=True), DEFAULT)
         assert "a random torque of 3 uN m rms, the recording shows 1 uN m" in text
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_camera_effect_is_stated_where_it_is_significant(named):
+    """Its p-value is that of chi-square with two degrees of freedom, times the number of effects."""
+    size = math.sqrt(-2.0 * math.log(0.03 / 2.0)) + (0.1 if named else -0.1)
+    p_value = math.exp(-0.5 * size**2)
+    found = [
+        Nuisance("camera.centre", "case", 1e-3, 1e-3 / size, "rad", p_value),
+        Nuisance("camera.tilt", "case", 1e-4, 1.0, "rad", 1.0),
+    ]
+    texts = verdict._nuisance(None, found, DEFAULT)
+    assert texts == (["Camera centre offset 1 mrad (nuisance parameter, fitted)."] if named else [])
+    periodic = SimpleNamespace(effect=SimpleNamespace(depends_on_angle=True))
+    assert verdict._nuisance(periodic, found, DEFAULT) == []
+
+
+def test_nuisance_parameters_have_the_probability_of_their_size():
+    for found in nuisance_parameters(base(0.0)):
+        assert 0.0 < found.p_value <= 1.0
+        assert found.stderr > 0.0
+        # without a correlation of its two components the size decides
+        assert found.p_value == pytest.approx(math.exp(-0.5 * (found.value / found.stderr) ** 2), rel=0.9)
+
+
+@pytest.mark.parametrize(
+    ("explained", "remainder", "significant", "completed", "expected"),
+    [
+        (None, None, False, False, "missing_effect"),
+        (0.97, "left", False, False, "unexplained"),
+        (0.97, "left", False, True, "missing_effect"),
+        (0.97, "left", True, True, "unexplained"),
+        (0.04, "left", False, True, "unexplained"),
+        (0.06, "left", False, True, "missing_effect"),
+    ],
+)
+def test_a_second_effect_of_the_library_completes_an_answer(
+    explained, remainder, significant, completed, expected
+):
+    chosen = SimpleNamespace(effect=SimpleNamespace(name="a"))
+    named = SimpleNamespace(undetermined=(), model=SimpleNamespace(names=("a",)))
+    final = SimpleNamespace(model=SimpleNamespace(names=("a", "b") if completed else ("a",)))
+    selection = SimpleNamespace(chosen=chosen, named=named, final=final)
+    size = Grade(None, explained, remainder)
+    assert verdict._verdict(selection, size, DEFAULT, significant=significant) == expected
+    named.undetermined = ("a.k",)
+    assert verdict._verdict(selection, size, DEFAULT, significant=significant) == "unexplained"
