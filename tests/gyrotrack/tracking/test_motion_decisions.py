@@ -191,6 +191,12 @@ class TestRepeats:
         assert runs == [(20, 21), (30, 32)]
         assert body.shares(runs) == pytest.approx([share, share])
 
+    def test_the_body_that_turns_most(self):
+        bodies = {
+            n: SimpleNamespace(coarse=np.array([0.0, a])) for n, a in (("casing", 1.0), ("rotor", -9.0))
+        }
+        assert repeats.turning_most(SimpleNamespace(bodies=bodies)) == "rotor"
+
     def test_regular_runs_have_a_period(self):
         runs = lambda first: [(k, k + 1) for k in first]  # noqa: E731
         assert repeats._period(runs(range(5, 60, 5))) == pytest.approx(5.0)
