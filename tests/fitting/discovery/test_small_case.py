@@ -246,6 +246,9 @@ class TestTorque:
         assert found[0].t_stop < 10.0
         assert found[0].residual_torque_Nm < 0
         assert found[0].size_sigma > DEFAULT.failure_sigma
+        stretch = np.interp([found[0].t_stop, found[0].t_start], TIME, motion(FRICTION)[1])
+        assert found[0].omega_c == pytest.approx(tuple(stretch), rel=0.02)
+        assert found[0].where == "at the start"
         assert [f.size_sigma for f in found] == sorted((f.size_sigma for f in found), reverse=True)
         curves = residual_torques(base())
         assert not find_failures(base(), curves, [], Criteria(failure_sigma=1e6, harmonic_sigma=1e6))
