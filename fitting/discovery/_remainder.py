@@ -124,15 +124,16 @@ class Torques:
             return float(whole.sum() > 0), float(np.sqrt(whole.max()))
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
-    def shape_error(self, law: Effect, freed: Effect) -> tuple[float, float, float]:
+    def shape_error(self, law: Effect, freed: Effect, fit: Fit) -> tuple[float, float, float]:
         """Return the size of the difference of a law with a free shape and that of the library, best scaled.
 
-        Its shares of the mean square unmodelled torque and of that of the law itself, and its rms [N m].
+        Its shares of the mean square unmodelled torque and of that of the law itself, and its rms [N m]. The parameters
+        of the law with a free shape are those of `fit`.
         """
         total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(2)
         for case, t in enumerate(self._time):
             y = Sampler(self._end.predictions[case].path.mesh, t).value(self._end.predictions[case].path.y)
-            numbers = self._end.problem.layout.numbers(self._end.theta, case)
+            numbers = fit.problem.layout.numbers(fit.theta, case)
             known: dict[str, Any] = {
                 "t": t,
                 "omega_r": y[:, 0],
@@ -337,7 +338,7 @@ def grade(
     share, rms = unexplained = torques.remaining(selection.named)
     whole = "unmodelled torque"
     for e in free if not others else []:
-        of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e)
+        of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e, end)
         # the fit of a law of the wrong shape may be in another minimum: then the law is closer than its fit
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:

@@ -1,10 +1,12 @@
 """Every decision threshold is a documented field of one record, and results depend on it."""
 
+import math
 from dataclasses import FrozenInstanceError, fields, replace
 from functools import cache
 
 import pytest
 import twobody
+from scipy.stats import chi2, norm
 
 import fitting
 from fitting._criteria import Criteria
@@ -97,3 +99,20 @@ def test_excess_noise_compares_the_fit_with_the_recording():
 def test_the_number_of_refits_falls_with_the_reversals_of_an_oscillation():
     criteria = Criteria()
     assert [criteria.refits_through(n) for n in (0, 20, 125, 180, 251, 10_000)] == [4, 4, 4, 2, 1, 1]
+
+
+def test_thresholds_with_a_source_have_the_value_of_the_source():
+    """Kass and Raftery 1995, prior odds of one to five, and the probabilities that the fields state."""
+    found = Criteria()
+    assert (found.evidence, found.evidence_periodic, found.shape_evidence) == (2.0, 10.0, 10.0)
+    assert (found.equivalence_width, found.refit_shortfall, found.own_phase) == (10.0, 10.0, 10.0)
+    assert found.measurement_penalty == pytest.approx(2 * math.log(5), abs=0.05)
+    assert found.essential_sigma == pytest.approx(norm.isf(0.001 / 2), abs=0.05)
+    assert found.harmonic_sigma == pytest.approx(math.sqrt(chi2.isf(1e-4, 2)), abs=0.05)
+    assert found.changepoint_score == 5.0**2
+    # a random torque of two degrees of freedom has such a deviance in one recording in fifty
+    assert chi2.sf(found.correlated_noise, 2) == pytest.approx(0.02, abs=0.003)
+    # an answer is named at 3 %, and contradicted by what noise shows in one recording in a thousand
+    assert found.significance == 0.03
+    assert found.doubt_adequate == found.spectral_line == found.periodic_torque == 0.001
+    assert found.doubt_adequate < found.doubt_named < found.significance

@@ -125,3 +125,7 @@ def test_prior_needs_a_regular_covariance():
         Prior(("a.k", "b.k"), (1.0, 1.0), ((1.0, 1.0), (1.0, 1.0)))
     with pytest.raises(EstimationError, match="not finite"):
         Prior(("a.k",), (float("nan"),), ((1.0,),))
+    for variance in (0.0, -0.5):
+        with pytest.raises(EstimationError, match="singular"):
+            Prior(("a.k",), (1.0,), ((variance,),))
+    assert Prior(("a.k",), (1.0,), ((1e-30,),)).mean == (1.0,)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fitting._errors import SimulationError
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._library import LIBRARY, REDUCED, typical_of_model
-from fitting.inference._simulation import Experiment, simulate_path
+from fitting.inference._simulation import Experiment, simulate, simulate_path
 
 _DURATION = 6.0
 
@@ -29,3 +30,24 @@ def test_the_motion_with_each_effect_is_that_of_another_integrator(name):
         max_step=0.02 if model.angle_dependent or "deflection" in motion.states else np.inf,
     )
     assert path.edges[-1][:2] == pytest.approx(reference.y[:2, -1], rel=1e-6)
+
+
+@pytest.mark.parametrize(("start", "inside"), [(-0.1, False), (0.0, True), (1.9, True), (2.1, False)])
+def test_windows_are_inside_the_recording(start, inside):
+    experiment = Experiment(
+        duration=5.0, casing_fps=50.0, rotor_fps=50.0, windows=(start,), window_length=3.0
+    )
+
+    def record():
+        numbers = {"bearing.linear.d": 1e-7}
+        return simulate(
+            Model.of(["bearing.linear"]), numbers, experiment, inertia_rotor=5e-5, inertia_casing=2e-5
+        )
+
+    if not inside:
+        with pytest.raises(SimulationError, match="outside"):
+            record()
+        return
+    made = record()
+    assert (made.rotor[0].time[0], len(made.rotor[0].time)) == (start, 150)
+    assert len(made.casing.time) == 250

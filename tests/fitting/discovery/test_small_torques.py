@@ -1,0 +1,236 @@
+"""Torques of other kinds on the wheel of `test_small_case`: a step, a wave in time, one in the angle, another friction.
+
+Amplitudes, frequencies, phases and times are those of the torque that SciPy integrated.
+"""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fitting._criteria import DEFAULT
+from fitting.discovery import _lack_of_fit as lack_of_fit
+from fitting.discovery._difference import different_parameter, improves_on_difference
+from fitting.discovery._lack_of_fit import (
+    contradiction,
+    harmonic_test,
+    nonparametric_law,
+    nonparametric_rivals,
+    periodogram_peak,
+    significant_peak,
+    smooth_test,
+)
+from fitting.discovery._refine import refit
+from fitting.discovery._residuals import angle_harmonics
+from fitting.discovery._score import CaseColumns, score
+from fitting.discovery._select import separate_values
+from fitting.dynamics._model import Model
+from fitting.effects._library import LIBRARY
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import make_record
+
+INERTIA, SIGMA, B1, B2 = 2e-3, 1e-3, 1e-3, 2e-5
+TIME = np.linspace(0.0, 30.0, 1200)
+STEP, ONSET = -3e-4, 12.0
+WAVE, RATE = 2e-4, 5.0
+HARMONIC, ORDER = 1.2e-3, 3
+HIDDEN = {
+    "nothing": lambda t, w, psi: 0.0,
+    "step": lambda t, w, psi: STEP * (t > ONSET),
+    "wave": lambda t, w, psi: WAVE * np.cos(RATE * t + 0.4),
+    "harmonic": lambda t, w, psi: HARMONIC * np.sin(ORDER * psi - 0.7),
+    "drag": lambda t, w, psi: -4e-7 * w**2,
+    "more friction": lambda t, w, psi: -2e-4,
+}
+
+
+@cache
+def record(hidden, label="case", seed=0, speed=60.0, **more):
+    torque = HIDDEN[hidden]
+    done = solve_ivp(
+        lambda t, y: [y[1], (torque(t, y[1], y[0]) - B1 - B2 * y[1]) / INERTIA], (0, 30), [0.0, speed],
+        t_eval=TIME, rtol=1e-10, atol=1e-10, max_step=0.05,
+    )  # fmt: skip
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(TIME))
+    return make_record(
+        casing=(TIME, done.y[0] + noise, np.full(len(TIME), SIGMA)), rotor=[], I_rotor=1.0, I_casing=INERTIA,
+        single=True, label=label, **more,
+    )  # fmt: skip
+
+
+@cache
+def fitted(*hidden, speed=60.0):
+    data = [CaseData.of(record(h, f"run {i}", i, speed)) for i, h in enumerate(hidden)]
+    shared = ["touchpoint.constant.b1", "casing.air.linear.b2"] if len(data) > 1 else []
+    return fit(Model.of(("touchpoint.constant", "casing.air.linear")), data, share=shared)
+
+
+class TestStep:
+    def test_onset_and_size_are_those_of_the_torque(self):
+        base = fitted("step")
+        (screened,) = score(base, [LIBRARY["touchpoint.step"]], [CaseColumns(base, 0)], DEFAULT)
+        assert screened.score > DEFAULT.changepoint_score
+        found = refit(base, screened, DEFAULT)
+        onset, size = (found.estimates[f"touchpoint.step.{s}"] for s in ("t0", "k"))
+        assert abs(onset.value - ONSET) < max(4 * onset.stderr, 0.05)
+        # friction of the library is counted positive
+        assert abs(size.value + STEP) < 4 * size.stderr
+        assert 0 < size.stderr < 0.1 * abs(STEP)
+        assert found.bic < base.bic - DEFAULT.evidence
+
+
+class TestWave:
+    def test_frequency_and_amplitude_are_those_of_the_torque(self):
+        peak = significant_peak(fitted("wave"), DEFAULT)
+        assert peak.rate == pytest.approx(RATE, abs=0.02)
+        assert peak.torque == pytest.approx(WAVE, rel=0.1)
+        assert peak.angle == pytest.approx(peak.torque / (INERTIA * peak.rate**2), rel=1e-6)
+        assert peak.p_value < 1e-10
+        assert peak.law.startswith("casing: k*cos(")
+        assert contradiction(None, fitted("wave"), DEFAULT) == peak
+
+    def test_noise_has_no_significant_peak(self):
+        peak = periodogram_peak(fitted("nothing"))
+        assert peak.p_value > DEFAULT.doubt_adequate
+        assert significant_peak(fitted("nothing"), DEFAULT) is None
+        lowest, highest, step = self.periodogram("nothing").band
+        assert lowest == pytest.approx(2 * np.pi * 10 / 30.0, rel=0.02)
+        assert highest > 2 * RATE
+        assert step == pytest.approx(np.pi / 30.0, rel=0.02)
+
+    def periodogram(self, hidden):
+        found = fitted(hidden)
+        return lack_of_fit._Periodogram(found.problem.data[0], found.predictions[0], found.noise[0])
+
+    @pytest.mark.parametrize(("share", "believed"), [(0.5, False), (2.0, True)])
+    def test_on_film_it_has_to_exceed_the_noise_of_one_angle(self, share, believed):
+        found = fitted("wave")
+        data = found.problem.data[0]
+        angle = periodogram_peak(found).angle
+        sigma = replace(data.record.casing, sigma=np.full(len(TIME), angle / share))
+        film = SimpleNamespace(
+            **{n: getattr(data.record, n) for n in ("I_casing", "label", "body", "torque_unit")}
+        )
+        film.tracked, film.casing = True, sigma
+        monkey = _With(data, record=film)
+        peak = lack_of_fit._highest_peak(monkey, found.predictions[0], found.noise[0], 1)
+        assert (peak.p_value < 1e-6) is believed
+
+
+class _With:
+    """An object with some attributes replaced; the rest of the computation is that of the original."""
+
+    def __init__(self, original, **replaced):
+        self._original, self._replaced = original, replaced
+        self._asked = {}
+
+    def __getattr__(self, name):
+        if name == "record":
+            return _Merged(self._replaced["record"], self._original.record)
+        return getattr(self._original, name)
+
+
+class _Merged:
+    def __init__(self, first, second):
+        self._both = first, second
+
+    def __getattr__(self, name):
+        first, second = self._both
+        return getattr(first, name) if hasattr(first, name) else getattr(second, name)
+
+
+class TestHarmonic:
+    """Slow turns respond to a torque of the angle: the wheel has about one turn a second."""
+
+    def test_order_and_amplitude_are_those_of_the_torque(self):
+        base = fitted("harmonic", speed=22.0)
+        test = harmonic_test(base, DEFAULT)
+        assert test.order == ORDER
+        assert test.p_value < DEFAULT.doubt_adequate
+        assert test.fit is not None
+        k, phi = (test.fit.estimates[f"harmonic.{s}"] for s in ("k", "phi"))
+        assert abs(k.value) == pytest.approx(HARMONIC, rel=0.15)
+        turned = phi.value if k.value > 0 else phi.value + np.pi
+        assert np.cos(turned - 0.7) > 0.95
+
+    def test_noise_has_no_harmonic(self):
+        assert harmonic_test(fitted("nothing"), DEFAULT).p_value > DEFAULT.doubt_adequate
+        assert angle_harmonics(fitted("nothing")) is not None
+
+
+class TestSpeed:
+    def test_a_drag_depends_on_the_speed(self):
+        test = smooth_test(fitted("drag"))
+        assert test.body == "body"
+        assert test.p_value < 1e-6
+        assert contradiction(None, fitted("drag"), DEFAULT) is not None
+
+    def test_any_law_of_the_speed_explains_as_much_as_the_drag(self):
+        base = fitted("drag")
+        (drag,) = score(base, [LIBRARY["casing.air.quadratic"]], [CaseColumns(base, 0)], DEFAULT)
+        whole = nonparametric_law(base, "casing", "omega_c")
+        assert drag.score - 3.0 < whole < drag.score + 30.0
+        chosen = SimpleNamespace(
+            physical=True, score=drag.score, screened=drag, effect=LIBRARY["touchpoint.drift"]
+        )
+
+        def named(score):
+            return nonparametric_rivals(
+                base, SimpleNamespace(**{**vars(chosen), "score": score}), None, DEFAULT
+            )
+
+        assert named(drag.score) == (lack_of_fit.UNKNOWN_LAWS["omega_c"],)
+        assert named(whole + 11.0) == ()
+        assert named(whole + 9.0) == (lack_of_fit.UNKNOWN_LAWS["omega_c"],)
+        in_time = SimpleNamespace(any_in_time=True)
+        chosen.score = whole + 11.0
+        assert nonparametric_rivals(base, chosen, in_time, DEFAULT) == (lack_of_fit.UNKNOWN_IN_TIME,)
+        # a law of this speed alone is no rival of one of its own kind
+        chosen.score, chosen.effect = drag.score, LIBRARY["casing.air.quadratic"]
+        assert nonparametric_rivals(base, chosen, None, DEFAULT) == ()
+        assert nonparametric_rivals(base, None, in_time, DEFAULT) == ()
+
+
+class TestDifference:
+    """Two runs, the second one with more dry friction by 0.2 mN m."""
+
+    def test_the_parameter_that_differs_and_by_how_much(self):
+        base = fitted("nothing", "more friction")
+        found = different_parameter(base, DEFAULT)
+        assert found.parameter.name == "touchpoint.constant.b1"
+        difference = found.parameter.differences["run 1"]
+        assert abs(difference.value - 2e-4) < 4 * difference.stderr
+        # of two independent values
+        both = [e.stderr for e in found.parameter.estimates.values()]
+        assert 0.1 * min(both) < difference.stderr < 3.0 * max(both)
+        assert found.parameter.delta_bic == pytest.approx(found.fit.bic - base.bic)
+        assert found.parameter.p_value < 1e-10
+        assert found.penalised_bic > found.fit.bic
+        assert "--per-case touchpoint.constant.b1" in found.parameter.sentence
+        assert different_parameter(base, DEFAULT, least=1e12) is None
+        # an explanation that is as good has to be beaten within the width
+        fitted_rival = (base, found.penalised_bic - DEFAULT.equivalence_width + 1.0)
+        assert different_parameter(base, DEFAULT, rival=fitted_rival) is not None
+        fitted_rival = (base, found.penalised_bic - DEFAULT.equivalence_width - 1.0)
+        assert different_parameter(base, DEFAULT, rival=fitted_rival) is None
+
+    def test_equal_runs_do_not_differ(self):
+        assert different_parameter(fitted("nothing", "nothing"), DEFAULT) is None
+        assert different_parameter(fitted("nothing"), DEFAULT) is None
+
+    def test_an_effect_that_describes_the_data_as_well_is_preferred(self):
+        base = fitted("nothing", "more friction")
+        found = different_parameter(base, DEFAULT)
+        drag = LIBRARY["casing.air.quadratic"]
+        assert not improves_on_difference(found, [drag], [0.0], DEFAULT)
+        kept = separate_values(base, [], [], DEFAULT)
+        assert kept is not None
+        assert kept.parameter.name == found.parameter.name
+        candidate = lambda bic: SimpleNamespace(physical=True, score=1.0, fit=SimpleNamespace(bic=bic))  # noqa: E731
+        assert separate_values(base, [candidate(kept.penalised_bic - 1.0)], [], DEFAULT) is None
+        assert separate_values(base, [candidate(kept.penalised_bic + 1.0)], [], DEFAULT) is not None
+        assert separate_values(fitted("nothing", "nothing"), [], [], DEFAULT) is None

@@ -1,0 +1,259 @@
+"""Formulas of the noise of a case and of a recording, compared with direct evaluations of their definitions."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.linalg import solve
+from scipy.stats import chi2 as chi_square
+from scipy.stats import multivariate_normal, norm
+
+from fitting.inference import _noise as noise
+from fitting.inference import _process_noise as process
+from fitting.inference._compression import compress
+from fitting.inference._noise import (
+    Whitener,
+    possible_scales,
+    remaining_level,
+    tail_probability,
+    unresolved_level,
+)
+from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
+from fitting.inference._record import Samples
+
+RNG = np.random.default_rng(0)
+ROWS = 6
+RESPONSE = RNG.standard_normal((ROWS - 1, ROWS - 1))
+KERNEL = RESPONSE @ RESPONSE.T
+VALUES, VECTORS = np.linalg.eigh(KERNEL)
+WHITENER = Whitener(VECTORS, VALUES, 0.0)
+RESIDUAL = RNG.standard_normal(ROWS)
+FREE = RNG.standard_normal((ROWS, 2))
+
+
+def covariance(level):
+    """1 + level^2 K; the last row does not respond to a torque."""
+    whole = np.eye(ROWS)
+    whole[:-1, :-1] += level**2 * KERNEL
+    return whole
+
+
+def restricted_deviance(level):
+    """-2 log of the restricted likelihood, by its textbook formula; columns of unit length."""
+    c = covariance(level)
+    x = FREE / np.linalg.norm(FREE, axis=0)
+    inner = x.T @ solve(c, x)
+    fitted = np.linalg.solve(inner, x.T @ solve(c, RESIDUAL))
+    rest = RESIDUAL - x @ fitted
+    return np.linalg.slogdet(c)[1] + np.linalg.slogdet(inner)[1] + rest @ solve(c, rest)
+
+
+class TestWhitener:
+    def test_rows_have_unit_covariance(self):
+        found = WHITENER.at(0.7)(np.eye(ROWS))
+        assert found @ covariance(0.7) @ found.T == pytest.approx(np.eye(ROWS))
+        assert WHITENER.at(0.7)(RESIDUAL) == pytest.approx(found @ RESIDUAL)
+        assert WHITENER.at(0.0)(RESIDUAL) is RESIDUAL
+        assert WHITENER.at(0.7).log_determinant == pytest.approx(np.linalg.slogdet(covariance(0.7))[1])
+
+    def test_the_share_of_the_torque_is_that_of_the_variance(self):
+        white = WHITENER.at(0.7)
+        direction = white(FREE[:, :1])
+        direction /= np.linalg.norm(direction)
+        shaped = np.zeros((ROWS, ROWS))
+        shaped[:-1, :-1] = 0.49 * KERNEL
+        root = white(np.eye(ROWS))
+        expected = float((direction.T @ root @ shaped @ root.T @ direction)[0, 0])
+        assert white.share(direction) == pytest.approx(expected)
+        assert WHITENER.at(0.0).share(direction) == pytest.approx(0.0)
+
+    def test_the_deviance_is_that_of_the_restricted_likelihood(self):
+        rotated, values = noise._rotated(WHITENER, RESIDUAL, FREE)
+        differences = [
+            noise._deviance(rotated, 1 + s**2 * values) - noise._deviance(rotated, 1 + 0 * values)
+            for s in (0.3, 2.0)
+        ]
+        expected = [restricted_deviance(s) - restricted_deviance(0.0) for s in (0.3, 2.0)]
+        assert differences == pytest.approx(expected)
+
+
+class TestLevels:
+    @pytest.mark.parametrize("size", [0.1, 3.0, 10.0])
+    def test_the_most_likely_level(self, size):
+        residual = np.append(size * RESPONSE @ np.array([1.0, -1.0, 0.5, 2.0, -0.3]), 0.5)
+        level, excess = remaining_level(WHITENER, residual, FREE[:, :0])
+        trial = np.append(0.0, np.geomspace(0.01, 100.0, 300))
+        found = np.array([-2 * multivariate_normal(cov=covariance(s)).logpdf(residual) for s in trial])
+        best = trial[found.argmin()]
+        if best == 0.0:
+            assert (level, excess) == (0.0, 0.0)
+        else:
+            assert level == pytest.approx(best, rel=0.04)
+            assert excess == pytest.approx(found[0] - found.min(), rel=0.05)
+
+    @pytest.mark.parametrize("expected", [0.2, 1.0])
+    def test_an_unresolved_level_is_the_posterior_mean(self, expected):
+        """No torque or one of a half-normal prior, with equal probabilities."""
+        residual = 0.8 * RESIDUAL
+
+        def likelihood(s):
+            return multivariate_normal(cov=covariance(s)).pdf(residual)
+
+        def weighted(power):
+            return quad(
+                lambda s: s**power * likelihood(s) * 2 * norm(scale=expected).pdf(s), 0, 4 * expected
+            )[0]
+
+        root = np.sqrt(weighted(2) / (likelihood(0.0) + weighted(0)))
+        assert unresolved_level(WHITENER, residual, FREE[:, :0], expected) == pytest.approx(root, rel=0.08)
+        assert unresolved_level(WHITENER, residual, FREE[:, :0], 0.0) == 0.0
+
+    def test_the_peak_of_a_parabola_in_the_logarithm(self):
+        levels = np.append(0.0, np.geomspace(0.01, 100.0, 30))
+        likelihood = np.append(-50.0, -((np.log(levels[1:] / 1.7)) ** 2))
+        assert noise._peak(levels, likelihood) == pytest.approx(1.7)
+        assert noise._peak(levels, -levels) == 0.0
+        assert noise._peak(levels, levels) == levels[-1]
+
+    @pytest.mark.parametrize(("level", "raised"), [(1.4, False), (1.6, True)])
+    def test_half_more_than_the_lowest_level_is_raised(self, level, raised):
+        recorded = SimpleNamespace(level=2.0, least=0.5)
+        found = noise.Noise(
+            1.0, pure=4.0, pure_u=1.0, level=level, time=1.0, whitener=WHITENER, process=recorded
+        )
+        assert found.least == 1.0
+        assert found.raised is raised
+        assert found.with_unresolved.level == level
+        assert noise.replace(found, unresolved=3.0).with_unresolved.level == 3.0
+        assert noise.replace(found, unresolved=3.0).with_unresolved.whitener.level == 3.0
+
+
+class TestTails:
+    def cases(self):
+        ratios = (np.array([0.5, 2.0]), np.array([1.0]))
+        weights = (np.array([0.25, 0.75]), np.array([1.0]))
+        return [
+            SimpleNamespace(process=SimpleNamespace(ratios=r, weights=w))
+            for r, w in zip(ratios, weights, strict=True)
+        ]
+
+    def test_an_uncertain_noise_scales_its_share_of_the_variance(self):
+        scales, weights = possible_scales(self.cases(), [0.4, 0.9])
+        assert scales == pytest.approx([0.6 + 0.4 * 0.5, 0.6 + 0.4 * 2.0, 1.0])
+        assert weights == pytest.approx([0.125, 0.375, 0.5])
+        expected = sum(w * chi_square(3).sf(7.0 / s) for s, w in zip(scales, weights, strict=True))
+        assert tail_probability(7.0, 3, self.cases(), [0.4, 0.9]) == pytest.approx(expected)
+        assert tail_probability(7.0, 3, [], []) == pytest.approx(chi_square(3).sf(7.0))
+        assert tail_probability(-1.0, 3, [], []) == 1.0
+
+    @pytest.mark.parametrize(("chi2", "dof"), [(3.0, 4), (9.0, 4), (60.0, 20), (200.0, 20)])
+    def test_the_factor_of_a_variance_is_a_posterior_mean(self, chi2, dof):
+        """Factor 1, or an inverse factor that is uniform between 0 and 1, with equal probabilities."""
+        density = lambda f: f * chi_square(dof).pdf(chi2 * f)  # noqa: E731 - of chi2 at the variance 1 / f
+        mass = quad(density, 0, 1)[0]
+        mean = quad(lambda f: density(f) / f, 0, 1)[0]
+        one = chi_square(dof).pdf(chi2)
+        assert noise.variance_factor(chi2, dof) == pytest.approx((one + mean) / (one + mass), rel=1e-6)
+
+    def test_decaying_sums(self):
+        w = RNG.standard_normal((5, 2))
+        weights = np.triu(0.7 ** np.maximum(np.arange(5) - np.arange(5)[:, None], 0))
+        assert noise.decaying_sums(w, 0.7) == pytest.approx(weights @ w)
+
+
+def run(level=0.0, correlation=0.3, *, angle=True, seed=1, n=3000, span=20.0):
+    """A body that slows down by 2 rad/s2, with a random acceleration [rad/s2]."""
+    t = np.linspace(0.0, span, n)
+    step, rng = t[1], np.random.default_rng(seed)
+    keep = np.exp(-step / correlation)
+    random = np.zeros(n)
+    for k in range(1, n):
+        random[k] = keep * random[k - 1] + level * np.sqrt(1 - keep**2) * rng.standard_normal()
+    speed = 80.0 - 2.0 * t + np.cumsum(random) * step
+    sigma = 1e-3 if angle else 1e-2
+    value = (np.cumsum(speed) * step if angle else speed) + sigma * rng.standard_normal(n)
+    return compress(Samples(t, value, np.full(n, sigma)), degree=6, blocks=8)
+
+
+class TestProcessNoise:
+    def test_the_mean_acceleration(self):
+        assert mean_acceleration(run()) == pytest.approx(2.0 * 7 / 8, rel=0.02)  # of eight parts
+        assert mean_acceleration(run(span=40.0)) == pytest.approx(2.0 * 7 / 8, rel=0.02)
+
+    @pytest.mark.parametrize("angle", [True, False])
+    def test_the_level_of_a_random_acceleration_is_estimated(self, angle):
+        data = run(0.5, angle=angle)
+        found = estimate_process_noise(data, np.zeros((len(data.z), 0)), np.zeros((0, 0)), angle=angle)
+        assert found.level**2 * found.time == pytest.approx(0.25 * 0.3, rel=1.5)
+        assert abs(found.level - 0.5) < 4 * found.level_u
+        assert 0.0 < found.least < found.level
+        assert found.weights.sum() == pytest.approx(1.0)
+        assert 0.5 < found.weights @ found.ratios < 2.0
+
+    @pytest.mark.parametrize("angle", [True, False])
+    def test_without_one_it_is_a_part_of_the_resolution(self, angle):
+        data = run(angle=angle)
+        found = estimate_process_noise(data, np.zeros((len(data.z), 0)), np.zeros((0, 0)), angle=angle)
+        parts = StretchLikelihood.of(
+            [process.Stretch(data, np.arange(4), np.zeros((len(data.z), 0)), 11, angle=angle)], None
+        )
+        assert found.level < parts.unit(found.time)
+
+    def test_the_response_to_a_random_acceleration_is_its_integral(self):
+        """Of rows that are orthogonal to a parabola, by direct integration of the covariance at the nodes."""
+        for angle in (True, False):
+            data = run(angle=angle)
+            stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3, angle=angle)
+            covariance, unit = stretch.torque_covariance(0.5)
+            assert np.median(np.diag(covariance)) == pytest.approx(1.0)
+            k = data.lift.shape[1]
+            nodes = data.node_times[: 2 * k]
+            grid = np.linspace(nodes.min(), nodes.max(), 1500)
+            step = grid[1] - grid[0]
+            since = np.maximum(nodes[:, None] - grid, 0.0) if angle else (nodes[:, None] > grid).astype(float)
+            of_nodes = since @ np.exp(-np.abs(grid[:, None] - grid) / 0.5) @ since.T * step**2
+            lift = np.zeros((2 * k, 2 * k))
+            for b in range(2):
+                lift[b * k : (b + 1) * k, b * k : (b + 1) * k] = data.lift[b]
+            rows = stretch._complement.T @ lift
+            expected = rows @ of_nodes @ rows.T
+            assert 1 / unit**2 == pytest.approx(np.median(np.diag(expected)), rel=0.15)
+            assert covariance / unit**2 == pytest.approx(expected, abs=0.1 * expected.max())
+
+    def test_the_prior_of_a_level_is_half_a_student_distribution(self):
+        """In the logarithm of the level; its scale is the root of resolution / (2 T), or the typical acceleration."""
+        levels = np.geomspace(1e-4, 1e5, 4000)
+        for resolution, time, typical, scale in (
+            (0.08, 1.0, np.inf, 0.2),
+            (0.08, 1.0, 0.1, 0.1),
+            (0.08, 0.25, np.inf, 0.4),
+        ):
+            density = np.exp(process._log_prior(levels, time, resolution, typical))
+            x = levels / scale
+            assert density == pytest.approx(x / (1 + x**2 / 3) ** 2)
+
+    def test_bins_keep_means_and_weights(self):
+        values, weights = RNG.lognormal(size=500), RNG.uniform(size=500)
+        mean, total = process._binned(values, weights)
+        assert total.sum() == pytest.approx(1.0)
+        assert mean @ total == pytest.approx(values @ weights / weights.sum())
+        assert len(mean) <= 60
+        assert (np.diff(mean) > 0).all()
+
+    def test_the_likelihood_of_a_stretch(self):
+        data = run(0.5)
+        stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
+        r, (kernel, unit) = stretch.projected, stretch.torque_covariance(0.3)
+        (found,) = StretchLikelihood.of([stretch], None)(0.3, np.array([2.0 * unit]))
+        expected = multivariate_normal(cov=np.eye(len(r)) + 4.0 * kernel, allow_singular=True).logpdf(r)
+        assert found == pytest.approx(expected + 0.5 * len(r) * np.log(2 * np.pi))
+        assert stretch.likelihood(None) == pytest.approx(-0.5 * r @ r)
+        more = 3.0 * np.eye(len(data.z))
+        assert stretch.likelihood(more) == pytest.approx(-0.5 * r @ r / 4.0 - len(r) * np.log(2.0))
+        levels = process._GRID[1:] * unit
+        likely = [
+            multivariate_normal(cov=np.eye(len(r)) + (s / unit) ** 2 * kernel, allow_singular=True).logpdf(r)
+            for s in levels
+        ]
+        assert stretch.most_likely_level([0.3]) == pytest.approx(levels[int(np.argmax(likely))])

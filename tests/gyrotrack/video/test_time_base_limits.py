@@ -1,0 +1,137 @@
+"""Thresholds of the time base, on stamps made for one side and the other."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack._errors import VideoError
+from gyrotrack.video import _time_base as module
+from gyrotrack.video._time_base import FrameTimes, Timing, capture_rate, frame_numbers, stamp_warnings, uneven
+
+FPS = 100.0
+EVEN = np.arange(400) / FPS
+
+
+def info(container=100.0, tag=None):
+    return SimpleNamespace(container_fps=container, tag_fps=tag, path="film.mp4")
+
+
+class TestRate:
+    @pytest.mark.parametrize(
+        ("requested", "profile", "tag", "container", "fps"),
+        [
+            (240.0, 120.0, 60.0, 30.0, 240.0),
+            (None, 120.0, 60.0, 30.0, 120.0),
+            (None, None, 60.0, 30.0, 60.0),
+            (None, None, None, 101.0, 101.0),
+            (None, None, None, 100.0, 100.0),
+        ],
+    )
+    def test_who_states_the_rate(self, requested, profile, tag, container, fps):
+        assert capture_rate(info(container, tag), requested, profile).fps == fps
+
+    @pytest.mark.parametrize("container", [99.0, np.nan])
+    def test_a_slow_container_may_be_slow_motion(self, container):
+        with pytest.raises(VideoError, match="does not state"):
+            capture_rate(info(container))
+
+    @pytest.mark.parametrize("fps", [0.0, -1.0, np.inf])
+    def test_an_impossible_rate_is_refused(self, fps):
+        with pytest.raises(VideoError, match="not possible"):
+            capture_rate(info(), fps)
+
+    @pytest.mark.parametrize(("fps", "warned"), [(100.09, 0), (100.2, 2), (99.8, 2)])
+    def test_a_thousandth_is_a_difference(self, fps, warned):
+        assert len(capture_rate(info(100.0, 100.0), fps).warnings) == warned
+
+
+class TestNumbers:
+    @pytest.mark.parametrize(("step", "missing"), [(1.45, 0), (1.55, 1), (2.0, 1), (3.4, 2)])
+    def test_a_gap_is_more_than_one_and_a_half_periods(self, step, missing):
+        stamps = np.arange(60) / FPS
+        stamps[30:] += (step - 1.0) / FPS
+        assert frame_numbers(stamps, 1e-6)[-1] == 59 + missing
+
+    @pytest.mark.parametrize(("tick", "missing"), [(1e-3, 0), (1e-4, 1)])
+    def test_coarse_ticks_jitter_by_one(self, tick, missing):
+        """At 1000 frames/s, a step of two periods is one tick of 1 ms more than one."""
+        stamps = np.arange(60) / 1000.0
+        stamps[30:] += 1 / 1000.0
+        assert frame_numbers(stamps, tick)[-1] == 59 + missing
+
+    @pytest.mark.parametrize(("odd", "gaps"), [(0.08, True), (0.13, False)])
+    def test_stamps_of_uneven_rate_have_no_gaps(self, odd, gaps):
+        stamps = np.arange(401) / FPS
+        moved = np.arange(10, 10 + round(odd * 400 / 2) * 4, 4)
+        stamps[moved] += 0.3 / FPS  # each changes two steps
+        stamps[350:] += 2.0 / FPS
+        assert bool(frame_numbers(stamps, 1e-6)[-1] == 402) is gaps
+
+    @pytest.mark.parametrize(("count", "counted"), [(3, False), (6, True)])
+    def test_one_stamp_in_a_hundred_may_go_back(self, count, counted):
+        stamps = EVEN.copy()
+        stamps[20 : 20 + 10 * count : 10] -= 1.5 / FPS
+        (text,) = stamp_warnings(stamps)
+        assert f"{count} timestamps do not increase" in text
+        assert ("times are counted" in text) is counted
+        assert stamp_warnings(EVEN) == ()
+
+    @pytest.mark.parametrize(
+        ("off", "count", "found"), [(4e-3, 40, False), (8e-3, 40, True), (0.3, 3, False), (0.3, 6, True)]
+    )
+    def test_stamps_are_uneven_beyond_half_a_percent_of_a_period_in_one_of_a_hundred(self, off, count, found):
+        stamps = EVEN.copy()
+        stamps[np.linspace(5, 390, count).astype(int)] += off / FPS * np.where(np.arange(count) % 2, 1, -1)
+        assert uneven(np.arange(400), stamps, 1e-7) is found
+
+    @pytest.mark.parametrize(("off", "found"), [(0.7, False), (0.85, True)])
+    def test_three_quarters_of_a_tick_are_rounding(self, off, found):
+        stamps = EVEN + off * 1e-3 * np.where(np.arange(400) % 2, 1, -1)
+        assert uneven(np.arange(400), stamps, 1e-3) is found
+
+
+class TestSource:
+    @pytest.mark.parametrize(("ratio", "stamped"), [(1.04, True), (1.06, False), (0.96, True), (0.94, False)])
+    def test_a_film_within_five_percent_of_the_rate_is_live(self, ratio, stamped):
+        stamps = (EVEN + 2e-3 * np.sin(2 * np.pi * 1.3 * EVEN)) / ratio
+        times = Timing("auto", FPS).of(stamps, 1e-6)
+        assert (times.place is not None) is stamped
+        if stamped:
+            assert times.place == pytest.approx((stamps - stamps[0]) * FPS, abs=0.02)
+
+    def test_stamps_of_slow_motion_are_scaled_to_the_rate(self):
+        stamps = 8.0 * (EVEN + 2e-3 * np.sin(2 * np.pi * 1.3 * EVEN))
+        times = Timing("stamps", FPS).of(stamps, 1e-6)
+        assert times.place == pytest.approx((stamps - stamps[0]) / 8.0 * FPS, abs=0.3)
+        assert np.polyfit(np.arange(400), times.place, 1)[0] == pytest.approx(1.0, rel=1e-6)
+
+    def test_an_inserted_frame_is_between_its_neighbours(self):
+        again = np.array([False, False, True, True, False])
+        times = FrameTimes(np.array([0, 1, 1, 1, 2]), again=again)
+        assert times.seconds(10.0) == pytest.approx([0.0, 0.1, 0.15, 0.175, 0.2])
+
+    @pytest.mark.parametrize(("jitter", "smoothed"), [(0.2, True), (2.0, False)])
+    def test_rounding_is_smoothed_and_jitter_beyond_it_is_not(self, jitter, smoothed):
+        """Places in periods, stamps in ticks of a tenth of a period."""
+        rng = np.random.default_rng(0)
+        number = np.arange(400)
+        true = number + 0.3 * np.sin(number / 40.0)
+        place = np.round((true + 0.1 * jitter * rng.standard_normal(400)) / 0.1) * 0.1
+        found, sigma = module._without_rounding(number, place, 0.1)
+        assert (found is not place) is smoothed
+        rounding = 0.1 / np.sqrt(12)
+        assert sigma == pytest.approx(rounding) if not smoothed else 0.1 * rounding < sigma < rounding
+        if smoothed:
+            assert np.std(found - true) < 1.5 * sigma
+
+    @pytest.mark.parametrize(("size", "kept"), [(0.1, True), (1e-4, False)])
+    def test_a_slow_change_of_the_rate_is_kept_where_it_is_significant(self, size, kept):
+        number = np.arange(400)
+        slow = size * np.sin(number / 60.0)
+        place = number + slow + 0.02 * np.random.default_rng(0).standard_normal(400)
+        found = module._without_jitter(number, place)
+        straight = np.polyval(np.polyfit(number, place, 1), number)
+        assert np.allclose(found, straight) is not kept
+        if kept:
+            assert np.std(found - number - slow) < 0.01
