@@ -126,8 +126,8 @@ def remove_remains(folder: Path) -> None:
     for own in folder.glob(".*.lock"):
         with suppress(OSError, OutputError):
             with open_side_file(own) as stream:
-                written = stream.read(_LOCK_SIZE).startswith(_LOCK_LINE)
-            if written:
+                content = stream.read(_LOCK_SIZE)
+            if not content or content.startswith(_LOCK_LINE):
                 with locked(own.with_name(own.name.removeprefix(".").removesuffix(".lock")), 0.0):
                     pass
 

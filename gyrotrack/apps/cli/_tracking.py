@@ -240,7 +240,7 @@ def extract_command(
 
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
-    from gyrotrack.io._atomic import is_left, refuse_existing
+    from gyrotrack.io._atomic import is_left, mark_new, refuse_existing
     from gyrotrack.io._records import doubts_of
     from gyrotrack.plotting._frames import (
         check_contact_sheet,
@@ -257,7 +257,8 @@ def extract_command(
     task = ExtractionJob(
         video, target, chosen, capture_fps, body.value if body else None, times.value, workers
     )
-    done = task.earlier() if (resume or is_left(target)) and not force else None
+    left = is_left(target) and not force
+    done = task.earlier() if (resume and not force) or left else None
     for path, replace in ((target, force or done is not None), (overlay, force), (contact_sheet, force)):
         if path is not None:
             refuse_existing(path, force=replace, reads=[video, profile])
@@ -272,6 +273,8 @@ def extract_command(
             command=command_line(), bar=bar, tell=out.note, resume=resume or not force, force=force
         )
     else:
+        if left:
+            mark_new(target, target)
         out.note(f"{target} is already complete.")
     for warning in recording.warnings:
         out.warn(warning)

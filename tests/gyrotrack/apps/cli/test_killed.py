@@ -8,13 +8,6 @@ from pathlib import Path
 
 import pytest
 
-ROBUSTNESS = Path(__file__).parents[4] / "benchmarks" / "robustness"
-if not ROBUSTNESS.is_dir():
-    pytest.skip("the benchmark is not part of a source package", allow_module_level=True)
-sys.path.insert(0, str(ROBUSTNESS))
-
-import kill  # noqa: E402
-
 CLIPS = Path(__file__).parents[4] / "sample_clips"
 ANGLES = "t,angle\n" + "".join(f"{0.01 * k},{0.1 * k - 1e-4 * k * k}\n" for k in range(200))
 # killed when everything is written, before the result is printed
@@ -59,13 +52,3 @@ def test_the_demo_replaces_nothing(gyrotrack, tmp_path, name):
     assert said.error["message"] == f"{tmp_path / name} already exists."
     assert (tmp_path / name).read_text() == content
     assert names(tmp_path) == [name]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
-@pytest.mark.parametrize("name", kill.QUICK)
-def test_after_kills_at_random_moments_nothing_is_lost(tmp_path_factory, name):
-    place = tmp_path_factory.getbasetemp() / "kill"
-    outcome = kill.kills(place, [name], 5, 7)[name]
-    assert outcome.killed == 5
-    assert outcome.wrong == []
