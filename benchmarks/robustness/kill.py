@@ -20,6 +20,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from http.client import HTTPException
 from pathlib import Path
 from urllib.error import URLError
 from urllib.request import HTTPCookieProcessor, Request, build_opener
@@ -247,7 +248,7 @@ def server_trial(store, folder, moment, chance, outcome):
             confirmed, sent = label, sent + 1
             if chance.random() < 0.2:
                 server.ask(f"api/project/upload?name=u{sent}.csv", content)
-    except (URLError, OSError, ValueError):
+    except (URLError, HTTPException, OSError, ValueError):
         pass
     os.waitpid(pid, 0)
     server.process.wait()
