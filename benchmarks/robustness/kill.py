@@ -1,11 +1,11 @@
-"""kill -9 at random moments of extract, sync, fit and batch: nothing half-written, nothing lost, and it goes on.
+"""kill -9 at random moments of every command that writes: nothing lost, and the same command again ends well.
 
-    python benchmarks/robustness/kill.py --work /tmp/robust --count 50
+    python benchmarks/robustness/kill.py --work /tmp/robust --count 300
 
-`--count` kills that land for each of the four: a moment is drawn over the time that the command took when it last
-ran to its end, and again where it came too late. An earlier output is there each time; after each kill every
-output must be either the earlier one, byte for byte, or a new one that is sound; then the same command must
-complete.
+A trial copies a folder of small inputs, starts one command and kills it; the moment is drawn over the time that the
+command takes. Every file that was there must then be unchanged, or, where the command replaces it, sound. The same
+command must end with 0 or 3, and leave the files that an undisturbed run leaves, none beside them and none in the
+folder of temporary files. `view` is the workbench's server, killed while it stores entries and receives files.
 """
 
 import argparse
@@ -19,187 +19,289 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import dataclass, field
+from http.client import HTTPException
 from pathlib import Path
+from urllib.error import URLError
+from urllib.request import HTTPCookieProcessor, Request, build_opener
 
-from common import ROOT, commit, ensure, films, gyrotrack, report
+ROOT = Path(__file__).parents[2]
+INERTIAS = ["--inertia-rotor", "4.2e-6", "--inertia-casing", "1.6e-6"]
 
-from gyrotrack.io._contents import inspect_file
+# command, and the files that it needs
+COMMANDS = {
+    "profile": (["profile", "rotor_1.mp4", "-o", "p.toml", "--picture", "p.png"], ["rotor_1.mp4"]),
+    "extract": (["extract", "rotor_1.mp4", "--capture-fps", "500", "-o", "r.h5"], ["rotor_1.mp4"]),
+    "extract overlay": (
+        ["extract", "rotor_1.mp4", "--capture-fps", "500", "-o", "r.h5", "--overlay", "o.png"],
+        ["rotor_1.mp4"],
+    ),
+    "extract --force": (
+        ["extract", "rotor_1.mp4", "--capture-fps", "500", "-o", "rotor_1.h5", "--force"],
+        ["rotor_1.mp4", "rotor_1.h5"],
+    ),
+    "import": (["import", "--body", "t.csv", "--inertia", "1e-5", "-o", "c.h5"], ["t.csv"]),
+    "spindown": (["spindown", "t.csv", "-o", "c.h5"], ["t.csv"]),
+    "sync": (["sync", "casing.h5", "rotor_1.h5", *INERTIAS, "-o", "c.h5"], ["casing.h5", "rotor_1.h5"]),
+    "fit": (["fit", "wheel.h5"], ["wheel.h5", "wheel.fits.json"]),
+    "diagnose": (["diagnose", "wheel.h5"], ["wheel.h5", "wheel.fits.json"]),
+    "improve": (["improve", "wheel.h5"], ["wheel.h5"]),
+    "ladder": (["ladder", "wheel.h5", "--note", "f1=a note"], ["wheel.h5", "wheel.fits.json"]),
+    "budget": (["budget", "wheel.h5"], ["wheel.h5", "wheel.fits.json"]),
+    "report": (["report", "wheel.h5", "-o", "r.html"], ["wheel.h5", "wheel.fits.json"]),
+    "report pdf": (["report", "wheel.h5", "-o", "r.pdf"], ["wheel.h5", "wheel.fits.json"]),
+    "compare": (
+        ["compare", "wheel.h5", "other.h5", "--picture", "d.png"],
+        ["wheel.h5", "wheel.fits.json", "other.h5", "other.fits.json"],
+    ),
+    "plan": (["plan", "wheel.h5", "--picture", "p.png"], ["wheel.h5", "wheel.fits.json"]),
+    "export": (["export", "wheel.h5", "-o", "w.csv"], ["wheel.h5"]),
+    "export parquet": (["export", "wheel.h5", "-o", "w.parquet"], ["wheel.h5"]),
+    "simulate": (["simulate", "-o", "s.h5", "--hide", "--duration", "20"], []),
+    "scan": (["scan", "run.h5", "--csv", "s.csv", "--latex", "s.tex"], ["run.h5"]),
+    "figures": (["figures", "run.h5", "-o", "f"], ["run.h5"]),
+    "batch": (["batch", "films", "-o", "b", "--until", "extract", "--workers", "2"], ["films"]),
+}
+QUICK = ("import", "export", "fit", "ladder", "report", "simulate")
 
-VERBS = ("extract", "sync", "fit", "batch")
+
+@dataclass
+class Outcome:
+    """Counts of one command."""
+
+    killed: int = 0
+    ended: int = 0  # before the kill
+    finished: int = 0  # everything was written and removed, and the program about to end
+    wrong: list[str] = field(default_factory=list)
+
+
+def environment(temporary):
+    """Return the environment of a command with its own folder of temporary files."""
+    temporary.mkdir(exist_ok=True)
+    return {**os.environ, "TMPDIR": str(temporary), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+
+def begin(words, folder, **options):
+    """Start a command in a folder."""
+    options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, **options}
+    env = environment(folder.with_name(folder.name + ".tmp"))
+    return subprocess.Popen([sys.executable, "-m", "gyrotrack", *words], cwd=folder, env=env, **options)
+
+
+def contents(folder):
+    """Return the hash of each file in a folder."""
+    return {
+        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
 
 
 def sound(path):
-    """Tell whether a file of ours can be read to its last byte."""
+    """Whether a file of gyrotrack can be read to its end."""
+    from gyrotrack.io._contents import inspect_file
+
+    if path.suffix == ".lock":
+        return True
     if path.suffix == ".h5":
         return not inspect_file(path, verify=True).problems
-    if path.suffix == ".json":
-        return bool(json.loads(path.read_text()))
-    return path.name.endswith((".lock", ".jsonl", ".unfinished", ".csv", ".html"))
+    if path.suffix in {".json", ".jsonl"}:
+        return all(
+            json.loads(line) for line in ([path.read_text()] if path.suffix == ".json" else path.open())
+        )
+    return path.stat().st_size > 0
 
 
-def states(folder):
-    """Return the hash of each output; what is on its way (``.part``, ``.unfinished``) is no output."""
-    return {
-        p: hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file() and not p.name.endswith((".part", ".unfinished", ".lock"))
-    }
+def make(place):
+    """Make the inputs of all commands, once."""
+    store = place / "inputs"
+    if (store / "done").exists():
+        return store
+    shutil.rmtree(place, ignore_errors=True)
+    (store / "films").mkdir(parents=True)
+
+    def run(*words):
+        process = begin([*map(str, words), "-q"], store, stderr=None)
+        if process.wait() not in {0, 3}:
+            raise SystemExit(f"cannot go on: {words}")
+
+    times = [*INERTIAS, "--window-length", "0.6", "--casing-fps", "260", "--rotor-fps", "500"]
+    run("simulate", "-o", "drawn.h5", "--film", "drawn", "--duration", "8", *times)
+    for name, rate in (("casing", "260"), ("rotor_1", "500")):
+        shutil.copy(store / f"drawn/{name}.mp4", store)
+        run("extract", f"{name}.mp4", "--capture-fps", rate, "-o", f"{name}.h5")
+    shutil.copy(store / "rotor_1.mp4", store / "films/a_500fps.mp4")
+    shutil.copy(store / "drawn/rotor_2.mp4", store / "films/b_500fps.mp4")
+    run("simulate", "-o", "run.h5", "--duration", "20", "--casing-fps", "100", "--rotor-fps", "300")
+    for name, scale in (("t", 1.0), ("wheel", 1.0), ("other", 1.3)):
+        rows = [wheel(0.02 * k, scale) for k in range(1500)]
+        (store / f"{name}.csv").write_text("t [s],omega [rad/s],sigma [rad/s]\n" + "".join(rows))
+        if name != "t":
+            run("import", "--body", f"{name}.csv", "--inertia", "2e-3", "-o", f"{name}.h5")
+            run("fit", f"{name}.h5")
+    (store / "done").touch()
+    return store
 
 
-def begin(words):
-    """Start a command, in a process group of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "gyrotrack", *map(str, words)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=ROOT,
-        start_new_session=True,
-    )
+def wheel(t, scale):
+    """Return a line of a table: a wheel with dry friction and noise."""
+    chance = random.Random(f"{t} {scale}")  # noqa: S311 - noise, not secrets
+    return f"{t:.3f},{scale * (80 - 1.5 * t) + chance.gauss(0, 0.05):.5f},0.05\n"
 
 
-def finish(words):
-    """Run a command to its end; return its exit code."""
-    return begin(words).wait()
+def laid_out(store, needed, folder):
+    """Make a fresh folder with the needed inputs."""
+    temporary = folder.with_name(folder.name + ".tmp")
+    for old in (folder, temporary):
+        shutil.rmtree(old, ignore_errors=True)
+    folder.mkdir()
+    for name in needed:
+        copy = shutil.copytree if (store / name).is_dir() else shutil.copy
+        copy(store / name, folder / name)
 
 
-def trial(verb, words, folder, moment, rung_count):
-    """Kill once; return whether it was in time, what was wrong, and how long a whole run took [s]."""
-    before = states(folder)
-    process = begin(words)
-    start, whole = time.monotonic(), None
-    try:
-        process.wait(timeout=moment)
-        landed, whole = "ended before", time.monotonic() - start
-    except subprocess.TimeoutExpired:
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        landed = "killed"
-    time.sleep(0.1 if verb == "batch" else 0.0)  # its workers end with it
+def measured(name, store, folder):
+    """Run a command undisturbed; return how long it takes [s] and which files it leaves."""
+    words, needed = COMMANDS[name]
+    laid_out(store, needed, folder)
+    start = time.monotonic()
+    code = begin(words, folder).wait()
+    if code not in {0, 3}:
+        raise SystemExit(f"cannot go on: {name} ends with {code}")
+    return time.monotonic() - start, set(contents(folder))
+
+
+def trial(name, store, folder, moment, expected, outcome):
+    """Kill a command once, at a moment [s]."""
+    words, needed = COMMANDS[name]
+    laid_out(store, needed, folder)
+    before = contents(folder)
+    process = begin(words, folder)
+    time.sleep(moment)
+    process.kill()
+    if process.wait() != -signal.SIGKILL:
+        outcome.ended += 1
+        return
+    outcome.killed += 1
+    after = contents(folder)
     wrong = []
-    after = states(folder)
     for path, old in before.items():
         if path not in after:
-            wrong.append(f"{path.name} was lost")
-        elif after[path] != old and not sound(path):
-            wrong.append(f"{path.name} is not sound")
-    wrong += [f"{p.name} is not sound" for p in after if p not in before and not sound(p)]
-    if verb == "fit":
-        count = rung_count(folder)
-        if count < rung_count.before:
-            wrong.append("an earlier fit was lost")
-    code = finish(words)
-    if code not in {0, 3}:
-        wrong.append(f"the next run ended with {code}")
-    wrong += [f"{p.name} is not sound after the next run" for p in states(folder) if not sound(p)]
-    left = [p.name for p in folder.rglob("*") if p.name.endswith((".part", ".unfinished"))]
-    wrong += [f"{name} was left behind" for name in left]
-    return landed, wrong, whole
+            wrong.append(f"{path} was lost")
+        elif after[path] != old and not sound(folder / path):
+            wrong.append(f"{path} is not sound")
+    complete = set(after) == expected and all(sound(folder / p) for p in expected)
+    with (folder.with_name("said")).open("w+") as said:
+        code = begin(words, folder, stderr=said).wait()
+        said.seek(0)
+        text = said.read()
+    if code == 1 and complete and "already exists" in text:
+        outcome.finished += 1
+    elif code not in {0, 3}:
+        wrong.append(f"the next run ended with {code}: {text[-300:]}")
+    files = set(contents(folder))
+    wrong += [f"{p} was left" for p in sorted(files - expected)]
+    wrong += [f"{p} is missing" for p in sorted(expected - files)]
+    wrong += [f"{p} is not sound" for p in sorted(files) if not sound(folder / p)]
+    temporary = folder.with_name(folder.name + ".tmp")
+    wrong += [f"{p.name} was left among the temporary files" for p in temporary.iterdir()]
+    outcome.wrong += [f"{name}, {moment:.3f} s: {what}" for what in wrong]
 
 
-def rungs(folder):
-    """Return how many fits the ledger holds."""
-    return len(json.loads((folder / "run.fits.json").read_text())["fits"])
+class Server:
+    """The workbench's server on a folder, as the page talks to it."""
+
+    def __init__(self, folder):
+        words = ["view", "--folder", str(folder), "--no-browser", "--json"]
+        self.process = begin(words, folder, stdout=subprocess.PIPE, text=True)
+        self.address = json.loads(self.process.stdout.readline())["url"]
+        self.opener = build_opener(HTTPCookieProcessor())
+        self.opener.open(self.address, timeout=20).read()
+        self.root = self.address.partition("?")[0]
+
+    def ask(self, path, content=None):
+        """Return the answer to a request; `content` is sent."""
+        request = Request(self.root + path, content, {"Sec-Fetch-Site": "same-origin"})  # noqa: S310 - own server
+        return json.loads(self.opener.open(request, timeout=20).read())
+
+    def set(self, name, value):
+        """Store an entry."""
+        document = {"key": "", "name": name, "value": value}
+        return self.ask("api/project/set", json.dumps(document).encode())
 
 
-def prepared(work, verbs):
-    """Lay out a folder for each command, with an earlier output in it; return the words of each."""
-    clips, place = films(work), work / "kill"
-    for verb in verbs:
-        shutil.rmtree(place / verb, ignore_errors=True)
-        (place / verb).mkdir(parents=True)
-    sources = tracked(clips, place / f"sources_{verbs[0]}")
-    film, output = clips / "rotor_1.mp4", place / "extract/r.h5"
-    if "extract" in verbs:
-        shutil.copy(sources / "rotor_1.h5", output)
-    if "fit" in verbs:
-        shutil.copy(work / "run.h5", place / "fit" / "run.h5")
-    few = place / "few"
-    few.mkdir(exist_ok=True)
-    shutil.copy(film, few / "a_500fps.mp4")
-    shutil.copy(clips / "rotor_2.mp4", few / "b_500fps.mp4")
-    both = [sources / "casing.h5", sources / "rotor_1.h5"]
-    return {
-        "extract": ["extract", film, "--capture-fps", "500", "-o", output, "--force", "--resume"],
-        "sync": ["sync", *both, "-o", place / "sync/c.h5", "--force"],
-        "fit": ["fit", place / "fit/run.h5", "--model", "reduced"],
-        "batch": ["batch", few, "-o", place / "batch", "--until", "extract", "--workers", "2"],
-    }
+def server_trial(store, folder, moment, chance, outcome):
+    """Kill the server while entries are stored and a file is received; what it has confirmed must be there again."""
+    laid_out(store, ["t.csv", "rotor_1.mp4"], folder)
+    server, confirmed, sent = Server(folder), "", 0
+    content = (store / "t.csv").read_bytes()
+    end = time.monotonic() + moment
+    pid = os.fork()
+    if pid == 0:
+        time.sleep(max(0.0, end - time.monotonic()))
+        os.kill(server.process.pid, signal.SIGKILL)
+        os._exit(0)
+    try:
+        while True:
+            label = f"label {sent}"
+            server.set("label", label)
+            confirmed, sent = label, sent + 1
+            if chance.random() < 0.2:
+                server.ask(f"api/project/upload?name=u{sent}.csv", content)
+    except (URLError, HTTPException, OSError, ValueError):
+        pass
+    os.waitpid(pid, 0)
+    server.process.wait()
+    outcome.killed += 1
+    again = Server(folder)
+    found = again.ask("api/project")
+    label = found["fields"]["label"]
+    if label not in {confirmed, f"label {sent}"}:
+        outcome.wrong.append(f"view, {moment:.3f} s: {label!r} instead of {confirmed!r}")
+    again.process.send_signal(signal.SIGINT)
+    if again.process.wait(timeout=20) != 0:
+        outcome.wrong.append(f"view, {moment:.3f} s: ended with {again.process.returncode}")
+    stray = [n for n in contents(folder) if n.endswith((".part", ".lock", ".unfinished"))]
+    outcome.wrong += [f"view, {moment:.3f} s: {n} was left" for n in stray]
+    half = [p.name for p in folder.glob("u*.csv") if p.read_bytes() != content]
+    outcome.wrong += [f"view, {moment:.3f} s: {n} is incomplete" for n in half]
 
 
-def tracked(clips, sources):
-    """Track a casing film and a rotor film, unless that is done; return where the recordings are."""
-    sources.mkdir(exist_ok=True)
-    for name, fps in (("casing", "260"), ("rotor_1", "500")):
-        output = sources / f"{name}.h5"
-        if not output.exists():
-            code, said = gyrotrack("extract", clips / f"{name}.mp4", "--capture-fps", fps, "-o", output)
-            ensure(code == 0, str(said))
-    return sources
-
-
-def kills(verb, words, folder, record, chance):
-    """Kill one command again and again; yield after each trial, which is a line of the record."""
-    seconds = timed(verb, words)
-    while True:
-        if verb == "batch":  # something to do each time, and something done before
-            (folder / "b_500fps" / "b_500fps.h5").unlink()
-        rungs.before = rungs(folder) if verb == "fit" else 0
-        moment = chance.uniform(0.0, seconds)
-        how, wrong, whole = trial(verb, words, folder, moment, rungs)
-        seconds = whole or seconds
-        line = {"verb": verb, "how": how, "moment": round(moment, 3), "wrong": wrong, "commit": commit()}
-        with record.open("a") as stream:
-            stream.write(json.dumps(line) + "\n")
-        yield
-
-
-def summed_up(record, began):
-    """Print what the record holds."""
-    moments = told(record)
-    bad = [line for line in map(json.loads, record.read_text().splitlines()) if line["wrong"]]
-    killed = sum(c["killed"] for c in moments.values())
-    report("kill -9", began, kills=killed, moments=moments, failures=len(bad), first_failures=bad[:10])
+def kills(place, names, count, seed):
+    """Kill each command equally often; return the outcomes by command."""
+    store, chance = make(place), random.Random(seed)  # noqa: S311 - moments, not secrets
+    outcomes = {name: Outcome() for name in names}
+    for k, name in enumerate(names):
+        share, folder = (count + k) // len(names), place / "work"
+        outcome = outcomes[name]
+        if name == "view":
+            while outcome.killed < share:
+                server_trial(store, folder, chance.uniform(0.0, 2.0), chance, outcome)
+            continue
+        seconds, expected = measured(name, store, folder)
+        while outcome.killed < share:
+            trial(name, store, folder, chance.uniform(0.0, seconds), expected, outcome)
+        print(name, f"{seconds:.1f} s", outcome, flush=True)
+    return outcomes
 
 
 def main():
     """Run and report."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--verbs", nargs="+", default=VERBS, choices=VERBS)
-    parser.add_argument(
-        "--minutes", type=float, default=1e9, help="stop early; another run goes on from there"
-    )
+    parser.add_argument("--commands", nargs="+", default=[*COMMANDS, "view"], choices=[*COMMANDS, "view"])
     asked = parser.parse_args()
     began = time.monotonic()
-    words = prepared(asked.work, asked.verbs)
-    record = asked.work / "kill.jsonl"  # a line a trial, so that a run can be cut into pieces
-    done = sum(sum(c.values()) for c in told(record).values())
-    chance = random.Random(1000 * asked.seed + done)  # noqa: S311 - moments, not secrets
-    for verb in asked.verbs:
-        if told(record)[verb]["killed"] >= asked.count:
-            continue
-        for _ in kills(verb, words[verb], asked.work / "kill" / verb, record, chance):
-            if told(record)[verb]["killed"] >= asked.count or time.monotonic() - began > 60 * asked.minutes:
-                break
-    summed_up(record, began)
+    outcomes = kills(asked.work.resolve() / "kill", asked.commands, asked.count, asked.seed)
+    total = Counter()
+    for outcome in outcomes.values():
+        total.update(killed=outcome.killed, ended=outcome.ended, finished=outcome.finished)
+    failures = [what for outcome in outcomes.values() for what in outcome.wrong]
+    from common import report
 
-
-def timed(verb, words):
-    """Run a command to its end; return how long it took [s]."""
-    start = time.monotonic()
-    ensure(finish(words) == 0, verb)
-    return time.monotonic() - start
-
-
-def told(record):
-    """Return how many trials of each kind there have been."""
-    lines = map(json.loads, record.read_text().splitlines()) if record.exists() else ()
-    counts = {verb: Counter() for verb in VERBS}
-    for line in lines:
-        counts[line["verb"]][line["how"]] += 1
-    return counts
+    report("kill -9", began, **total, failures=len(failures), first_failures=failures[:20])
 
 
 if __name__ == "__main__":

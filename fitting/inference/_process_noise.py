@@ -180,11 +180,17 @@ def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def mean_acceleration(run: Compressed) -> float:
-    """Return the mean absolute acceleration of a run, from the mean speeds in its parts [rad/s2]."""
+    """Return the mean absolute acceleration of a run, from the mean speeds in its parts [rad/s2].
+
+    It is at least the standard uncertainty of the change of speed over the run, per duration: angles without noise may
+    have no acceleration at all.
+    """
     t, y = run.samples.time, run.samples.value
     edges = np.linspace(0, len(t) - 1, int(np.clip(len(run.lift), 4, 12)) + 1).astype(int)
-    speed = np.diff(y[edges]) / np.diff(t[edges])
-    return float(np.abs(np.diff(speed)).sum() / np.ptp(t))
+    step = np.diff(t[edges])
+    speed = np.diff(y[edges]) / step
+    least = 2 * float(np.median(run.samples.sigma)) / float(np.median(step))
+    return max(float(np.abs(np.diff(speed)).sum()), least) / float(np.ptp(t))
 
 
 class WhitenedStretch:

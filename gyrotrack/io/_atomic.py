@@ -30,9 +30,8 @@ import secrets
 import stat
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -44,6 +43,7 @@ import numpy.typing as npt
 from filelock import FileLock, Timeout
 
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
+from gyrotrack.io._command_end import marks
 
 LOCK_TIMEOUT = 10.0  # longest time to wait for a lock [s]
 
@@ -121,6 +121,17 @@ _LOCK_SIZE = 1024
 _PART = r"\.[0-9a-f]{8}\.part"
 
 
+def remove_remains(folder: Path) -> None:
+    """Remove what a killed program has left of the files that it was writing into a folder."""
+    for own in folder.glob(".*.lock"):
+        with suppress(OSError, OutputError):
+            with open_side_file(own) as stream:
+                content = stream.read(_LOCK_SIZE)
+            if not content or content.startswith(_LOCK_LINE):
+                with locked(own.with_name(own.name.removeprefix(".").removesuffix(".lock")), 0.0):
+                    pass
+
+
 def open_side_file(path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
     """Open a file that this package makes beside an output; an OutputError if it is a link or has several names.
 
@@ -189,7 +200,8 @@ def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> No
 def refuse_existing(path: Path, *, force: bool, reads: Iterable[Path | None] = ()) -> None:
     """Raise `OutputError` if `path` is not a regular file, has no folder, or exists and `force` is not set.
 
-    With `force` too, none of the files that the command `reads` is replaced, under whatever name.
+    The output of a command that was killed before its end may be replaced. With `force` too, none of the files that the
+    command `reads` is replaced, under whatever name.
     """
     refuse_special(path, OutputError)
     if not path.parent.is_dir():
@@ -198,7 +210,7 @@ def refuse_existing(path: Path, *, force: bool, reads: Iterable[Path | None] = (
         with suppress(OSError):
             if source is not None and path.samefile(source):
                 raise OutputError(f"{path} is an input of this command.", "Give another name to the output.")
-    if not force and (path.exists() or path.is_symlink()):
+    if not force and (path.exists() or path.is_symlink()) and not is_left(path):
         raise OutputError(f"{path} already exists.", "Use --force to replace it, or -o for another name.")
 
 
@@ -237,8 +249,7 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(path, force=force)
-    if (report := _REPORT.get()) is not None:
-        report(path, part.stat())
+    mark_new(path, part)
     part.replace(path)
     with suppress(OSError):  # makes the rename durable, if supported
         folder = os.open(path.parent, os.O_RDONLY)
@@ -248,18 +259,49 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
             os.close(folder)
 
 
-Report = Callable[[Path, os.stat_result], None]
-_REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
+_MARKED = {"command": "outputs"}
 
 
-@contextmanager
-def reported(report: Report) -> Iterator[None]:
-    """Call `report` with the path and the status of each file that is complete, just before it gets its name."""
-    token = _REPORT.set(report)
-    try:
-        yield
-    finally:
-        _REPORT.reset(token)
+def mark_new(path: Path, content: Path) -> None:
+    """Mark `path`, which does not exist yet, as an output of the running command that `content` will be or is."""
+    held = marks()
+    if held is None:
+        return
+    if path.absolute() not in held:
+        if path.exists() and path != content and not _mark_path(path).exists():
+            return
+        held[path.absolute()] = CheckpointFile(_marked(path), _MARKED, resume=True, wait=0.0)
+    mark = held[path.absolute()]
+    if isinstance(mark, CheckpointFile):
+        mark.append(_identity(path, content.stat()), {})
+
+
+def is_left(path: Path) -> bool:
+    """Whether `path` is an output, unchanged since, of a command that was killed before its end."""
+    held = marks()
+    if (held is not None and path.absolute() in held) or not _mark_path(path).exists():
+        return False
+    with (
+        suppress(OutputError, OSError),
+        CheckpointFile(_marked(path), _MARKED, resume=True, wait=0.0) as mark,
+    ):
+        if _identity(path, path.stat()) in [record.facts for record in mark.records()]:
+            return True
+        mark.discard()
+    return False
+
+
+def _marked(path: Path) -> Path:
+    return path.with_name(f"{path.name}.outputs")
+
+
+def _mark_path(path: Path) -> Path:
+    return checkpoint_path(_marked(path))
+
+
+def _identity(path: Path, status: os.stat_result) -> dict[str, Any]:
+    """Return what distinguishes a file from any other that may have its name later."""
+    return {"name": path.name, "ino": status.st_ino, "size": status.st_size, "mtime_ns": status.st_mtime_ns}
 
 
 @contextmanager
@@ -297,16 +339,18 @@ class CheckpointFile:
 
     `facts` identify the run: film, settings, version. With `resume` an existing checkpoint of equal facts is continued;
     otherwise a new one is started, and `other` says whether one of another run was replaced. An OutputError is raised
-    if another program writes the same output, or the write fails.
+    if another program writes the same output for longer than `wait` [s], or the write fails.
     """
 
-    def __init__(self, output: Path, facts: Mapping[str, Any], *, resume: bool = False) -> None:
+    def __init__(
+        self, output: Path, facts: Mapping[str, Any], *, resume: bool = False, wait: float | None = None
+    ) -> None:
         self.path = checkpoint_path(Path(output))
         self.facts: dict[str, Any] = json.loads(json.dumps(dict(facts)))
         self.other = False
         self._ends: list[int] = []
         with ExitStack() as stack:
-            stack.enter_context(locked(self.path))
+            stack.enter_context(locked(self.path, wait))
             try:
                 self._stream = stack.enter_context(open_side_file(self.path, os.O_RDWR | os.O_CREAT))
                 head = self._stream.read(len(_LINE))
@@ -331,7 +375,7 @@ class CheckpointFile:
         unusable = isinstance(value, GyrotrackError) and not isinstance(value, OutputError)
         if not len(self) or unusable:
             self.discard()
-        self._open.close()
+        self.close()
 
     def append(self, facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Add a record and flush it."""
@@ -357,6 +401,10 @@ class CheckpointFile:
     def restart(self) -> None:
         """Drop all records."""
         self._start()
+
+    def close(self) -> None:
+        """Close the file and release its lock."""
+        self._open.close()
 
     def discard(self) -> None:
         """Remove the checkpoint of a finished run."""

@@ -1,18 +1,14 @@
-"""The outputs of one command: checked before the work begins, and all written or none.
-
-A command that is killed between two of its outputs has written a list of those that are complete,
-``<first output>.outputs.unfinished``; the same command then replaces exactly these files, without ``--force``.
-"""
+"""The outputs of one command: checked before the work begins, and all written or none."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gyrotrack._errors import UsageError
-from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, refuse_existing, reported
+from gyrotrack.io._atomic import refuse_existing
+from gyrotrack.io._command_end import marking
 
 
 @contextmanager
@@ -23,48 +19,15 @@ def new_outputs(*outputs: Path | None, force: bool, reads: Iterable[Path | None]
     for k, path in enumerate(paths):
         if path.resolve() in {other.resolve() for other in paths[:k]}:
             raise UsageError(f"{path} is the name of two outputs.", "Give different names.")
-    if len(paths) < 2 or not paths[0].parent.is_dir():
-        for path in paths:
-            refuse_existing(path, force=force, reads=sources)
-        yield
-        return
     for path in paths:  # before anything is written
-        refuse_existing(path, force=force or is_unfinished(paths[0]), reads=sources)
-    with CheckpointFile(_listed(paths[0]), {"command": "outputs"}, resume=True) as journal:
-        known = [record.facts for record in journal.records()]
-        for path in paths:
-            with suppress(OSError):
-                if _identity(path, path.stat()) in known:
-                    path.unlink()
-            refuse_existing(path, force=force, reads=sources)
-        journal.restart()
-        new = [path for path in paths if not path.exists()]
-
-        def report(path: Path, part: os.stat_result) -> None:
-            if path in new:
-                journal.append(_identity(path, part), {})
-
+        refuse_existing(path, force=force, reads=sources)
+    with marking() as marks:
+        earlier = set(marks)
         try:
-            with reported(report):
-                yield
+            yield
         except BaseException:
-            for path in new:
-                with suppress(OSError):
-                    path.unlink()
-            journal.discard()
+            for path in paths:
+                if path.absolute() in marks.keys() - earlier:
+                    with suppress(OSError):
+                        path.unlink()
             raise
-        journal.discard()
-
-
-def is_unfinished(first: Path) -> bool:
-    """Whether a command was killed that has this first output."""
-    return checkpoint_path(_listed(first)).exists()
-
-
-def _listed(first: Path) -> Path:
-    return first.with_name(f"{first.name}.outputs")
-
-
-def _identity(path: Path, status: os.stat_result) -> dict[str, object]:
-    """Return what distinguishes a file from any other that may have its name later."""
-    return {"name": path.name, "ino": status.st_ino, "size": status.st_size, "mtime_ns": status.st_mtime_ns}

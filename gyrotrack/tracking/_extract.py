@@ -495,8 +495,8 @@ class ExtractionJob:
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
         ) as journal:
             taken = frames_done(journal)
-            if resume:
-                tell(_resumed(journal, taken))
+            if origin := _resumed(journal, taken):
+                tell(origin)
             if limit := self._limit_of_processes():
                 tell(limit)
             start = perf_counter()
@@ -506,7 +506,8 @@ class ExtractionJob:
                     recording = extract(self.video, self.profile, **own, progress=progress, journal=journal)
             except KeyboardInterrupt:
                 if kept := frames_done(journal):
-                    tell(f"{kept} frames are stored. Continue with the same command and --resume.")
+                    word = "" if resume else " and --resume"
+                    tell(f"{kept} frames are stored. Continue with the same command{word}.")
                 raise
             rate = (recording.frames_decoded - taken) / max(perf_counter() - start, 1e-9)
             write_recording(self.target, recording, command=command, settings=self.settings, force=force)
@@ -527,4 +528,4 @@ def _resumed(journal: CheckpointFile, taken: int) -> str:
         return f"{taken} frames of an earlier run are used."
     if journal.other:
         return f"{journal.path.name} belongs to another film, profile or version; tracking starts from the first frame."
-    return "There is no unfinished run; tracking starts from the first frame."
+    return ""

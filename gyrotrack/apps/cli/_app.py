@@ -34,6 +34,7 @@ from gyrotrack.apps.cli._output import (
     running,
 )
 from gyrotrack.apps.cli._settings import Entry, Settings, find, lazy_group, read
+from gyrotrack.io._command_end import marking
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"
@@ -163,7 +164,7 @@ def run(arguments: Sequence[str]) -> int:
     args, debug = _without_debug(list(arguments))
     as_json = "--json" in _options(args)
     try:
-        with warnings.catch_warnings(), running(arguments):
+        with warnings.catch_warnings(), marking(), running(arguments):
             if not debug:
                 warnings.simplefilter("ignore")
             code = _with_settings(args)

@@ -17,6 +17,7 @@ from gyrotrack.apps._study import open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
+from gyrotrack.io._command_end import unmarked
 
 
 def report_command(
@@ -119,7 +120,7 @@ def figures_command(
 def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
     """Return the requested formats; raise an error if one is unknown or the folder cannot be used."""
     from gyrotrack.apps.report._paper import FORMATS, MAIN
-    from gyrotrack.io._outputs import is_unfinished
+    from gyrotrack.io._atomic import is_left
 
     wanted = list(dict.fromkeys(formats or FORMATS[:1]))
     unknown = [f for f in wanted if f not in FORMATS]
@@ -127,12 +128,13 @@ def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str
         raise UsageError(f"Unknown figure format: {unknown[0]}.", f"Formats: {', '.join(FORMATS)}.")
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output} is a file.", "Give the name of a folder with -o.")
-    if not force and (output / MAIN).exists() and not is_unfinished(output / MAIN):
+    if not force and (output / MAIN).exists() and not is_left(output / MAIN):
         what = f"{output} already contains figures."
         raise OutputError(what, "Use --force to replace them, or -o for another folder.")
     return wanted
 
 
+@unmarked
 def view_command(
     sources: Annotated[
         list[Path] | None,

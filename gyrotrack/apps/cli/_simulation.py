@@ -212,6 +212,7 @@ def demo_command(
     *,
     clips: Annotated[Path | None, option("--clips DIR", "Folder with study.toml and the films.")] = None,
     output: Annotated[Path, option("-o --output DIR", "Folder for the results.")] = Path("gyrotrack_demo"),
+    force: shared.Force = False,
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
@@ -219,40 +220,72 @@ def demo_command(
 
     Example: gyrotrack demo -o gyrotrack_demo
     """
+    from gyrotrack.io._outputs import new_outputs
+
     out = Output(as_json=as_json, quiet=quiet)
     began = perf_counter()
     folder = _find(clips)
     study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
     output.mkdir(parents=True, exist_ok=True)
-    out.show(f"1. Track the markers in the films of one run, in {folder}\n")
-    recordings = _extract(out, folder, study["clip"], output)
-    out.show("\n2. Synchronise the cameras by the angle of the casing, which both of them see\n")
-    case = output / "case.h5"
-    casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
-    rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
-    keys = ("inertia_rotor", "inertia_casing", "label", "surface")
-    options = [w for k in keys for w in (f"--{k.replace('_', '-')}", str(study[k]))]
-    _run(out, [["sync", *casing, *rotors, "-o", case, *options, "--force"]])
-    document = _study(out, case, output, folder / study["clip"][-1]["file"])
+    films = [folder / clip["file"] for clip in study["clip"]]
+    recordings, case = [output / f"{film.stem}.h5" for film in films], output / "case.h5"
+    made = [*recordings, case, output / "report.html", output / "story.png"]
+    _check_ledger(case, force=force)
+    with new_outputs(*made, force=force, reads=[*films, folder / "study.toml"]):
+        document = _analyse(out, folder, study, recordings, case, force=force)
     document["seconds"] = perf_counter() - began
     out.result(document)
     out.show(f"\nDone in {document['seconds']:.0f} s. Report: {document['report']}")
 
 
-def _study(out: Output, case: Path, output: Path, film: Path) -> dict[str, Any]:
+def _check_ledger(case: Path, *, force: bool) -> None:
+    """Raise an OutputError if there are fits of this case, unless a killed demo has made it."""
+    from fitting.study._history import Ledger
+    from gyrotrack.io._atomic import is_left, refuse_existing
+
+    refuse_existing(Ledger.default_for(case).path, force=force or is_left(case))
+
+
+def _analyse(
+    out: Output, folder: Path, study: dict[str, Any], recordings: list[Path], case: Path, *, force: bool
+) -> dict[str, Any]:
+    """Run the whole analysis; return its document."""
+    from fitting.study._history import Ledger
+
+    out.show(f"1. Track the markers in the films of one run, in {folder}\n")
+    _extract(out, folder, study["clip"], recordings, force=force)
+    out.show("\n2. Synchronise the cameras by the angle of the casing, which both of them see\n")
+    casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
+    rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
+    keys = ("inertia_rotor", "inertia_casing", "label", "surface")
+    options = [w for k in keys for w in (f"--{k.replace('_', '-')}", str(study[k]))]
+    _run(out, [["sync", *casing, *rotors, "-o", case, *options]], [case], force=force)
+    ledger = Ledger.default_for(case).path
+    ledger.unlink(missing_ok=True)  # the demo starts without earlier fits
+    try:
+        return _study(out, case, folder / study["clip"][-1]["file"], force=force)
+    except BaseException:
+        ledger.unlink(missing_ok=True)
+        raise
+
+
+def _study(out: Output, case: Path, film: Path, *, force: bool) -> dict[str, Any]:
     """Fit, diagnose, improve and report; return the documents."""
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._hdf5 import read_case
     from gyrotrack.plotting._discovery import story_picture
 
+    output = case.parent
     steps_of_history, diagnosis, document = _fit_and_diagnose(out, case)
     out.show(f"\n6. Write the report\n\n$ gyrotrack report {case} -o {output / 'report.html'}")
     target, stated = output / "report.html", {"command": "gyrotrack demo"}
     recordings = [read_case(case)]
     report = write_report(
-        target, steps_of_history, diagnosis, recordings=recordings, provenance=stated, force=True
+        target, steps_of_history, diagnosis, recordings=recordings, provenance=stated, force=force
     )
-    picture = story_picture(steps_of_history, diagnosis, output / "story.png", frame=_frame(film), force=True)
+    picture = story_picture(
+        steps_of_history, diagnosis, output / "story.png", frame=_frame(film), force=force
+    )
     return {"case": case, "report": report, "picture": picture, **document}
 
 
@@ -263,11 +296,8 @@ def _fit_and_diagnose(out: Output, case: Path) -> tuple[list[Step], Diagnosis, d
     from fitting.dynamics._model import Model
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
-    from fitting.study._history import Ledger
     from fitting.study._serialisation import diagnosis_document, fit_document, history_verdict
 
-    ledger = Ledger.default_for(case).path
-    ledger.unlink(missing_ok=True)  # the demo starts without earlier fits
     study = open_study([case], None)
     out.show("\n3. Fit the reduced model of the paper", f"\n$ gyrotrack fit {case}\n")
     base = fit(Model.of(REDUCED), study.data)
@@ -312,32 +342,41 @@ def _find(clips: Path | None) -> Path:
     )
 
 
-def _extract(out: Output, folder: Path, clips: Sequence[dict[str, Any]], output: Path) -> list[Path]:
+def _extract(
+    out: Output, folder: Path, clips: Sequence[dict[str, Any]], targets: Sequence[Path], *, force: bool
+) -> None:
     """Track all clips in parallel worker processes."""
-    jobs, targets = [], []
-    for clip in clips:
-        target = output / f"{Path(clip['file']).stem}.h5"
-        rate = ["--capture-fps", str(clip["capture_fps"])]
-        jobs.append(["extract", folder / clip["file"], *rate, "-o", target, "--force"])
-        targets.append(target)
+    jobs = [
+        ["extract", folder / clip["file"], "--capture-fps", str(clip["capture_fps"]), "-o", target]
+        for clip, target in zip(clips, targets, strict=True)
+    ]
     with out.progress("tracking films") as progress:
-        _run(out, jobs, progress)
-    return targets
+        _run(out, jobs, targets, progress, force=force)
 
 
-def _run(out: Output, jobs: Sequence[Sequence[object]], progress: Progress | None = None) -> None:
+def _run(
+    out: Output,
+    jobs: Sequence[Sequence[object]],
+    targets: Sequence[Path],
+    progress: Progress | None = None,
+    *,
+    force: bool,
+) -> None:
     """Run commands in worker processes and show their results; the first error is raised."""
     from gyrotrack.apps.batch._workers import LocalWorkers, cores
+    from gyrotrack.io._atomic import mark_new
 
-    lines = [[str(word) for word in job] for job in jobs]
+    lines = [[str(word) for word in (*job, *(["--force"] if force else []))] for job in jobs]
     workers = LocalWorkers(min(cores(), len(lines)))
     try:
         answers = [workers.submit(words, None) for words in lines]
-        for done, (words, answer) in enumerate(zip(lines, answers, strict=True), 1):
+        for done, (words, answer, target) in enumerate(zip(lines, answers, targets, strict=True), 1):
             document = answer.result()["document"]
             if "error" in document:
                 error = document["error"]
                 raise GyrotrackError(error["message"], error["hint"])
+            if not force:
+                mark_new(target, target)
             out.show(f"$ gyrotrack {shlex.join(words)}\n" + _step_summary(words[0], document))
             if progress is not None:
                 progress(done, len(lines))

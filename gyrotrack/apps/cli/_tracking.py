@@ -224,18 +224,23 @@ def extract_command(
             min=1,
         ),
     ] = None,
-    resume: Annotated[bool, option("--resume", "Continue an interrupted run, if there is one.")] = False,
+    resume: Annotated[
+        bool,
+        option(
+            "--resume", "Use what an interrupted run has tracked, and a complete output; also with --force."
+        ),
+    ] = False,
     force: shared.Force = False,
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
-    A checkpoint (OUT.h5.unfinished) is kept until the output is written; --resume continues from it.
+    A checkpoint (OUT.h5.unfinished) is kept until the output is written; the same command continues from it.
 
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
-    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._atomic import is_left, mark_new, refuse_existing
     from gyrotrack.io._records import doubts_of
     from gyrotrack.plotting._frames import (
         check_contact_sheet,
@@ -252,7 +257,8 @@ def extract_command(
     task = ExtractionJob(
         video, target, chosen, capture_fps, body.value if body else None, times.value, workers
     )
-    done = task.earlier() if resume and not force else None
+    left = is_left(target) and not force
+    done = task.earlier() if (resume and not force) or left else None
     for path, replace in ((target, force or done is not None), (overlay, force), (contact_sheet, force)):
         if path is not None:
             refuse_existing(path, force=replace, reads=[video, profile])
@@ -263,8 +269,12 @@ def extract_command(
     recording, fps = done, math.nan
     if recording is None:
         bar = partial(out.progress, f"tracking {video.name}", "frames")
-        recording, fps = task.run(command=command_line(), bar=bar, tell=out.note, resume=resume, force=force)
+        recording, fps = task.run(
+            command=command_line(), bar=bar, tell=out.note, resume=resume or not force, force=force
+        )
     else:
+        if left:
+            mark_new(target, target)
         out.note(f"{target} is already complete.")
     for warning in recording.warnings:
         out.warn(warning)

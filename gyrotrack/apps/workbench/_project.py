@@ -27,7 +27,7 @@ from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, re
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._films import corrected, marker_positions, positions
 from gyrotrack.apps.workbench._processes import Job, Jobs
-from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special
+from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special, remove_remains
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
 from gyrotrack.io._records import Inertia, Recording
 from gyrotrack.tracking._profile import parse, to_toml
@@ -116,6 +116,7 @@ class Project:
         self._read: tuple[tuple[str, int], Recording] | None = None
         self._holds = ExitStack()
         self._holds.enter_context(locked(self.folder / "workbench", 0.0))
+        remove_remains(self.folder)
         self.notes: list[str] = []
         self.state = self._read_state()
         self._saved = self.state.model_dump_json()

@@ -15,6 +15,13 @@ from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, factor, header_
 from gyrotrack.io.readers._spreadsheets import read_workbook
 from gyrotrack.io.readers._text_table import content_lines, read_text
 
+# a place before the beginning of the file is a ValueError
+_DAMAGED = (
+    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, ValueError, zlib.error,
+)  # fmt: skip
+_MOST_TABLES = 100
+_START = 2**14  # bytes of a table in which its columns are found
+
 
 def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Points:
     """Return the table of an Excel workbook, the project of Tracker, or the table of text in an archive.
@@ -36,19 +43,25 @@ def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Poi
                 )
             texts = [n for n in names if n.lower().endswith((".csv", ".txt", ".tsv"))]
             tables = [n for n in texts if not n.lower().startswith("meta/")]
-            held = {n: archive.read(n) for n in tables} if len(tables) > 1 else {}
-            moving = [n for n, text in held.items() if _is_motion(path, text)]
+            if len(tables) > _MOST_TABLES:
+                what = f"{path} contains {len(tables):,} tables of text."
+                raise DatasetError(what, "Unpack it, and give the table of the motion.")
+            moving = [n for n in tables if len(tables) > 1 and _is_motion(path, archive, n)]
             chosen = only_one(path, moving if len(moving) == 1 else tables, "tables of text", options)
             return read_text(path, *content_lines(path, archive.read(chosen)))
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error) as error:
+    except _DAMAGED as error:
         what = f"{path} is a damaged archive: {error}."
         raise DatasetError(what, "Download or export it again.") from error
 
 
-def _is_motion(path: Path, text: bytes) -> bool:
-    """Return whether a table of text has a column for an angle or an angular velocity."""
+def _is_motion(path: Path, archive: zipfile.ZipFile, name: str) -> bool:
+    """Return whether the start of a table of text has a column for an angle or an angular velocity."""
+    with archive.open(name) as stream:
+        start = stream.read(_START)
+    if len(start) == _START:
+        start = start[: start.rfind(b"\n") + 1]
     try:
-        raw = read_text(path, *content_lines(path, text))
+        raw = read_text(path, *content_lines(path, start))
     except DatasetError:
         return False
     heads = [header_of(name) for name in raw.names]

@@ -17,7 +17,8 @@ from gyrotrack.io.readers._motion_table import ReadOptions, only_one
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable, refuse_size, table_of
 from gyrotrack.io.readers._spreadsheets import too_many_cells
 
-_MAX_JSON = 2**26  # its numbers take ten times their text in memory
+_MAX_JSON = 2**25  # objects take thirty times their text in memory
+_MOST_NUMBERS = 30_000_000  # of a Parquet file
 _NESTED = ("list", "struct", "map", "large_list", "fixed_size_list")
 # columns of time, voltage, position and velocity in a test of a drive train
 _SIDES = {"left": (0, 1, 3, 5), "right": (0, 2, 4, 6)}
@@ -40,8 +41,12 @@ def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
     refuse_size(path, rows, file.metadata.num_columns)
     plain = [n for n, kind in kinds.items() if not kind.startswith(_NESTED)]
     words = [n for n in plain if "string" in kinds[n] or "binary" in kinds[n]]
-    if rows * len(plain) > 10 * MAX_CELLS or rows * len(words) > MAX_CELLS:
+    if not plain:
+        raise DatasetError(f"{path} contains nested columns only.", "Export columns of numbers.")
+    if rows * len(words) > MAX_CELLS:
         raise too_many_cells(path)
+    if rows * len(plain) > _MOST_NUMBERS:
+        raise too_many_cells(path, _MOST_NUMBERS)
     try:
         # a repeated text is kept once
         table = pq.read_table(io.BytesIO(content), columns=plain, read_dictionary=words)
@@ -85,9 +90,11 @@ def read_json(path: Path, content: bytes, options: ReadOptions) -> RawTable:
         if isinstance(document, dict) and isinstance(document.get("columns"), dict):
             units, document = dict(document.get("units") or {}), document["columns"]
         if isinstance(document, list):
+            refuse_size(path, len(document), len(document[0]))
             document = {k: [row.get(k) for row in document] for k in document[0]}
         columns = {str(k): v for k, v in document.items() if isinstance(v, list) and v}
         longest = max(len(v) for v in columns.values())
+        refuse_size(path, longest, len(columns))
     except (ValueError, RecursionError, AttributeError, LookupError, TypeError) as error:
         raise DatasetError(f"{path} is not a JSON table.", 'Write {"t": [...], "angle": [...]}.') from error
     columns = {k: v for k, v in columns.items() if len(v) == longest}

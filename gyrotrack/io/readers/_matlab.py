@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +19,8 @@ from gyrotrack.io._tables import check_storage, check_tree, load
 from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
 
 _COMPRESSED = 15  # type of a compressed element of a MATLAB file
+_ARRAYS_OF_ITEMS = {1, 2, 3}  # classes of arrays: cell, struct, object; each item has a tag of 8 bytes
+_MAX_DIMENSIONS = 128  # bytes of the sizes of an array
 
 
 def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
@@ -62,18 +66,37 @@ def _refuse_inflation(path: Path, content: bytes) -> None:
     at, size = 128, 0
     while at + 8 <= len(content):
         kind, length = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
+        element = content[at + 8 : at + 8 + length]
         if kind == _COMPRESSED:
-            inflater, rest = zlib.decompressobj(), content[at + 8 : at + 8 + length]
+            inflater, rest, pieces = zlib.decompressobj(), element, []
             while rest and size <= MAX_BYTES:
                 try:
-                    size += len(inflater.decompress(rest, 2**24))
+                    pieces.append(inflater.decompress(rest, 2**24))
                 except zlib.error:
                     break
+                size += len(pieces[-1])
                 rest = inflater.unconsumed_tail
+            element = b"".join(pieces)
+        _refuse_empty_arrays(path, element, order)
         at += 8 + length
     if size > MAX_BYTES:
         what = f"{path} is larger than {MAX_BYTES >> 20} MiB when expanded."
         raise DatasetError(what, "Save the variables of time and angle alone.")
+
+
+def _refuse_empty_arrays(path: Path, element: bytes, order: Literal["big", "little"]) -> None:
+    """Raise a DatasetError for a struct or cell array of more items than the element has room for."""
+    flags = (6).to_bytes(4, order) + (8).to_bytes(4, order)
+    dimensions = (5).to_bytes(4, order)
+    for found in re.finditer(
+        re.escape(flags) + rb"(.{8})" + re.escape(dimensions) + b"(.{4})", element, re.DOTALL
+    ):
+        kind = found[1][0 if order == "little" else 3]
+        sizes = element[found.end() : found.end() + min(int.from_bytes(found[2], order), _MAX_DIMENSIONS)]
+        count = math.prod(int.from_bytes(sizes[k : k + 4], order) for k in range(0, len(sizes), 4))
+        if kind in _ARRAYS_OF_ITEMS and count > len(element) / 8:
+            what = f"{path} declares an array of {count:,} items that it does not contain."
+            raise DatasetError(what, "Save it with -v7.")
 
 
 def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:

@@ -56,5 +56,9 @@ def _check(name: str, series: Series) -> None:
         if not (np.abs(values[~np.isnan(values)]) < LARGEST).all():
             what = f"The {quantity.replace('_', ' ')} of the {name} exceeds {LARGEST:g} in SI units."
             raise DatasetError(what, _HINT)
+    known = ~np.isnan(series.sigma)
+    if not (np.abs(series.angle[known]) < LARGEST * series.sigma[known]).all():
+        what = f"The sigma of the {name} is less than {1 / LARGEST:g} of an angle."
+        raise DatasetError(what, _HINT)
     if len(series.time) > 1 and not np.median(np.abs(np.diff(series.time))) > SHORTEST:
         raise DatasetError(f"The times of the {name} are less than {SHORTEST:g} s apart.", _HINT)

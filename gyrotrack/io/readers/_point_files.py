@@ -227,11 +227,18 @@ def _points(path: Path, names: list[tuple[str, ...]], columns: Any, index: Any) 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 
 
+_MAX_PROJECT = 2**26  # bytes
+_MAX_MARKUP = 3_000_000  # elements and attributes of the XML, which take 250 bytes of memory each
+
+
 def read_project(path: Path, content: bytes, _options: object) -> Points:
     """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
         what = f"{path} declares XML entities."
         raise DatasetError(what, "A Tracker project contains none; export it again.")
+    if content.count(b"<") + content.count(b"=") > _MAX_MARKUP or len(content) > _MAX_PROJECT:
+        what = f"{path} is larger than any Tracker project of 100,000 frames."
+        raise DatasetError(what, "Export the points as text.")
     try:
         root = ET.fromstring(content)  # noqa: S314 - entities are refused above
         return _project_points(path, root)

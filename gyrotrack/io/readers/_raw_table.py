@@ -10,8 +10,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +22,13 @@ from gyrotrack._errors import DatasetError
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
 
-# limits of a table, so that no file takes more than about 2 GB of memory while it is read
+# limits of a table, so that no file takes more than about 1 GB of memory while it is read
 MAX_BYTES = 2**28  # of a file, and of what an archive expands to
 MAX_ROWS = 5_000_000
 MAX_COLUMNS = 5_000
 MAX_CELLS = 10_000_000  # cells of text; numbers take a tenth of their memory
 _LONGEST_NAME = 500  # characters of a header
+_LONGEST_UNIT = 30  # characters of a unit that no table of units contains
 # errors of spreadsheets
 CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
@@ -233,15 +236,22 @@ def factor(role: str, unit: str) -> float | None:
 
 
 def _by_pint(role: str, unit: str) -> float | None:
-    try:
-        import pint
-    except ImportError:
+    powers = unit.count("**") + unit.count("^")
+    if len(unit) > _LONGEST_UNIT or powers > 1 or re.search(r"\d{4}", unit):  # pint computes 9**9**9
         return None
     try:
         target = {"t": "s", "angle": "rad", "omega": "rad/s"}[role]
-        return float(pint.UnitRegistry().Quantity(1.0, unit).to(target).magnitude)
+        return float(_unit_registry().Quantity(1.0, unit).to(target).magnitude)
     except Exception:
         return None
+
+
+@cache
+def _unit_registry() -> Any:
+    """Return the units of pint, which take half a second to load."""
+    import pint
+
+    return pint.UnitRegistry()
 
 
 def header_of(name: str) -> tuple[str, str]:

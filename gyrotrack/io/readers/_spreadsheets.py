@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable
 
+_MOST_CELLS = 2_000_000  # of a workbook, whose XML is slow to read
+
 
 def read_workbook(path: Path, content: bytes) -> RawTable:
     """Return the first sheet with numbers of an Excel workbook (.xlsx)."""
@@ -18,6 +22,7 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
         import openpyxl
     except ImportError:
         raise _missing_library("Excel workbooks need openpyxl") from None
+    _refuse_markup(path, content)
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets, cells = [], 0
@@ -25,20 +30,36 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
             sheet.reset_dimensions()  # a stated size may be far beyond the cells
             rows: list[list[Any]] = []
             for row in sheet.iter_rows(values_only=True):
-                cells += len(row)
-                if cells > MAX_CELLS:
+                cells += max(len(row), 1)  # a row far below the others follows empty ones
+                if cells > _MOST_CELLS:
                     break
                 rows.append(list(row))
             sheets.append(rows)
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
-    if cells > MAX_CELLS:
-        raise too_many_cells(path)
+    if cells > _MOST_CELLS:
+        raise too_many_cells(path, _MOST_CELLS)
     return _first_sheet(path, sheets)
 
 
-def too_many_cells(path: Path) -> DatasetError:
-    what = f"{path} has more than {MAX_CELLS:,} cells."
+def _refuse_markup(path: Path, content: bytes) -> None:
+    """Raise a DatasetError for a workbook whose XML has more elements than can be read in a few seconds."""
+    large = small = 0
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as stream:
+                count = sum(piece.count(b"<") for piece in iter(partial(stream.read, 2**20), b""))
+            if name.startswith(("xl/worksheets/", "xl/sharedStrings")):
+                large += count
+            else:
+                small += count
+    if large > 5 * _MOST_CELLS or small > _MOST_CELLS / 10:
+        raise too_many_cells(path, _MOST_CELLS)
+
+
+def too_many_cells(path: Path, most: int = MAX_CELLS) -> DatasetError:
+    """Return the error for a table of too many cells."""
+    what = f"{path} has more than {most:,} cells."
     return DatasetError(what, "Export the columns of time and angle alone, as CSV.")
 
 

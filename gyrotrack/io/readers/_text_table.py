@@ -33,7 +33,11 @@ _NO_CELL_ERROR = f"#(?!{'|'.join(re.escape(e[1:]) for e in CELL_ERRORS)})"
 _COMMENT = re.compile(rf"(?<=[\d.])[\s,;]+{_NO_CELL_ERROR}.*$", re.IGNORECASE)
 _COMMENT_LINE = re.compile(rf"\s*{_NO_CELL_ERROR}", re.IGNORECASE)
 
+# what `str.splitlines` splits at
+_LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
+
 Lines = Sequence[tuple[int, str]]
+_LONGEST_LINE = 2**24  # characters
 _SAMPLE = 50  # number of lines by which the separator is found
 _MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
 _FEW_ROWS = 5  # largest number of rows of a transposed table, which has five times as many columns at least
@@ -55,10 +59,14 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")
-    refuse_size(path, text.count("\n"), 0)
+    refuse_size(path, sum(map(text.count, _LINE_ENDS)) - text.count("\r\n"), 0)
+    rows = text.splitlines()
+    if (longest := max(map(len, rows), default=0)) > _LONGEST_LINE:
+        what = f"{path}: a line has {longest:,} characters; at most {_LONGEST_LINE:,} are read."
+        raise DatasetError(what, "Export a part of the record.")
     lines = [
         (number, _COMMENT.sub("", line) if "#" in line else line)
-        for number, line in enumerate(text.splitlines(), start=1)
+        for number, line in enumerate(rows, start=1)
         if line.strip(' \t,;"') and not ("#" in line and _COMMENT_LINE.match(line))
     ]
     notes = []

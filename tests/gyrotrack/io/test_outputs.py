@@ -8,8 +8,9 @@ import sys
 import pytest
 
 from gyrotrack._errors import OutputError, UsageError
-from gyrotrack.io._atomic import new_file
-from gyrotrack.io._outputs import is_unfinished, new_outputs
+from gyrotrack.io._atomic import is_left, new_file
+from gyrotrack.io._command_end import marking
+from gyrotrack.io._outputs import new_outputs
 
 
 def write(path, content=b"new", **options):
@@ -24,7 +25,8 @@ def names(folder):
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
-from gyrotrack.io._atomic import new_file
+from gyrotrack.io._atomic import is_left, new_file
+from gyrotrack.io._command_end import marking
 from gyrotrack.io._outputs import new_outputs
 paths = [Path(name) for name in "abc"]
 with new_outputs(*paths, force=False):
@@ -52,9 +54,8 @@ def killed(tmp_path):
 def test_the_command_that_was_killed_runs_again(killed, tmp_path, count):
     paths = killed(count)
     assert [p.exists() for p in paths] == [k < count for k in range(3)]
-    assert is_unfinished(paths[0])
+    assert [is_left(p) for p in paths] == [k < count for k in range(3)]
     with new_outputs(*paths, force=False):
-        assert not any(p.exists() for p in paths)
         for path in paths:
             write(path)
     assert names(tmp_path) == ["a", "b", "c"]
@@ -98,10 +99,27 @@ def test_a_planted_list_leads_to_no_deletion(tmp_path):
     with pytest.raises(OutputError, match="already exists"), new_outputs(a, b, force=False):
         pass
     listed.write_bytes(b"other")
-    with pytest.raises(OutputError, match="was not made by gyrotrack"), new_outputs(a, b, force=False):
+    with pytest.raises(OutputError, match="already exists"), new_outputs(a, b, force=False):
         pass
     assert a.read_bytes() == b"precious"
+    a.unlink()
+    with pytest.raises(OutputError, match="was not made by gyrotrack"), new_outputs(a, b, force=False):
+        write(a)
     assert listed.read_bytes() == b"other"
+    assert names(tmp_path) == ["a.outputs.unfinished"]
+
+
+def test_an_output_of_a_running_command_is_not_replaced(tmp_path):
+    path = tmp_path / "a"
+    with marking():
+        write(path)
+        assert names(tmp_path) == [".a.outputs.unfinished.lock", "a", "a.outputs.unfinished"]
+        with pytest.raises(OutputError, match="already exists"):
+            write(path)
+        ask = "from gyrotrack.io._atomic import is_left as f; from pathlib import Path; print(f(Path('a')))"
+        told = subprocess.run([sys.executable, "-c", ask], cwd=tmp_path, capture_output=True, check=True)
+        assert told.stdout.strip() == b"False"
+    assert names(tmp_path) == ["a"]
 
 
 def test_two_outputs_have_two_names(tmp_path):

@@ -90,7 +90,7 @@ def test_the_command_goes_on_and_knows_when_it_is_done(short_parts, long_film, t
         extract(film, progress=stopping(700), journal=journal)
     assert checkpoint_path(target).exists()
     capsys.readouterr()
-    assert run([*words, "--resume"]) == 0
+    assert run(words) == 0
     assert "of an earlier run are used" in capsys.readouterr().err
     assert content(target) == whole
     assert sorted(path.name for path in tmp_path.iterdir()) == ["4.mp4", "o.h5"]
@@ -122,7 +122,7 @@ def test_an_interrupted_command_says_how_to_go_on(short_parts, long_film, tmp_pa
 
     monkeypatch.setattr("gyrotrack.tracking._extract.extract", interrupted)
     assert run(["extract", str(film), "-o", str(tmp_path / "o.h5")]) == 130
-    assert "frames are stored. Continue with the same command and --resume" in capsys.readouterr().err
+    assert "frames are stored. Continue with the same command." in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["4.mp4", "o.h5.unfinished"]
 
 

@@ -37,6 +37,7 @@ EXTREME = {
     "subnormal times.csv": times(1e-310),
     "long times.csv": times(1e300),
     "sigma.csv": table("t,angle,sigma", lambda k: f"{0.01 * k},{0.1 * k},1e300"),
+    "small sigma.csv": table("t,angle,sigma", lambda k: f"{0.01 * k},{0.1 * k},1e-300"),
 }
 USUAL = {
     "integer.json": objects("0"),
@@ -64,6 +65,19 @@ def test_large_numbers_are_read(gyrotrack, tmp_path, name):
     said = gyrotrack("import", "--body", tmp_path / name, "-o", tmp_path / "case.h5", *BODY)
     assert said.code == 0, said.out
     assert "error" not in said.json
+
+
+@pytest.mark.parametrize("sigma", ["", ",1e-3"])
+def test_angles_without_any_acceleration_are_fitted(gyrotrack, tmp_path, sigma):
+    path, case = tmp_path / "steady.csv", tmp_path / "steady.h5"
+    path.write_text(
+        table("t,angle,sigma" if sigma else "t,angle", lambda k: f"{k / 128},{1000 * k / 128}{sigma}")
+    )
+    assert gyrotrack("import", "--body", path, "-o", case, *BODY).code == 0
+    for command in ("fit", "diagnose"):
+        said = gyrotrack(command, case, "--json")
+        assert said.code in {0, 3}, said.out
+        assert "error" not in said.json
 
 
 @pytest.mark.parametrize("command", ["import", "spindown"])

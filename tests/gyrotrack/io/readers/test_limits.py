@@ -2,6 +2,7 @@
 
 import io
 import json
+import struct
 import time
 import tracemalloc
 import wave
@@ -28,6 +29,14 @@ def zipped(name, parts):
     return stream.getvalue()
 
 
+def zipped_names(names):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name in names:
+            archive.writestr(name, "0,0\n")
+    return stream.getvalue()
+
+
 def matlab(size):
     """A MATLAB file whose only element claims to be compressed, and expands to `size` bytes."""
     packer = zlib.compressobj(1)
@@ -36,7 +45,35 @@ def matlab(size):
     return head + (15).to_bytes(4, "little") + len(body).to_bytes(4, "little") + body
 
 
+def empty_structs():
+    """A MATLAB file with a struct array of 2^28 items without content."""
+
+    def part(kind, data):
+        return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    parts = (
+        (6, struct.pack("<II", 2, 0)),
+        (5, struct.pack("<ii", 2**28, 1)),
+        (1, b"a"),
+        (5, struct.pack("<i", 8)),
+    )
+    body = zlib.compress(part(14, b"".join(part(*p) for p in (*parts, (1, b"abcdefg\0")))))
+    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(body)) + body
+
+
 BOMBS = {
+    "elements": (
+        lambda: zipped("a.trk", [b"<object>", *[b"<a/>" * 250_000] * 13, b"</object>"]),
+        "larger than any Tracker project",
+    ),
+    "carriage returns": (lambda: zipped("a.csv", [b"0\r" * 2**19] * 11), "at most 5,000,000"),
+    "a line": (lambda: zipped("a.csv", [b"0," * 2**19] * 17), "a line has 17,825,792 characters"),
+    "tables": (lambda: zipped_names(f"{k}.csv" for k in range(101)), "contains 101 tables of text"),
+    "rows of a workbook": (
+        lambda: zipped("[Content_Types].xml", [b"<row/>" * 2**18]),
+        "more than 2,000,000 cells",
+    ),
+    "structs": (empty_structs, "declares an array of 268,435,456 items"),
     "zip": (lambda: zipped("a.csv", [b"0,0\n" * 2**18] * 257), "larger than 256 MiB when unpacked"),
     "matlab": (lambda: matlab(2**28 + 2**20), "larger than 256 MiB when expanded"),
     "rows": (lambda: b"0\n" * (limits.MAX_ROWS + 1), "at most 5,000,000"),
@@ -45,7 +82,7 @@ BOMBS = {
         "6,000 columns",
     ),
     "header": (lambda: b"t,angle" + b"(" * 100_000 + b"\n" + b"0,1\n" * 20, "a cell of the header has"),
-    "json": (lambda: json.dumps({"t": [0] * 10}).encode().ljust(2**26 + 1), "larger than 64 MiB"),
+    "json": (lambda: json.dumps({"t": [0] * 10}).encode().ljust(2**25 + 1), "larger than 32 MiB"),
     "nested": (lambda: b"[" * 200_000, "not a JSON table"),
 }
 
@@ -122,3 +159,17 @@ def test_the_sound_of_a_pickup_is_pulses(tmp_path):
         read_motion(path)
     read = read_motion(path, ReadOptions(pulses_per_turn=1.0))
     np.testing.assert_allclose(np.polyfit(read.time, read.value, 2)[:2], [-3, 60], rtol=1e-3)
+
+
+def test_a_unit_is_not_computed(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],angle [9**9**9**9]\n" + "".join(f"{k / 100},{k}\n" for k in range(50)))
+    with pytest.raises(DatasetError, match="unknown unit"):
+        read_motion(path)
+
+
+def test_lines_with_two_characters_at_their_ends_count_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "MAX_ROWS", 60)
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"t,angle\r\n" + b"".join(b"%.2f,%d\r\n" % (k / 100, 2 * k) for k in range(50)))
+    assert len(read_motion(path).time) == 50
