@@ -708,7 +708,7 @@ def by_texture(
     usual: float,
     time_base: TimeBase | None = None,
 ) -> BodyAngles:
-    """Return a body with the angles of its texture where these are better than those of its markers.
+    """Return a body with the angles of its texture if their averages are better than those of its markers.
 
     The zeros of the templates follow from the markers: the slow part of the difference is that of the markers, the fast
     one that of the texture. Errors that repeat with the angle are learnt and the uncertainty is calibrated as for a
@@ -739,13 +739,40 @@ def by_texture(
         time_base=time_base,
     )
     new = np.isfinite(found.angle)
-    both = new & np.isfinite(body.angle)
-    if not both.any() or median_of(found.sigma[both]) >= median_of(body.sigma[both]):
+    if not _averages_better(found, body, fps):
         return body
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
     # where a body is slow, its template may respond to the centre more than where the errors are learnt
     periodic = float(np.nanmax(of_view)) if scatter else 0.0
     return replace(body, angle=angle, sigma=sigma, slow=(scatter, float(BATCH)), periodic=periodic)
+
+
+_AVERAGED = (
+    0.1  # time over which angles are averaged before they are compared [s]: a torque takes longer to act
+)
+_FEWEST_AVERAGED = 8
+_MOST_NOISE = 2.0  # ratio of the standard uncertainties of two angles from which the noisier one is not used
+
+
+def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
+    """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
+
+    Both differ by the white errors of both and by what does not average: a marker errs beside the marker of another
+    body, and where such passages are in step with the frames, the error is slow. With the variance V of the
+    differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, as
+    a ring averages over its circumference.
+    """
+    both = np.flatnonzero(np.isfinite(found.angle) & np.isfinite(body.angle))
+    if not len(both):
+        return False
+    new, old = (median_of(b.sigma[both]) ** 2 for b in (found, body))
+    m = max(round(_AVERAGED * fps), _FEWEST_AVERAGED)
+    count = len(both) // m
+    off = wrapped(found.angle[both] - body.angle[both])
+    off = wrapped(off - median_of(off))
+    means = off[: count * m].reshape(count, m).mean(axis=1)
+    excess = max(float(np.var(means)) - (new + old) / m, 0.0) if count >= _FEWEST_MEANS else 0.0
+    return bool(new < min(old + m * excess, _MOST_NOISE**2 * old))
 
 
 _ALIKE = 64  # frames that are averaged: errors beside a neighbour that passes in step with the frames are alike in them

@@ -320,7 +320,7 @@ class TestAnswer:
         history = improve(base(), first=ranked(), keep=kept.append)
         assert [s.change for s in history] == ["", f"+{NAME}"]
         assert kept == history[1:]
-        assert history[-1].fit.verdict == "adequate"
+        assert history[-1].fit.verdict == "no_lack_of_fit"
         assert history[-1].fit.bic < base().bic - DEFAULT.evidence
         assert best(history[-1].candidates) is None
 

@@ -227,9 +227,10 @@ class TestWindows:
         assert found.root.shape == (10, 10)
         assert found.root @ found.inverse == pytest.approx(np.eye(10), abs=1e-8)
 
-    def test_white_noise_is_white(self):
+    def test_white_noise_shows_no_correlated_noise(self):
         found = estimate_window_noise(self.windows(0.0), [np.zeros((800, 0))] * 2, 1e-6, 1.0)
-        assert found.is_white
+        assert not found.is_significant
+        assert found.sigma < 3e-4  # a small part of the white noise
         assert found.gain < DEFAULT.correlated_noise
 
     def test_what_is_free_in_the_windows_is_no_noise(self):
@@ -240,8 +241,8 @@ class TestWindows:
             compress(replace(w.samples, value=w.samples.value + 5e-3 * n[:, 0]), degree=4, blocks=1)
             for w, n in zip(windows, nuisance, strict=True)
         ]
-        assert estimate_window_noise(disturbed, nuisance, 1e-6, 1.0).is_white
-        assert not estimate_window_noise(disturbed, [n[:, :0] for n in nuisance], 1e-6, 1.0).is_white
+        assert not estimate_window_noise(disturbed, nuisance, 1e-6, 1.0).is_significant
+        assert estimate_window_noise(disturbed, [n[:, :0] for n in nuisance], 1e-6, 1.0).is_significant
 
     def test_few_groups_say_nothing(self):
         t = np.arange(0.0, 0.1, 1 / 400)
