@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import h5py
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._tables import check_storage, check_tree, load
+from gyrotrack.io.readers._matlab_process import Damaged, Unreadable, arrays_in, description
 from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
 
 _COMPRESSED = 15  # type of a compressed element of a MATLAB file
@@ -25,39 +26,15 @@ _MAX_DIMENSIONS = 128  # bytes of the sizes of an array
 
 def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the vectors of equal length, or the columns of a matrix, in a MATLAB file (before version 7.3)."""
-    from scipy.io import loadmat
-
     _refuse_inflation(path, content)
     try:
-        held = loadmat(io.BytesIO(content))  # type: ignore[arg-type]
-    except Exception as error:
-        what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
+        numbers, others = arrays_in(content)
+    except Damaged as error:
+        raise DatasetError(f"{path} is damaged: {error}.", "Save it again with -v7.") from error
+    except Unreadable as error:
+        what = f"{path} is not a readable MATLAB file: {error}."
         raise DatasetError(what, "Save it with -v7.") from error
-    arrays = {k: v for k, v in held.items() if not k.startswith("__") and isinstance(v, np.ndarray)}
-    for name, value in list(arrays.items()):
-        if value.dtype.names and value.size == 1:
-            fields = {n: np.asarray(value[n].ravel()[0]) for n in value.dtype.names}
-            arrays |= _capture(fields) or fields
-            del arrays[name]
-    return table_of_arrays(path, arrays)
-
-
-def _capture(fields: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Return the signals of a capture of dSPACE: a struct of times, X(i).Data, and signals, Y(i).Data and Y(i).Name."""
-    signals: dict[str, npt.NDArray[Any]] = {}
-    times, values = fields.get("X"), fields.get("Y")
-    if times is None or values is None:
-        return signals
-    names = values.dtype.names or ()
-    if "Data" not in names or "Data" not in (times.dtype.names or ()):
-        return signals
-    signals["t"] = times["Data"].ravel()[0]
-    for k, signal in enumerate(values.ravel(), 1):
-        name = "".join(map(str, np.ravel(signal["Name"]))) if "Name" in names else ""
-        words = [w for w in name.replace('"', "").split("/") if w]
-        base = "/".join(words[-2:]).replace("/Out1", "") or f"Y{k}"
-        signals[base if base not in signals else f"{base} {k}"] = signal["Data"]
-    return signals
+    return table_of_arrays(path, numbers, others)
 
 
 def _refuse_inflation(path: Path, content: bytes) -> None:
@@ -99,7 +76,9 @@ def _refuse_empty_arrays(path: Path, element: bytes, order: Literal["big", "litt
             raise DatasetError(what, "Save it with -v7.")
 
 
-def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTable:
+def table_of_arrays(
+    path: Path, arrays: Mapping[str, npt.NDArray[Any]], others: Mapping[str, str] = MappingProxyType({})
+) -> RawTable:
     """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays."""
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
@@ -111,16 +90,13 @@ def table_of_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> RawTa
     if len(matrices) == 1:
         matrix = matrices[0]
         return table_of(path, [""] * matrix.shape[1], list(matrix.T))
-    kept = [f"{k} ({' x '.join(map(str, v.shape)) or 'scalar'} {_kind(v)})" for k, v in arrays.items()]
+    held = {k: description(v) for k, v in arrays.items()} | dict(others)
+    kept = [f"{name} ({what})" for name, what in held.items()]
     raise DatasetError(
         f"{path} contains neither vectors of equal length nor a single matrix, but "
         f"{', '.join(kept)[:200] or 'nothing'}.",
         "Save time and angle as vectors.",
     )
-
-
-def _kind(array: npt.NDArray[Any]) -> str:
-    return "struct" if array.dtype.names else {"O": "cell", "U": "text"}.get(array.dtype.kind, "numbers")
 
 
 def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:

@@ -131,6 +131,8 @@ COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
 _STEADY = 100.0  # ratio of squared mean and variance of a speed from which on it is constant
 
+_LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
+
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
     """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
@@ -147,7 +149,8 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
         if role_name == quantity and prefix != body:
             continue
         names[column.casefold()] = (role_name, "")
-        base, unit = header_of(column) if column.endswith(("]", ")")) else (column, "")
+        last = _LAST_UNIT.fullmatch(column)  # after a header that contains a unit of its own
+        base, unit = last.groups() if last else (column, "")
         if unit:
             names.setdefault(base.casefold(), (role_name, clean(unit)))
     return names

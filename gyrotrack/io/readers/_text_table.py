@@ -64,11 +64,14 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
     if (longest := max(map(len, rows), default=0)) > _LONGEST_LINE:
         what = f"{path}: a line has {longest:,} characters; at most {_LONGEST_LINE:,} are read."
         raise DatasetError(what, "Export a part of the record.")
-    lines = [
-        (number, _COMMENT.sub("", line) if "#" in line else line)
-        for number, line in enumerate(rows, start=1)
-        if line.strip(' \t,;"') and not ("#" in line and _COMMENT_LINE.match(line))
-    ]
+    lines = [(number, line) for number, line in enumerate(rows, start=1) if line.strip(' \t,;"')]
+    if "#" in text:
+        lines = [
+            (number, _COMMENT.sub("", line) if "#" in line else line)
+            for number, line in lines
+            if not ("#" in line and _COMMENT_LINE.match(line))
+        ]
+    del text, rows  # as large as the file; the lines are copies
     notes = []
     first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
     for _, line in lines[:first]:

@@ -197,3 +197,25 @@ def test_contradicting_units_constant_angles_and_two_angles_are_refused(tmp_path
     ):
         with pytest.raises(DatasetError, match=match):
             read_motion(table(tmp_path, content))
+
+
+def test_a_unit_is_stated_behind_a_header_with_a_unit_of_its_own(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Time ( s ),Voltage ( V )\n" + "".join(f"{k / 10},{60 - k}\n" for k in range(50)))
+    assert read_names(["omega=Voltage ( V ) [rpm]"])["voltage ( v )"] == ("omega", "rpm")
+    table = read_motion(path, ReadOptions(names=read_names(["omega=Voltage ( V ) [rpm]"])))
+    np.testing.assert_allclose(table.value[0], 2 * np.pi)
+    assert table.quantity == "omega"
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ("angle=phi [deg]", {"phi [deg]": ("angle", ""), "phi": ("angle", "deg")}),
+        ("t=1 (us)", {"1 (us)": ("t", ""), "1": ("t", "us")}),
+        ("angle=phi", {"phi": ("angle", "")}),
+        ("omega=w [ rad/s ]", {"w [ rad/s ]": ("omega", ""), "w": ("omega", "rad/s")}),
+    ],
+)
+def test_names_and_units_of_columns(given, read):
+    assert read_names([given]) == read
