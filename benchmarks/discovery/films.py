@@ -180,7 +180,7 @@ def _chain(rig: Rig, films: list[Path]) -> dict[str, Any]:
     found, base = json.loads(said or "{}"), json.loads(fitted or "{}")
     line |= {"commit": commit(), "fit": base.get("verdict"), "verdict": found.get("verdict")}
     line |= {"sentence": found.get("sentence"), "nuisance": found.get("nuisance")}
-    if found.get("verdict") in ("missing_effect", "undecided") and found["candidates"]:
+    if found.get("verdict") == "missing_effect" and found["candidates"]:
         first = found["candidates"][0]
         line["named"] = [first["effect"], *first.get("indistinguishable_from", [])]
         line["parameters"] = first.get("parameters")

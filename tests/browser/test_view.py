@@ -156,7 +156,7 @@ def test_a_click_adds_what_the_ranking_puts_first(visit):
     assert FOUND in visit.locator("#sentence").inner_text()
     assert _after(visit, add.click) < 20
     assert _rms(visit) < 0.7 * before
-    assert "consistent with noise" in visit.locator("#verdict").inner_text()
+    assert "no significant lack of fit" in visit.locator("#verdict").inner_text()
     assert visit.locator("#board .mark").count() == 0
     assert FOUND in visit.locator("#effects").inner_text()
 

@@ -329,15 +329,18 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         classes = equivalence_classes(shown)
         for c in shown:
             name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
-            bic = f"{c.delta_bic:.1f}" if math.isfinite(c.delta_bic) else "-"
-            lines.append(
-                f"  {name:<28}{c.score:>9.1f}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}"
-            )
+            score, bic = (_fitting(x) if math.isfinite(x) else "-" for x in (c.score, c.delta_bic))
+            lines.append(f"  {name:<28}{score:>9}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}")
         if any(c.effect.kind == "measurement" for c in shown):
             lines.append("  * measurement effect")
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
+
+
+def _fitting(x: float) -> str:
+    """Return a score in at most eight characters."""
+    return f"{x:.1f}" if abs(x) < 1e5 else f"{x:.1e}"
 
 
 def _verdict(d: Diagnosis) -> str:

@@ -214,7 +214,10 @@ const Laboratory = (() => {
     at("sentence").replaceChildren(explained(found.diagnosis.sentence));
     predicted = found.predicted || {};
     predictedBase = found.base_rms ?? NaN;
+    // faults of the recording, which no torque of a model describes
+    const faults = { "camera.slip": "corrected by the fit", "camera.start": "state the starts: import --start-u" };
     const row = (c, tr) => {
+      if (c.effect in faults) return tr;
       for (const [name, work] of [["mouseenter", () => predict(c.effect)], ["focusin", () => predict(c.effect)], ["mouseleave", hidePrediction], ["focusout", hidePrediction]]) tr.addEventListener(name, work);
       return tr;
     };
@@ -225,7 +228,7 @@ const Laboratory = (() => {
       ].join("; "))),
       element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),
       element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)),
-      element("td", {}, free.has(c.effect) ? "always fitted"
+      element("td", {}, c.effect in faults ? faults[c.effect] : free.has(c.effect) ? "always fitted"
         : button("add", `add ${c.effect}`, () => change({ add: c.effect })))))));
   }
 
