@@ -253,13 +253,22 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
     return _Peak(float(np.exp(at)) * unit, relative_u, float(value))
 
 
-def stated_error_rows(run: Compressed, sigma: float, time: float, periodic: float = 0.0) -> Array:
+# orders of an error that repeats with the angle, beyond those that the camera's nuisance functions describe
+HARMONICS = range(3, 13)
+# size of a column below which it adds less than 1 % to the variance of a row
+_NEGLIGIBLE_ROWS = 0.1
+
+
+def stated_error_rows(
+    run: Compressed, sigma: float, time: float, periodic: float = 0.0, harmonic: float = 0.0
+) -> Array:
     """Return B, (rows, columns), with B B' the covariance of the polynomial rows by stated errors of the angle.
 
     The one is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
     mean is the zero of the angle, which is free. The other are harmonics of orders 1 and 2 of the angle with amplitudes
     of standard deviation `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal
-    to the polynomials.
+    to the polynomials. Those of orders 3 to 12 have amplitudes of standard deviation `harmonic` [rad], independent in
+    each block: they are slow where the order times the rate of turn is close to a multiple of the frame rate.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:
@@ -274,6 +283,14 @@ def stated_error_rows(run: Compressed, sigma: float, time: float, periodic: floa
             waves = np.stack([f(order * psi) for order in (1, 2) for f in (np.cos, np.sin)], axis=1)
             rows[i * k : (i + 1) * k] = periodic * operator[:k] @ waves
             found.append(rows)
+    for i, (where, operator) in enumerate(run.operators if harmonic > 0 else ()):
+        psi = run.samples.value[where]
+        waves = np.stack([f(order * psi) for order in HARMONICS for f in (np.cos, np.sin)], axis=1)
+        part = harmonic * operator[:k] @ waves
+        part = part[:, np.linalg.norm(part, axis=0) > _NEGLIGIBLE_ROWS]
+        rows = np.zeros((len(run.z), part.shape[1]))
+        rows[i * k : (i + 1) * k] = part
+        found.append(rows)
     return np.concatenate(found, axis=1)
 
 

@@ -198,12 +198,12 @@ def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Arr
     return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
 
 
-def _correlated(file: Any) -> tuple[float, float, float]:
+def _correlated(file: Any) -> tuple[float, float, float, float]:
     """Return the stated errors of the casing's angle (see `Record.correlated`), zeros if they are absent."""
-    names = ("correlated_sigma", "correlated_time", "periodic_sigma")
-    sigma, time, periodic = (number(file, "casing", name) for name in names)
+    names = ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
+    sigma, time, periodic, harmonic = (number(file, "casing", name) for name in names)
     slow = (sigma, time) if math.isfinite(sigma) and math.isfinite(time) else (0.0, 0.0)
-    return (*slow, periodic if math.isfinite(periodic) else 0.0)
+    return (*slow, *(x if math.isfinite(x) else 0.0 for x in (periodic, harmonic)))  # type: ignore[return-value]
 
 
 def _start_sigma(file: Any, window: Array, stated: float) -> list[float]:

@@ -83,7 +83,8 @@ class Record:
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        uncertainty of an error once and twice per turn [rad]; zeros without one.
+        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 3 to 12
+        periods per turn [rad]; zeros without one.
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
@@ -106,7 +107,7 @@ class Record:
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     per_inertia: bool = False
-    correlated: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    correlated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     digest: str = field(default="")
     prior: Prior | None = None
 
@@ -157,7 +158,7 @@ def make_record(
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
     per_inertia: bool = False,
-    correlated: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    correlated: Sequence[float] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -185,8 +186,9 @@ def make_record(
     per_inertia : bool
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, and
-        standard uncertainty of an error once and twice per turn [rad].
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
+        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 3 to 12
+        periods per turn [rad]; missing ones are zero.
 
     Raises
     ------
@@ -225,10 +227,12 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     return Samples(time, value, np.where(good, sigma, typical))
 
 
-def _stated(sigma: float, time: float, periodic: float = 0.0) -> tuple[float, float, float]:
+def _stated(
+    sigma: float = 0.0, time: float = 0.0, periodic: float = 0.0, harmonic: float = 0.0
+) -> tuple[float, float, float, float]:
     """Return the stated errors; one without a level or a correlation time is none."""
     slow = (sigma, time) if sigma > 0 and time > 0 else (0.0, 0.0)
-    return (*slow, max(periodic, 0.0))
+    return (*slow, max(periodic, 0.0), max(harmonic, 0.0))
 
 
 def _digest(record: Record) -> str:
@@ -239,7 +243,9 @@ def _digest(record: Record) -> str:
     if any(s > 0 for s in record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
     if any(record.correlated):
-        hasher.update(repr(record.correlated).encode())
+        # without the last one, as in earlier ledgers
+        stated = record.correlated if record.correlated[3] else record.correlated[:3]
+        hasher.update(repr(stated).encode())
     uncertainties = (record.I_rotor_u, record.I_casing_u)
     if not all(map(math.isnan, uncertainties)):
         hasher.update(repr(uncertainties).encode())

@@ -116,6 +116,8 @@ class BodyTrack:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn while the body is slow [rad]; 0 without one.
+    harmonic_sigma : float
+        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
     """
 
     name: str
@@ -130,6 +132,7 @@ class BodyTrack:
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
     periodic_sigma: float = 0.0
+    harmonic_sigma: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,8 @@ class Series:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
+    harmonic_sigma : float
+        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
     """
 
     time: Floats
@@ -208,6 +213,7 @@ class Series:
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
     periodic_sigma: float = 0.0
+    harmonic_sigma: float = 0.0
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
@@ -219,7 +225,7 @@ def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measure
     window = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.time) for part in parts])
     stated: dict[str, Any] = {
         name: max((getattr(part, name, 0.0) for part in parts), default=0.0)
-        for name in ("correlated_sigma", "correlated_time", "periodic_sigma")
+        for name in ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
     }
     return Series(**joined, turn=turn, window=window, sigma_source=sigma_source, **stated)
 

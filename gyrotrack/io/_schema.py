@@ -111,6 +111,13 @@ _CORRELATED = (
     Attribute(
         "periodic_sigma", float, "rad", "standard uncertainty of an error once and twice per turn", 0.0
     ),
+    Attribute(
+        "harmonic_sigma",
+        float,
+        "rad",
+        "standard deviation of each amplitude of an error of 3 to 12 periods per turn",
+        0.0,
+    ),
 )
 
 BODY = Table(

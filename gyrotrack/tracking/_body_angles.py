@@ -687,7 +687,59 @@ def _followed(
         bodies[name] = by_texture(
             body, texture, centre, flat, seen.bodies[name].coarse, fps, usual, time_base
         )
+        bodies[name] = replace(bodies[name], harmonic=harmonic_error(bodies[name].angle))
     return bodies, warnings
+
+
+_HARMONICS = range(1, 13)
+_FIRST_STATED = 3  # order from which harmonics are no nuisance of the camera
+_DEGREE = 5
+_FEWEST_BATCHES = 5
+# variance of an amplitude over that of a complete set of angles from which an order resembles the motion
+_RESEMBLES_MOTION = 2.0
+_FAR_FROM_NOISE = 3.0  # standard deviations of the mean square from which an error is stated
+
+
+def harmonic_error(angle: Floats) -> float:
+    """Return the standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
+
+    In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
+    covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by that of
+    the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
+    the motion are left out in their batches: there the frames are in step with the error, and it is slow.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Unwrapped angle of each frame [rad]; NaN where it is not known.
+    """
+    excess: dict[int, list[float]] = {order: [] for order in _HARMONICS if order >= _FIRST_STATED}
+    noise: dict[int, list[float]] = {order: [] for order in excess}
+    for first in range(0, len(angle) - BATCH + 1, BATCH):
+        psi = angle[first : first + BATCH]
+        if not np.isfinite(psi).all():
+            continue
+        x = np.linspace(-1.0, 1.0, BATCH)
+        powers = np.polynomial.legendre.legvander(x, _DEGREE)
+        waves = np.stack([f(order * psi) for order in _HARMONICS for f in (np.cos, np.sin)], axis=1)
+        a = np.concatenate([powers, waves], axis=1)
+        covariance = np.linalg.pinv(a.T @ a, hermitian=True)
+        found = covariance @ (a.T @ (psi - psi.mean()))
+        rest = psi - psi.mean() - a @ found
+        s2 = float(rest @ rest) / (BATCH - a.shape[1])
+        for order in excess:
+            own = _DEGREE + 1 + 2 * (order - 1) + np.arange(2)
+            variance = covariance[own, own]
+            if variance.max() < _RESEMBLES_MOTION * 2.0 / BATCH:
+                excess[order].append(float(np.mean(found[own] ** 2 - s2 * variance)))
+                noise[order].append(s2 * float(variance.mean()))
+    largest = 0.0
+    for order, squares in excess.items():
+        # the mean square of two amplitudes has the variance of its expectation squared
+        limit = _FAR_FROM_NOISE * math.sqrt(float(np.sum(np.square(noise[order])))) / max(len(squares), 1)
+        mean = float(np.mean(squares)) if len(squares) >= _FEWEST_BATCHES else 0.0
+        largest = max(largest, mean if mean > limit else 0.0)
+    return math.sqrt(largest)
 
 
 # half width of the parabolas by which the slow part of the difference between texture and markers is fitted [frames]:

@@ -118,6 +118,7 @@ def body_track(
         correlated_sigma=body.slow[0],
         correlated_time=body.slow[1] / fps,
         periodic_sigma=body.periodic,
+        harmonic_sigma=body.harmonic,
         **stored,
     )
 

@@ -615,9 +615,10 @@ class BodyAngles:
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
     # standard uncertainty [rad] and correlation time [frames] of a slowly varying error; uncertainty of an error once
-    # and twice per turn [rad]
+    # and twice per turn, and standard deviation of the amplitudes of an error of more periods per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
     periodic: float = 0.0
+    harmonic: float = 0.0
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:

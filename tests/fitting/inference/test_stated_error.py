@@ -70,7 +70,7 @@ def test_whitened_rows_have_less_weight_by_this_covariance(stated):
 
 @pytest.mark.parametrize("given", [(SIGMA, 0.0), (0.0, TIME), (-SIGMA, TIME), (0.0, 0.0, -SIGMA)])
 def test_without_level_or_time_there_is_none(given):
-    assert film(stated=given).correlated == (0.0, 0.0, 0.0)
+    assert film(stated=given).correlated == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_errors_once_and_twice_per_turn_belong_to_blocks_of_few_turns():
@@ -91,7 +91,7 @@ def test_errors_once_and_twice_per_turn_belong_to_blocks_of_few_turns():
 
 
 def test_a_periodic_error_alone_is_a_stated_error():
-    assert film(stated=(0.0, 0.0, SIGMA)).correlated == (0.0, 0.0, SIGMA)
+    assert film(stated=(0.0, 0.0, SIGMA)).correlated == (0.0, 0.0, SIGMA, 0.0)
     assert film(stated=(0.0, 0.0, SIGMA)).digest != film(stated=(0.0, 0.0)).digest
 
 
@@ -103,13 +103,13 @@ def test_it_is_a_part_of_the_digest():
 def test_it_is_read_from_the_casing_of_a_case(tmp_path):
     with h5py.File(tmp_path / "case.h5", "w") as file:
         group = file.create_group("casing")
-        assert _correlated(file) == (0.0, 0.0, 0.0)
+        assert _correlated(file) == (0.0, 0.0, 0.0, 0.0)
         group.attrs["correlated_sigma"] = SIGMA
-        assert _correlated(file) == (0.0, 0.0, 0.0)
+        assert _correlated(file) == (0.0, 0.0, 0.0, 0.0)
         group.attrs["correlated_time"] = TIME
-        assert _correlated(file) == (SIGMA, TIME, 0.0)
+        assert _correlated(file) == (SIGMA, TIME, 0.0, 0.0)
         group.attrs["periodic_sigma"] = 3 * SIGMA
-        assert _correlated(file) == (SIGMA, TIME, 3 * SIGMA)
+        assert _correlated(file) == (SIGMA, TIME, 3 * SIGMA, 0.0)
 
 
 def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):

@@ -1,0 +1,55 @@
+"""Errors that repeat several times per turn, and their share in the covariance of a fit."""
+
+import numpy as np
+import pytest
+
+from fitting.inference._angle_noise import stated_error_rows
+from fitting.inference._compression import compress
+from fitting.inference._record import Samples
+from gyrotrack.tracking._body_angles import harmonic_error
+
+FPS, SIGMA = 260.0, 1e-3
+
+
+def turning(amplitude=0.0, order=8, omega=100.0, count=20 * 512, seed=0):
+    """Return angles of a body that slows down, with an error of a phase that changes from batch to batch."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(count) / FPS
+    psi = omega * t - 0.3 * t**2
+    phase = np.repeat(rng.uniform(0, 2 * np.pi, count // 512), 512)
+    return psi + amplitude * np.sin(order * psi + phase) + SIGMA * rng.standard_normal(count)
+
+
+@pytest.mark.parametrize("order", [3, 8, 12])
+def test_its_size_is_that_of_the_amplitudes(order):
+    # an amplitude A of any phase: the standard deviation of each of its two parts is A / sqrt(2)
+    assert harmonic_error(turning(1e-3, order)) == pytest.approx(1e-3 / np.sqrt(2), rel=0.1)
+
+
+def test_noise_and_orders_of_the_camera_are_no_error():
+    assert all(harmonic_error(turning(seed=seed)) < 0.1e-3 for seed in range(5))
+    assert harmonic_error(turning(1e-3, 2)) < 0.1e-3
+    assert harmonic_error(turning(1e-3, 13)) < 0.15e-3
+
+
+def test_few_batches_say_nothing():
+    assert harmonic_error(turning(1e-3, count=4 * 512)) == 0.0
+    assert harmonic_error(turning(1e-3, count=5 * 512)) > 0.5e-3
+    assert harmonic_error(np.full(6 * 512, np.nan)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("omega", "in_step"), [(2 * np.pi * FPS / 11, True), (2 * np.pi * FPS / 26.7, False)]
+)
+def test_the_rows_know_where_an_order_is_in_step_with_the_frames(omega, in_step):
+    """The eleventh harmonic is constant in one run; no order is a multiple of the frame rate in the other."""
+    t = np.arange(0, 4, 1 / FPS)
+    noise = SIGMA * np.random.default_rng(0).standard_normal(len(t))
+    run = compress(Samples(t, omega * t + noise, np.full(len(t), SIGMA)), degree=4, blocks=1)
+    rows = stated_error_rows(run, 0.0, 0.0, harmonic=1e-3)
+    largest = float(np.linalg.norm(rows, axis=1).max()) if rows.size else 0.0
+    # a constant error of one sigma in 1040 samples is sqrt(1040) = 32 in a row of unit variance
+    assert (largest > 25) == in_step
+    if in_step:
+        again = stated_error_rows(run, 0.0, 0.0, harmonic=0.5e-3)
+        assert float(np.linalg.norm(again, axis=1).max()) == pytest.approx(largest / 2, rel=0.05)
