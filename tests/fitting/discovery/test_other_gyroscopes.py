@@ -37,7 +37,7 @@ def test_the_time_constant_of_a_heated_bearing_is_found(known):
     data = [filmed(1, HEATED)]
     start = {k: e.value for k, e in fit(Model.of(REDUCED), data).estimates.items()} if known else None
     found = fit(Model.of((*REDUCED, "bearing.heating")), data, start=start)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     for key, true in {"k": SOFTENING, "tau_T": COOLING}.items():
         e = found.estimates[f"bearing.heating.{key}"]
         assert e.stderr < 0.1 * true

@@ -54,7 +54,7 @@ def test_an_effect_added_by_the_user_may_have_per_case_phases():
     start = {name: e.value for name, e in base.estimates.items()}
     start |= found_starts(base, [LIBRARY["casing.precession"]])
     found = fit(Model.of((*REDUCED, "casing.precession")), data, start=start, per_case=own)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     assert found.estimates["casing.precession.m"].value == pytest.approx(RATE, rel=1e-3)
     # a strength of its own in each recording is no shared parameter of a planned run
     assert Information(found, []).added() == {}

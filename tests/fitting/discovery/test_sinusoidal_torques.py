@@ -56,7 +56,7 @@ def test_an_added_effect_starts_at_the_optimum_of_the_score(base):
     effect = LIBRARY["casing.precession"]
     start = {k: e.value for k, e in base.estimates.items()} | found_starts(base, [effect])
     found = fit(base.model.with_effect(effect), base.problem.data, start=start)
-    assert found.verdict == "adequate"
+    assert found.verdict == "no_lack_of_fit"
     assert found.torque_noise == pytest.approx(NOISE, rel=0.6)
     m = found.estimates["casing.precession.m"]
     assert abs(m.value - RATE) < 4 * m.stderr

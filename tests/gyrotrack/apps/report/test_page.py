@@ -122,7 +122,7 @@ def test_page_tells_the_story(page):
     for words in (
         "Missing effect: casing.air.quadratic",
         "casing.air.quadratic",
-        "The residual of the final model is consistent with noise.",
+        "The final model has no significant lack of fit.",
         "1 σ = noise limit",
         "N m s²",
         "Lack of fit of the base model",
