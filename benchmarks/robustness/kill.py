@@ -252,6 +252,7 @@ def server_trial(store, folder, moment, chance, outcome):
         pass
     os.waitpid(pid, 0)
     server.process.wait()
+    server.process.stdout.close()
     outcome.killed += 1
     again = Server(folder)
     found = again.ask("api/project")
@@ -261,6 +262,7 @@ def server_trial(store, folder, moment, chance, outcome):
     again.process.send_signal(signal.SIGINT)
     if again.process.wait(timeout=20) != 0:
         outcome.wrong.append(f"view, {moment:.3f} s: ended with {again.process.returncode}")
+    again.process.stdout.close()
     stray = [n for n in contents(folder) if n.endswith((".part", ".lock", ".unfinished"))]
     outcome.wrong += [f"view, {moment:.3f} s: {n} was left" for n in stray]
     half = [p.name for p in folder.glob("u*.csv") if p.read_bytes() != content]
