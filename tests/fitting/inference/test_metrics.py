@@ -60,7 +60,9 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
         assert (body == "rotor") <= (~keep).sum() <= 2
         expected = float(np.sum(seen[keep] ** 2 / values[keep]))
         found = _error(project, used, project.whitener(residual), fold)
-        assert found == pytest.approx(expected, rel=2e-3)
+        # noise of the windows and of the torque together mix the free phase of a window with its other rows
+        both = body == "rotor" and level > 0
+        assert found == pytest.approx(expected, rel=3e-2 if both else 2e-3)
 
 
 def test_cross_validation_error_is_one_for_the_right_model_only():
