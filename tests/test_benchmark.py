@@ -299,8 +299,8 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
         difference += [p - q for p, q in zip(made.rotor, without.rotor, strict=True)]
         whole = np.linalg.norm(np.concatenate(difference)) / case["sigma"]
         seen = oracle.reach(name, [world])
-        # rows are in units of the noise that was measured, which is right to a few hundredths; noise of the windows that
-        # the data do not exclude reduces what the rotor shows
+        # rows are in units of the noise that was measured, which is right to a few hundredths; noise of the windows
+        # that the data do not exclude reduces what the rotor shows
         assert seen.whole == pytest.approx(whole, rel=0.05), name
         assert seen.beside_rival <= seen.beside_base <= seen.whole
         same = oracle.default_for(name, [world]).reach(name, [world])

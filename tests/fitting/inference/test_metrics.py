@@ -22,14 +22,15 @@ def parts(result, level):
     return data, project, used, residual - used @ (used.T @ residual)
 
 
-# a random torque of 1e-9 N m already correlates the rows; more would be beyond the digits of this plain algebra
+# a random torque of 1e-9 N m already correlates the rows, of 1e-10 N m those of the rotor, whose windows have noise of
+# their own; more would be beyond the digits of this plain algebra
 @pytest.mark.parametrize(
     ("body", "level"),
     [
         ("rotor", 0.0),
         *(
             pytest.param(*v, marks=pytest.mark.slow)
-            for v in [("rotor", 1e-9), ("casing", 0.0), ("casing", 1e-9)]
+            for v in [("rotor", 1e-10), ("casing", 0.0), ("casing", 1e-9)]
         ),
     ],
 )
@@ -60,9 +61,7 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
         assert (body == "rotor") <= (~keep).sum() <= 2
         expected = float(np.sum(seen[keep] ** 2 / values[keep]))
         found = _error(project, used, project.whitener(residual), fold)
-        # noise of the windows and of the torque together mix the free phase of a window with its other rows
-        both = body == "rotor" and level > 0
-        assert found == pytest.approx(expected, rel=3e-2 if both else 2e-3)
+        assert found == pytest.approx(expected, rel=2e-3)
 
 
 def test_cross_validation_error_is_one_for_the_right_model_only():
