@@ -1,4 +1,4 @@
-"""Faults of measuring as alternatives to a missing effect: starts of the rotor windows, slipped turns.
+"""Faults of the measurement as alternatives to a missing effect: starts of the rotor windows, slipped turns.
 
 An error dt_i of the start of window i changes its angles, apart from its free phase, by c_i dt_i (see
 `fitting.inference._case_data`). Where nothing is stated about the starts, all dt_i are drawn from a normal distribution
@@ -7,7 +7,7 @@ the fit and orthogonal to its free columns,
 
     -2 log L(s) = r'r - r'C (C'C + 1/s^2)^-1 C'r + log det(1 + s^2 C'C),
 
-and the evidence is the mean of L over s, equally distributed in ln s from a tenth to ten times `Criteria.start_u`. It
+and the evidence is the mean of L over s, uniform in ln s from a tenth to ten times `Criteria.start_u`. It
 is the fall of a restricted deviance with the prior of all parameters integrated out, so it is compared with the fall of
 BIC of an effect as it is. The errors themselves are the conditional means (C'C + 1/s^2)^-1 C'r.
 """

@@ -399,7 +399,7 @@ class Step:
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
-    `stopped` is the reason, such as the message of a fit that failed, if the search ended before its criteria did.
+    `stopped` is the reason of an early end: the message of a fit that failed, or what is not stated about the data.
     """
 
     stopped: str = ""
@@ -599,9 +599,7 @@ def improve(
         if chosen is None or chosen.fit is None:
             break
         if chosen.effect is START:
-            history.stopped = (
-                "the rotor windows may start at other times; state their u with `import --start-u`"
-            )
+            history.stopped = "errors of the starts of the rotor windows explain the lack of fit; state them with `import --start-u`"
             break
         try:
             known_steps = len(history)

@@ -559,7 +559,9 @@ def _sentence(
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
-        parts = ["The residuals are consistent with noise; the model is adequate."]
+        # with a fault of the measurement the model alone is not the answer
+        answer = "nothing else is missing" if fit.findings else "the model is adequate"
+        parts = [f"The residuals are consistent with noise; {answer}."]
         if hidden:
             unit = fit.torque_unit
             limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden)
@@ -641,7 +643,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         return []
     names = [chosen.effect.name, *chosen.indistinguishable_from]
     if chosen.effect is START:
-        return _started_elsewhere(chosen)
+        return _start_errors(chosen)
     what = "effect" if chosen.physical else "measurement effect"
     close = "close to " if size.form == "approximate" else ""
     if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(names[1:]):
@@ -673,7 +675,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     return parts
 
 
-def _started_elsewhere(chosen: Candidate) -> list[str]:
+def _start_errors(chosen: Candidate) -> list[str]:
     """Return the answer where the starts of the rotor windows, about which nothing is stated, may be wrong."""
     errors = [e.value for e in chosen.estimates.values()]
     rms = 1e3 * math.sqrt(sum(x**2 for x in errors) / len(errors))

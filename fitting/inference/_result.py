@@ -343,7 +343,7 @@ class Fit(FitSummary):
             return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not_converged"
-        if self.fails() or self.findings:
+        if self.fails():
             return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
 

@@ -270,6 +270,8 @@ def _row(e: Experiment, outcomes: dict[str, Outcome]) -> Row:
 
 
 def _missing(diagnosis: dict[str, Any], improved: Outcome | None) -> str:
+    if diagnosis.get("verdict") == "undecided":
+        return ""
     if improved is not None and improved.good:
         return " ".join(str(r["added"]) for r in improved.document.get("ladder", [])[1:])
     if diagnosis.get("verdict") != "missing_effect":

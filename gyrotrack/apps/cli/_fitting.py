@@ -347,8 +347,9 @@ def improve_command(
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept.entries]
-    # a history without an added effect has the answer of its diagnosis
-    verdict = history_verdict(history) if len(history) > 1 else found.verdict
+    # what the diagnosis does not establish, adding it does not establish
+    verdict = found.verdict if len(history) == 1 or found.verdict == "undecided" else history_verdict(history)
+    said = _FAULT if len(history) == 1 and verdict == "missing_effect" else _VERDICTS[verdict]
     if history.stopped:
         out.warn(f"the search stopped: {history.stopped}")
     out.result(
@@ -356,9 +357,10 @@ def improve_command(
     )
     own_values = [k for k in history[-1].fit.problem.layout.per_case if k not in base.problem.layout.per_case]
     differing = f"; {' and '.join(own_values)} has a value for each recording" if own_values else ""
-    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {_VERDICTS[verdict]}{differing}")
+    out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {said}{differing}")
 
 
+_FAULT = "a fault of the measurement; no effect was added; run `gyrotrack diagnose`"
 _VERDICTS = {
     "adequate": "the model is adequate; no effect was added",
     "missing_effect": "the missing effect was added; the residuals are consistent with noise",

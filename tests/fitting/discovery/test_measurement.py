@@ -110,3 +110,23 @@ def test_measurement_effects_are_refitted_wherever_something_is_significant(sign
     laws = [candidate(e, -30.0, p_value=1e-8, significant=significant) for e in physical]
     inertia = candidate(LIBRARY["setup.inertia"], -0.1, p_value=0.9, significant=False)
     assert _to_refit([*laws, inertia], DEFAULT)[-1] == refitted
+
+
+def slipped_case():
+    """Return a recording in whose second window a whole turn slipped."""
+    record = data(seed=0).record
+    windows = list(record.rotor)
+    value = windows[1].value.copy()
+    value[700:] += 2 * np.pi
+    windows[1] = Samples(windows[1].time, value, windows[1].sigma)
+    return replace(record, rotor=tuple(windows), digest="")
+
+
+@pytest.mark.slow
+def test_a_slip_is_named_and_its_fit_is_that_of_the_corrected_angles():
+    found = diagnose(fit(fitted().model, [CaseData.of(slipped_case())]))
+    assert found.fit.verdict == "no_lack_of_fit"
+    assert found.verdict == "missing_effect"
+    assert found.candidates[0].effect.name == "camera.slip"
+    assert found.sentence.startswith("A whole turn slipped in rotor window 2")
+    assert "the model is adequate" not in found.sentence

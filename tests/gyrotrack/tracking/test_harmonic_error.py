@@ -32,6 +32,14 @@ def test_noise_and_orders_of_the_camera_are_no_error():
     assert harmonic_error(turning(1e-3, 13)) < 0.15e-3
 
 
+def test_an_order_in_step_with_the_frames_is_left_out():
+    """At a twelfth of a turn per frame the twelfth harmonic is a constant, and orders 5 and 7 are the same."""
+    t = np.arange(20 * 512) / FPS
+    psi = 2 * np.pi * FPS / 12 * t + SIGMA * np.random.default_rng(0).standard_normal(len(t))
+    assert harmonic_error(psi) < 0.1e-3
+    assert harmonic_error(psi + 1e-3 * np.sin(12 * psi)) < 0.1e-3
+
+
 def test_few_batches_say_nothing():
     assert harmonic_error(turning(1e-3, count=4 * 512)) == 0.0
     assert harmonic_error(turning(1e-3, count=5 * 512)) > 0.5e-3
