@@ -599,7 +599,9 @@ def improve(
         if chosen is None or chosen.fit is None:
             break
         if chosen.effect is START:
-            history.stopped = "errors of the starts of the rotor windows explain the lack of fit; state them with `import --start-u`"
+            history.stopped = (
+                "errors of the starts of the rotor windows explain it; state them with `import --start-u`"
+            )
             break
         try:
             known_steps = len(history)
