@@ -187,6 +187,8 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
         return kind, sign, words
     best = next((c for c in view.candidates if c.significant), None)
     names = view.added or ((best.effect.name,) if best is not None else ())
+    if best is not None and not view.added and not best.physical:
+        words = "Fault of the measurement"
     rivals = {c.effect.name: c.indistinguishable_from for c in view.candidates}
     classes = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
     return kind, sign, f"{words}: {' and '.join(classes)}" if classes else words
