@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from filelock import FileLock, Timeout
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -577,11 +577,36 @@ class StoredDiagnosis(Document):
     differs: StoredDifference | None = None
 
 
+class OutcomeDocument(Document):
+    """The answer to one simulated recording, under the names of `fitting.discovery._certificate.Outcome`."""
+
+    kind: Literal["null", "truth", "rival"]
+    effect: str
+    number: int
+    verdict: str
+    named: tuple[str, ...] = ()
+    score: Number = math.nan
+    inside: dict[str, bool] = {}
+
+
+class StoredCertificate(Document):
+    """The outcomes of a certificate, complete or not, with what they depend on."""
+
+    code: str
+    n: int
+    seed: int
+    film: bool = False
+    verdict: str
+    named: tuple[str, ...] = ()
+    score: Number = 0.0
+    outcomes: list[OutcomeDocument] = []
+
+
 class EntryDocument(FitDocument):
     """One fit of a ledger.
 
-    `restored_from` (`StoredFit`) and `diagnosis` (`StoredDiagnosis`) save time only: they are checked where they are
-    used, and ignored if they are damaged.
+    `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`) and `certificate` (`StoredCertificate`) save time
+    only: they are checked where they are used, and ignored if they are damaged.
     """
 
     parent: str = ""
@@ -604,6 +629,7 @@ class EntryDocument(FitDocument):
     covariance: list[list[Number]] = []
     restored_from: Any = None
     diagnosis: Any = None
+    certificate: Any = None
 
 
 class LedgerDocument(Document):

@@ -27,7 +27,7 @@ from fitting._display import (
     table,
 )
 from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
-from fitting._workers import WorkerPool, single_blas_thread
+from fitting._workers import Task, WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
@@ -244,6 +244,7 @@ def diagnose(
     candidates: Sequence[Candidate] | None = None,
     history: Sequence[Step] = (),
     workers: WorkerPool | None = None,
+    brief: bool = False,
 ) -> Diagnosis:
     """Return where a fit fails and which effect is missing.
 
@@ -261,6 +262,8 @@ def diagnose(
         What `improve` found from the fit, if it is known already.
     workers : WorkerPool, optional
         Processes that share the work.
+    brief : bool
+        Leave out what the answer does not depend on: curves, where it fails, upper limits and the next run.
 
     Returns
     -------
@@ -271,7 +274,7 @@ def diagnose(
     FittingError
         If the fit cannot be evaluated.
     """
-    return _with_findings(_diagnosis(fit, extra, criteria, candidates, history, workers))
+    return _with_findings(_diagnosis(fit, extra, criteria, candidates, history, workers, brief=brief))
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
@@ -310,9 +313,15 @@ def _diagnosis(
     candidates: Sequence[Candidate] | None,
     history: Sequence[Step],
     workers: WorkerPool | None,
+    *,
+    brief: bool,
 ) -> Diagnosis:
     workers = workers or WorkerPool(0)
-    curves, harmonics = workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit)
+    curves, harmonics = (
+        (Task(list, None), Task(list, None))
+        if brief
+        else (workers.submit(residual_torques, fit), workers.submit(angle_harmonics, fit))
+    )
     ranked = rank(fit, extra, criteria=criteria, workers=workers) if candidates is None else candidates
     separate = separate_values(fit, ranked, extra, criteria)
     if separate is not None:
@@ -360,8 +369,8 @@ def _diagnosis(
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
     nuisance = nuisance_parameters(selection.final)
     torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
-    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" else ()
-    failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" else []
+    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else ()
+    failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" and not brief else []
     # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = () if any(d.oscillation is not None for d in fit.problem.data) else nuisance
     sentence = (
@@ -379,7 +388,9 @@ def _diagnosis(
         explained=size.explained,
         remainder=size.remainder,
         nuisance=tuple(nuisance),
-        next_experiment=separating_run(
+        next_experiment=""
+        if brief
+        else separating_run(
             fit, [(c.effect.name, [c.effect], c.estimates) for c in _class_of(selection) if c.fit], criteria
         ),
         torques=tuple(torques),

@@ -72,7 +72,7 @@ _NEGLIGIBLE = 0.01  # variance of a stated error in units of the white noise of 
 # standard deviation of the logarithm of a level that the data hardly determine
 _LARGEST_RELATIVE_U = 0.7
 # noise periodic in the angle: largest number of turns per block, correlation times, samples of all blocks
-_TURNS_PER_BLOCK, _PERIODIC_TIMES, _FEWEST_BINS, _ALL_BINS = 3.0, 5, 24, 1500
+TURNS_PER_BLOCK, _PERIODIC_TIMES, _FEWEST_BINS, _ALL_BINS = 3.0, 5, 24, 1500
 # two kinds of angle noise at once: levels over the most likely ones of each kind alone
 _LOWER_LEVELS, _NEAR_LEVELS = (0.1, 0.2, 0.4, 0.8), (0.5, 0.7, 1.0, 1.4, 2.0)
 
@@ -169,7 +169,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     times = block * np.array(_TIMES)
     covariances = [_row_covariance_beyond_white(run, t) for t in times]
     first = max(gain((_unit(k) * _LEVELS[j]) ** 2 * k) for k in covariances for j in _FIRST_LEVELS)
-    few_turns = abs(float(np.ptp(run.samples.value))) / (2 * np.pi * len(run.lift)) < _TURNS_PER_BLOCK
+    few_turns = abs(float(np.ptp(run.samples.value))) / (2 * np.pi * len(run.lift)) < TURNS_PER_BLOCK
     if first < _UNLIKELY * _SIGNIFICANT and not few_turns:
         return AngleNoise(gain=float(first))
     least = max(_SIGNIFICANT, 0.0 if credible else 2 * (with_torque - white) - _SIGNIFICANT)
@@ -278,7 +278,7 @@ def stated_error_rows(
     k = run.lift.shape[1]
     for i, (where, operator) in enumerate(run.operators if periodic > 0 else ()):
         psi = run.samples.value[where]
-        if np.ptp(psi) < _TURNS_PER_BLOCK * 2 * np.pi:
+        if np.ptp(psi) < TURNS_PER_BLOCK * 2 * np.pi:
             rows = np.zeros((len(run.z), 4))
             waves = np.stack([f(order * psi) for order in (1, 2) for f in (np.cos, np.sin)], axis=1)
             rows[i * k : (i + 1) * k] = periodic * operator[:k] @ waves

@@ -362,7 +362,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
     """Return the case with pseudo-values about a fit; its record contains the measured data."""
     runs = []
     measured = (data.record.casing, *data.record.rotor)
-    for samples, model in zip(measured, _predicted(data, case, found), strict=True):
+    for samples, model in zip(measured, predicted_samples(data, case, found), strict=True):
         x = (samples.value - model) / samples.sigma
         scale = 1.4826 * float(np.median(np.abs(x)))
         influence, slope = psi(x / scale)
@@ -372,7 +372,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
     return CaseData(data.record, made.casing, made.rotor, free_inertia=data.free_inertia)
 
 
-def _predicted(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
+def predicted_samples(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
     """Yield the prediction with fitted nuisance parameters at every sample, of the casing, then of each window."""
     record, prediction = data.record, found.predictions[case]
     path = prediction.path

@@ -26,6 +26,7 @@ from fitting._schema import (
     EntryDocument,
     EstimateDocument,
     LedgerDocument,
+    StoredCertificate,
     StoredDiagnosis,
     StoredFit,
     as_json,
@@ -39,6 +40,7 @@ from fitting._schema import (
     refuse_special,
     write_text,
 )
+from fitting.discovery._certificate import Certificate
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
@@ -48,9 +50,11 @@ from fitting.inference._prior import Prior
 from fitting.inference._result import Fit
 from fitting.study._serialisation import (
     fit_document,
+    restored_certificate,
     restored_diagnosis,
     restored_fit,
     step_document,
+    stored_certificate,
     stored_diagnosis,
     stored_fit,
 )
@@ -134,6 +138,21 @@ class Entry:
             with suppress(*_DAMAGED):
                 return restored_diagnosis(StoredDiagnosis.model_validate(stored), fit, extra)
         return None
+
+    def certificate(self, found: Diagnosis, seed: int | None = None) -> Certificate | None:
+        """Return the certificate of this answer by the same code, complete or not; None if there is none.
+
+        With a `seed`, only one whose random errors have this seed.
+        """
+        stored = self.document.get("certificate")
+        known = None
+        if stored:
+            with suppress(*_DAMAGED):
+                known = restored_certificate(StoredCertificate.model_validate(stored))
+        answer = Certificate.of_answer(found, (), 0)
+        if known is None or (known.verdict, known.named) != (answer.verdict, answer.named):
+            return None
+        return known if seed is None or seed == known.seed else None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Fit the model again with the stored parameters as initial values."""
@@ -284,6 +303,19 @@ class Ledger:
         """
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
+
+    def keep_certificate(self, fit_id: str, found: Certificate) -> None:
+        """Store the test of the answer of a fit, complete or not, in place of an earlier one.
+
+        Parameters
+        ----------
+        fit_id : str
+            Name of the fit.
+        found : Certificate
+            The test.
+        """
+        with self._locked():
+            self.find(fit_id).document["certificate"] = as_json(stored_certificate(found))
 
     def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
         """Set the name or the note of a fit; None keeps the present one.

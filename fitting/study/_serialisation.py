@@ -45,6 +45,7 @@ from fitting._schema import (
     SavedFitDocument,
     StepDocument,
     StoredCandidate,
+    StoredCertificate,
     StoredDiagnosis,
     StoredDifference,
     StoredFit,
@@ -56,6 +57,7 @@ from fitting._schema import (
     refuse_special,
     write_text,
 )
+from fitting.discovery._certificate import Certificate, Outcome
 from fitting.discovery._dependence import Dependence
 from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._laws import Law, Laws
@@ -149,6 +151,51 @@ def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
     """Return an uncertainty budget under the keys of `budget --json`."""
     parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
     return BudgetDocument(parameters=parameters).model_dump()
+
+
+def certificate_document(found: Certificate) -> dict[str, Any]:
+    """Return a certificate under the keys of `certify --json`."""
+    truth = None
+    if found.right_first is not None:
+        truth = {
+            "n": len(found.of("truth")),
+            "right_first": found.right_first,
+            "in_class": found.in_class,
+            "coverage": found.coverage("truth"),
+        }
+    return {
+        "n": found.n,
+        "verdict": found.verdict,
+        "named": list(found.named),
+        "sentence": found.sentence,
+        "null": {
+            "n": len(found.of("null")),
+            "alarms": found.alarms,
+            "rate": found.alarms / max(len(found.of("null")), 1),
+            "interval": list(found.interval),
+            "names": found.names,
+            "coverage": found.coverage("null"),
+        },
+        "p_empirical": found.p_empirical,
+        "truth": truth,
+        "rivals": [{"effect": e, "named_as": counts} for e, counts in found.rivals.items()],
+        "film": found.film,
+    }
+
+
+def stored_certificate(found: Certificate) -> StoredCertificate:
+    """Return the outcomes of a certificate with what they depend on: the code, the answer and the seed."""
+    return StoredCertificate.model_validate(vars(found) | {"code": fingerprint()})
+
+
+def restored_certificate(stored: StoredCertificate) -> Certificate | None:
+    """Return a stored certificate; None if it was made by another version of the code."""
+    if stored.code != fingerprint():
+        return None
+    outcomes = tuple(Outcome(**o.model_dump()) for o in stored.outcomes)
+    return Certificate(
+        stored.n, stored.verdict, stored.named, stored.score, outcomes, film=stored.film, seed=stored.seed
+    )
 
 
 def plan_document(found: Plan) -> dict[str, Any]:

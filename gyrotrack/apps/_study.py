@@ -16,6 +16,7 @@ from gyrotrack._errors import DatasetError, UsageError
 
 if TYPE_CHECKING:
     from fitting._workers import WorkerPool
+    from fitting.discovery._certificate import Certificate
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
     from fitting.dynamics._model import Model
@@ -125,6 +126,35 @@ class Study:
             found = diagnose(fit, extra, workers=workers)
             self.keep_diagnosis(entry.fit_id, found, extra)
         return found
+
+    def answered(
+        self, fit_id: str | None, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
+    ) -> tuple[Diagnosis, str]:
+        """Return the diagnosis that a report shows, of the first fit of a history, and the name of this fit.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            The last fit of the history, as for `steps_to`.
+        extra : sequence of Effect
+            User-defined effects, in addition to the library.
+        workers : WorkerPool, optional
+            Worker processes.
+        """
+        first = self.steps_to(fit_id)[0].fit
+        return self.diagnosis(fit_id, first, extra, workers=workers), self._chain(fit_id)[-1].fit_id
+
+    def certificate(self, fit_id: str | None, found: Diagnosis) -> Certificate | None:
+        """Return the stored test of an answer that `diagnosis` returned; None if there is none.
+
+        Parameters
+        ----------
+        fit_id : str or None
+            The last fit of the history, as for `steps_to`.
+        found : Diagnosis
+            The answer.
+        """
+        return self._chain(fit_id)[-1].certificate(found)
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
         """Store a diagnosis with its fit, if the ledger can be written.

@@ -61,24 +61,10 @@ def batch_command(
     workers: Annotated[
         int | None, option("--workers N", "Worker processes; by default one per core.", min=1)
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        option(
-            "--scheduler ADDRESS",
-            "Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
-            envvar="GYROTRACK_SCHEDULER",
-        ),
-    ] = None,
-    tls_ca: Annotated[
-        Path | None,
-        option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
-    ] = None,
-    tls_cert: Annotated[
-        Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
-    ] = None,
-    tls_key: Annotated[
-        Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
-    ] = None,
+    scheduler: shared.Scheduler = None,
+    tls_ca: shared.TlsCa = None,
+    tls_cert: shared.TlsCert = None,
+    tls_key: shared.TlsKey = None,
     until: Annotated[Until, option("--until", "Last step to run.")] = Until.report,
     model: Annotated[str, option("--model M", "Model to fit.")] = "reduced",
     improve: Annotated[bool, option("--improve", "Also run `improve`.")] = False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,6 +19,7 @@ from gyrotrack.apps.cli._output import (
     Output,
     bias_tables,
     diagnosis_tables,
+    duration,
     fit_tables,
     ladder_tables,
     prediction_tables,
@@ -282,6 +284,9 @@ def scan_command(
     return DONE if found.converged else NOT_TRUSTED
 
 
+_CERTIFIED = 200  # recordings that `certify` simulates without the effect if not told otherwise
+
+
 def diagnose_command(
     cases: shared.CaseFiles,
     *,
@@ -300,6 +305,7 @@ def diagnose_command(
     Example: gyrotrack diagnose case1.h5
     """
     from fitting._workers import WorkerPool
+    from fitting.discovery._certificate import planned
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
 
@@ -307,12 +313,19 @@ def diagnose_command(
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
+        began = monotonic()
         fit, fit_id = study.base(start)
         own = shared.own_effects(effects)
         found = diagnose(fit, own, workers=workers)
+        one = monotonic() - began
         study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
     out.show(*diagnosis_tables(found, fit_id))
+    every = " ".join(str(c) for c in cases)
+    out.note(
+        f"`gyrotrack certify {every}` tests this answer on simulated recordings (about "
+        f"{duration(one * len(planned(found, _CERTIFIED)))})."
+    )
 
 
 def improve_command(

@@ -171,6 +171,13 @@ def _json_lines(label: str) -> Progress:
 _INTERVAL = 0.2  # s
 
 
+def duration(seconds: float) -> str:
+    """Return an expected duration in words, with the digits of an estimate."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
 def _ignore(done: int, total: int | None) -> None:
     del done, total
 

@@ -61,6 +61,7 @@ def report_command(
             recordings=recordings,
             films=shared.film_folders(cases, films),
             provenance=where,
+            certificate=study.certificate(start, diagnosis),
             force=force,
         )
     out.result({"output": output, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})

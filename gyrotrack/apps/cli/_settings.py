@@ -51,8 +51,8 @@ _COMPUTE = (
     "add all beyond_library body bound capture_fps casing casing_fps centre centre_offset clock_rate column cut data "
     "drop duration dry_run fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json "
     "keep_all label law likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet "
-    "resume rotor rotor_fps rotor_start seed set share sigma size speed_scale start_u strength surface table timeout "
-    "times to torque_noise torque_time until verbose verify window window_length"
+    "recordings resume rotor rotor_fps rotor_start seed set share sigma size speed_scale start_u strength surface "
+    "table timeout times to torque_noise torque_time until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (
@@ -62,7 +62,7 @@ _PATHS = (
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: they replace or delete results, or set addresses, certificates, ports, processes
 REFUSED = frozenset(
-    "answer browser delete force name note port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+    "answer browser delete force name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
 
 
@@ -365,6 +365,24 @@ PriorRotor = Annotated[
 ]
 LedgerFile = Annotated[
     Path | None, option("--ledger FILE", "File of the fits; by default next to the first case.")
+]
+Scheduler = Annotated[
+    str | None,
+    option(
+        "--scheduler ADDRESS",
+        "Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
+        envvar="GYROTRACK_SCHEDULER",
+    ),
+]
+TlsCa = Annotated[
+    Path | None,
+    option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
+]
+TlsCert = Annotated[
+    Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
+]
+TlsKey = Annotated[
+    Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
 ]
 EffectsFile = Annotated[Path | None, option("--effects FILE", "Your own effects, in TOML.")]
 DataKind = Annotated[

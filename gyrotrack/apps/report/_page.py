@@ -30,6 +30,7 @@ from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._tracking import Tile, Tracks, contact_sheets, sync_picture, tracks_of
 
 if TYPE_CHECKING:
+    from fitting.discovery._certificate import Certificate
     from fitting.discovery._residuals import Failure
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
@@ -100,6 +101,7 @@ def report_parts(
     provenance: Mapping[str, str],
     *,
     static: bool,
+    certificate: Certificate | None = None,
 ) -> dict[str, Any]:
     """Return the content of a report with lines of `provenance`; `static`: also the charts that scripts draw."""
     by_label = {case.label: case for case in recordings}
@@ -117,6 +119,9 @@ def report_parts(
         "sentence": typeset(view.sentence),
         "outcome": history_finding(view) + (f" {_FINAL[view.final.verdict]}" if view.improved else ""),
         "caveat": _UNPHYSICAL.format(", ".join(unphysical)) if unphysical else "",
+        "certificate": None
+        if certificate is None
+        else {"sentence": certificate.sentence, "rows": [list(row) for row in certificate.rows]},
         "failures": _failures(view),
         "sections": sections,
         "history": history_picture(view),
@@ -349,6 +354,7 @@ def write_report(
     recordings: Sequence[Case] = (),
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
+    certificate: Certificate | None = None,
     force: bool = False,
 ) -> Path:
     """Write the report of a history of fits.
@@ -367,6 +373,8 @@ def write_report(
         Folders that may contain the films; their frames are included.
     provenance : mapping of str to str, optional
         Further lines of provenance, such as ``command`` and ``date``.
+    certificate : Certificate, optional
+        The test of the diagnosis on simulated recordings.
     force : bool
         Replace an existing file.
 
@@ -383,7 +391,8 @@ def write_report(
     path = Path(path)
     refuse_existing(path, force=force)
     is_pdf = path.suffix.lower() == ".pdf"
-    parts = report_parts(gather(history, diagnosis), recordings, films, provenance or {}, static=is_pdf)
+    view = gather(history, diagnosis)
+    parts = report_parts(view, recordings, films, provenance or {}, static=is_pdf, certificate=certificate)
     # file names may contain bytes that are not valid UTF-8
     try:
         document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")

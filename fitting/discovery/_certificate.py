@@ -1,0 +1,462 @@
+"""An answer tested on itself: recordings simulated from the fit, analysed like the recording.
+
+Three kinds of worlds are simulated (`fitting.inference._replica`) and fitted and diagnosed with the same base model:
+
+- "null": the base model alone. How often is an effect named, or the model called wrong, although nothing is missing?
+  The share of null recordings whose best candidate scores as high as that of the recording is the empirical p-value of
+  its answer.
+- "truth": the base model with the named effect. How often is it named first, or in its class, and how often do the
+  95 % intervals contain the value that was simulated?
+- "rival": the base model with an effect that could be mistaken for it: a member of its class, or the next candidate.
+  As what is it named?
+
+The rates have Clopper-Pearson intervals (C. Clopper, E. Pearson, Biometrika 26, 404 (1934)). An empirical p-value of n
+recordings is at least 1 / (n + 1) (A. Davison, D. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal, Self
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting._display import block, headline, table
+from fitting._errors import EstimationError, FittingError
+from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._verdict import Diagnosis, diagnose
+from fitting.effects._effect import Effect
+from fitting.inference._budget import combined_uncertainties
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit as fit_model
+from fitting.inference._replica import replica
+from fitting.inference._result import Fit
+
+if TYPE_CHECKING:
+    from fitting.discovery._select import Candidate
+
+Kind = Literal["null", "truth", "rival"]
+
+# rivals that are simulated at most, and simulated recordings of each of them per null recording
+_MOST_RIVALS, _RIVAL_SHARE, _FEWEST = 3, 0.25, 4
+# half width of a 95 % interval in standard uncertainties
+_INTERVAL = 1.96
+# recordings per process between two calls of `keep`
+_PER_PROCESS = 4
+_FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class World:
+    """What is simulated: the motion of a fit, of which `effect` is the part that the base model lacks."""
+
+    kind: Kind
+    effect: str
+    fit: Fit = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The answer to one simulated recording (of all cases of a joint fit together).
+
+    Attributes
+    ----------
+    kind, effect : str
+        The world (see `World`).
+    number : int
+        Number of the recording in its world, from 0; with the seed it determines all random errors.
+    verdict : str
+        That of `diagnose`, or "failed" where the analysis ended with an error.
+    named : tuple of str
+        The named effect and those indistinguishable from it.
+    score : float
+        Score of the best candidate.
+    inside : dict of str to bool
+        Whether the 95 % interval of each parameter contains the simulated value; where the answer has the simulated
+        model only.
+    """
+
+    kind: str
+    effect: str
+    number: int
+    verdict: str
+    named: tuple[str, ...]
+    score: float
+    inside: dict[str, bool]
+
+    @property
+    def answer(self) -> str:
+        """The named effect, or else the verdict."""
+        return self.named[0] if self.named else self.verdict
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How an answer fares on simulated recordings.
+
+    Attributes
+    ----------
+    n : int
+        Number of recordings simulated without the named effect.
+    verdict, named, score : str, tuple of str, float
+        The answer that is tested, and the score of its best candidate.
+    outcomes : tuple of Outcome
+        The answers to all simulated recordings.
+    film : bool
+        Whether films were rendered and tracked, not only data simulated.
+    seed : int
+        Seed of the random errors.
+    """
+
+    n: int
+    verdict: str
+    named: tuple[str, ...]
+    score: float
+    outcomes: tuple[Outcome, ...] = field(repr=False)
+    film: bool = False
+    seed: int = 0
+
+    @classmethod
+    def of_answer(cls, found: Diagnosis, outcomes: Sequence[Outcome], n: int, seed: int = 0) -> Self:
+        """Return the certificate of an answer.
+
+        Parameters
+        ----------
+        found : Diagnosis
+            The answer.
+        outcomes : sequence of Outcome
+            The answers to simulated recordings.
+        n, seed : int
+            Number of recordings without the named effect, seed.
+        """
+        best = found.candidates[0] if found.candidates else None
+        named: tuple[str, ...] = ()
+        if best is not None and found.verdict == "missing_effect":
+            named = (best.effect.name, *best.indistinguishable_from)
+        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), seed=seed)
+
+    def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
+        """Return the outcomes of one kind of world, or of one world.
+
+        Parameters
+        ----------
+        kind : {"null", "truth", "rival"}
+            The kind.
+        effect : str, optional
+            The effect that was simulated.
+        """
+        return [o for o in self.outcomes if o.kind == kind and effect in {None, o.effect}]
+
+    @property
+    def alarms(self) -> int:
+        """Null recordings that end with a named effect, "unexplained" or a failure."""
+        return sum(o.verdict not in {"adequate", "undecided"} for o in self.of("null"))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper-Pearson interval (95 %) of the rate of alarms."""
+        return rate_interval(self.alarms, len(self.of("null")))
+
+    @property
+    def p_empirical(self) -> float:
+        """(1 + null recordings with at least the score of the answer) / (1 + null recordings)."""
+        null = self.of("null")
+        return (1 + sum(o.score >= self.score for o in null)) / (1 + len(null))
+
+    @property
+    def right_first(self) -> float | None:
+        """Share of the recordings with the named effect in which it is named first; None if none was simulated."""
+        found = [bool(o.named) and o.named[0] == o.effect for o in self.of("truth")]
+        return sum(found) / len(found) if found else None
+
+    @property
+    def in_class(self) -> float | None:
+        """Share of the recordings with the named effect in which it is named or in the named class."""
+        found = [o.effect in o.named for o in self.of("truth")]
+        return sum(found) / len(found) if found else None
+
+    def coverage(self, kind: Kind) -> dict[str, float]:
+        """Return the share of 95 % intervals that contain the simulated value, by parameter.
+
+        Parameters
+        ----------
+        kind : {"null", "truth", "rival"}
+            The kind of world.
+        """
+        inside: dict[str, list[bool]] = {}
+        for o in self.of(kind):
+            for name, hit in o.inside.items():
+                inside.setdefault(name, []).append(hit)
+        return {name: sum(hits) / len(hits) for name, hits in inside.items()}
+
+    @property
+    def rivals(self) -> dict[str, dict[str, int]]:
+        """Of each simulated rival how often which effect was named first, or which verdict was given."""
+        effects = dict.fromkeys(o.effect for o in self.of("rival"))
+        return {e: _counted(self.of("rival", e)) for e in effects}
+
+    @property
+    def names(self) -> dict[str, int]:
+        """Of the null recordings how often which effect was named, or which verdict other than "adequate" was given."""
+        return {k: n for k, n in _counted(self.of("null")).items() if k != "adequate"}
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        null = len(self.of("null"))
+        low, high = self.interval
+        what = f"without {self.named[0]}" if self.named else "of the fitted model"
+        interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
+        if self.named:
+            parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
+        if self.right_first is not None and self.in_class is not None:
+            parts.append(
+                f"Of {len(self.of('truth'))} with {self.named[0]}, {100 * self.right_first:.0f} % name it first and "
+                f"{100 * self.in_class:.0f} % name it or its class."
+            )
+        return " ".join(parts)
+
+    @property
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Of each world the simulated effect, the number of recordings and their answers, as texts."""
+        rows = []
+        for kind, effect in dict.fromkeys((o.kind, o.effect) for o in self.outcomes):
+            found = [o for o in self.outcomes if (o.kind, o.effect) == (kind, effect)]
+            answers = ", ".join(f"{name} {count}" for name, count in _counted(found).items())
+            rows.append((effect or "none", str(len(found)), answers))
+        return rows
+
+    def _repr_html_(self) -> str:
+        columns = ("simulated effect", "recordings", "answers")
+        return block(
+            headline("certificate", self.sentence), table("simulated recordings", columns, self.rows)
+        )
+
+
+def _counted(outcomes: Sequence[Outcome]) -> dict[str, int]:
+    return dict(Counter(o.answer for o in outcomes).most_common())
+
+
+def rate_interval(count: int, n: int) -> tuple[float, float]:
+    """Return the Clopper-Pearson interval (95 %) of a rate.
+
+    Parameters
+    ----------
+    count, n : int
+        Number of successes, and of trials.
+    """
+    from scipy.special import betaincinv
+
+    low = float(betaincinv(count, n - count + 1, 0.025)) if count else 0.0
+    high = float(betaincinv(count + 1, n - count, 0.975)) if count < n else 1.0
+    return low, high
+
+
+def worlds(found: Diagnosis) -> list[World]:
+    """Return the worlds that test an answer: null, and where an effect is named, truth and its rivals.
+
+    Faults of the measurement that are no law (a slipped turn, starts of windows) are tested against the null alone.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        The answer.
+    """
+    null = World("null", "", found.fit)
+    if found.verdict != "missing_effect" or not found.candidates:
+        return [null]
+    named, *others = found.candidates
+    truth = _with_effect(found.fit, named)
+    if truth is None:
+        return [null]
+    in_class = [c for c in others if c.effect.name in named.indistinguishable_from]
+    next_best = [c for c in others if c.significant and c not in in_class]
+    rivals: list[World] = []
+    for c in (*in_class, *next_best):
+        other = _with_effect(found.fit, c) if len(rivals) < _MOST_RIVALS else None
+        if other is not None:
+            rivals.append(World("rival", c.effect.name, other))
+    return [null, World("truth", named.effect.name, truth), *rivals]
+
+
+def _with_effect(base: Fit, candidate: Candidate) -> Fit | None:
+    """Return the converged fit with an effect; None if there is none."""
+    names = {*base.model.names, candidate.effect.name}
+    known = candidate.fit
+    if known is None or set(known.model.names) != names:
+        start = {k: e.value for k, e in (base.estimates | candidate.estimates).items()}
+        try:
+            known = fit_model(base.model.with_effect(candidate.effect), base, start=start)
+        except FittingError:
+            return None
+    return known if known.converged else None
+
+
+Item = tuple[str, str, int]
+
+
+def planned(found: Diagnosis, n: int) -> list[Item]:
+    """Return kind, effect and number of each recording that tests an answer.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        The answer.
+    n : int
+        Number of recordings without the named effect; as many have it, a quarter of it each rival.
+    """
+    return _planned(worlds(found), n)
+
+
+def _planned(simulated: Iterable[World], n: int) -> list[Item]:
+    items = [(w.kind, w.effect, k) for w in simulated for k in range(_count(w, n))]
+    # an interrupted run has some of every world
+    return sorted(items, key=lambda item: item[2])
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What every worker needs: the worlds, the fit whose analysis is repeated, and its settings."""
+
+    worlds: dict[tuple[str, str], World]
+    base: Fit
+    extra: tuple[Effect, ...]
+    criteria: Criteria
+    seed: int
+
+    @classmethod
+    def of(cls, found: Diagnosis, extra: Sequence[Effect], criteria: Criteria, seed: int) -> Self:
+        simulated: dict[tuple[str, str], World] = {(w.kind, w.effect): w for w in worlds(found)}
+        return cls(simulated, found.fit, tuple(extra), criteria, seed)
+
+
+@single_blas_thread()
+def certify(
+    found: Diagnosis,
+    n: int = 200,
+    *,
+    seed: int = 0,
+    extra: Sequence[Effect] = (),
+    criteria: Criteria = DEFAULT,
+    known: Sequence[Outcome] = (),
+    workers: WorkerPool | None = None,
+    keep: Callable[[Sequence[Outcome], int], None] | None = None,
+) -> Certificate:
+    """Test an answer on recordings that are simulated from its fit.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        The answer.
+    n : int
+        Number of recordings without the named effect; as many with it, a quarter of it with each rival.
+    seed : int
+        Seed of all random errors. The result does not depend on the number of workers.
+    extra : sequence of Effect
+        Effects of the user, in addition to the library.
+    criteria : Criteria
+        Thresholds of the analysis.
+    known : sequence of Outcome
+        Outcomes of an earlier run with the same answer and seed, which are not repeated.
+    workers : WorkerPool, optional
+        Processes that share the work.
+    keep : callable, optional
+        Called after each round with all outcomes so far and the number of recordings in total.
+
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    EstimationError
+        The cases are curves made from measured values (see `replica`).
+    """
+    workers = workers or WorkerPool(0)
+    work = _Work.of(found, extra, criteria, seed)
+    wanted = _planned(work.worlds.values(), n)
+    done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
+    missing = [item for item in wanted if item not in done]
+    several = workers.processes + 1
+    # the first round is short: its duration predicts that of the others
+    edges = {0, *range(several, len(missing), _PER_PROCESS * several), len(missing)}
+    for first, last in pairwise(sorted(edges)):
+        part = missing[first:last]
+        done |= dict(zip(part, workers.map(_outcome, work, part), strict=True))
+        if keep is not None:
+            keep([done[item] for item in wanted if item in done], len(wanted))
+    return Certificate.of_answer(found, [done[item] for item in wanted], n, seed)
+
+
+@single_blas_thread()
+def outcomes_of(
+    found: Diagnosis,
+    items: Sequence[Item],
+    *,
+    seed: int = 0,
+    extra: Sequence[Effect] = (),
+    criteria: Criteria = DEFAULT,
+) -> list[Outcome]:
+    """Return the answers to some of the `planned` recordings.
+
+    Parameters
+    ----------
+    found, seed, extra, criteria
+        As for `certify`.
+    items : sequence of (str, str, int)
+        Kind, effect and number of each.
+
+    Raises
+    ------
+    EstimationError
+        No such recording is planned.
+    """
+    work = _Work.of(found, extra, criteria, seed)
+    if not {item[:2] for item in items} <= work.worlds.keys():
+        raise EstimationError("the answer has changed since its test began", "begin the test again")
+    return [_outcome(work, item) for item in items]
+
+
+def _count(world: World, n: int) -> int:
+    return max(math.ceil(_RIVAL_SHARE * n), min(n, _FEWEST)) if world.kind == "rival" else n
+
+
+def _outcome(work: _Work, item: Item) -> Outcome:
+    """Simulate one recording and analyse it like the original."""
+    kind, effect, number = item
+    world = work.worlds[kind, effect]
+    records = replica(world.fit, (work.seed, *world.effect.encode(), number))
+    layout = work.base.problem.layout
+    share, per_case = ([k for k in keys if k in work.base.model.free] for keys in layout.choices)
+    try:
+        data = [CaseData.of(r) for r in records]
+        again = fit_model(work.base.model, data, share=share, per_case=per_case, ranges=layout.ranges)
+        found = diagnose(again, work.extra, criteria=work.criteria, brief=True)
+    except FittingError:
+        return Outcome(world.kind, world.effect, number, _FAILED, (), math.nan, {})
+    best = found.candidates[0] if found.candidates else None
+    named: tuple[str, ...] = ()
+    if best is not None and found.verdict == "missing_effect":
+        named = (best.effect.name, *best.indistinguishable_from)
+    final = best.fit if best is not None and named else again
+    inside = {}
+    if final is not None and set(final.model.names) == set(world.fit.model.names):
+        inside = _inside(final, world.fit)
+    score = best.score if best is not None else 0.0
+    return Outcome(world.kind, world.effect, number, found.verdict, named, score, inside)
+
+
+def _inside(found: Fit, truth: Fit) -> dict[str, bool]:
+    """Return whether the 95 % interval of each physical parameter contains the simulated value."""
+    if not found.converged:
+        return {}
+    total = combined_uncertainties(found)
+    return {
+        name: abs(e.value - truth.estimates[name].value) <= _INTERVAL * max(total.get(name, 0.0), e.stderr)
+        for name, e in found.estimates.items()
+        if name in truth.estimates and e.stderr > 0 and math.isfinite(e.stderr)
+    }

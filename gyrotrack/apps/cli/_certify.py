@@ -1,0 +1,203 @@
+"""Command certify: an answer tested on simulated recordings."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import closing
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import GyrotrackError, UsageError
+from gyrotrack.apps._study import open_study
+from gyrotrack.apps.cli import _settings as shared
+from gyrotrack.apps.cli._output import DONE, Output, duration
+from gyrotrack.apps.cli._settings import option
+
+if TYPE_CHECKING:
+    from fitting.discovery._certificate import Certificate, Item, Outcome
+    from fitting.discovery._verdict import Diagnosis
+    from gyrotrack.apps.batch._workers import Workers
+
+_WIDTH = 79
+# seconds between two writes of the ledger, and recordings that a worker of a cluster simulates in one command
+_KEPT, _PART = 20.0, 4
+Keep = Callable[["Sequence[Outcome]", int], None]
+
+
+def certify_command(
+    cases: shared.CaseFiles,
+    *,
+    n: Annotated[
+        int,
+        option(
+            "-n --recordings N",
+            "Simulated recordings without the named effect; as many have it, and a quarter of it each rival.",
+            min=1,
+        ),
+    ] = 200,
+    seed: Annotated[int, option("--seed N", "Random seed of all simulated errors.", min=0)] = 0,
+    workers: Annotated[
+        int | None, option("--workers N", "Processes; by default one per core, at most 5.", min=1)
+    ] = None,
+    scheduler: shared.Scheduler = None,
+    tls_ca: shared.TlsCa = None,
+    tls_cert: shared.TlsCert = None,
+    tls_key: shared.TlsKey = None,
+    effects: shared.EffectsFile = None,
+    start: shared.From = None,
+    ledger: shared.LedgerFile = None,
+    part: Annotated[
+        list[str] | None, typer.Option("--part", hidden=True, help="Simulate some recordings only.")
+    ] = None,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+) -> int:
+    """Test an answer on recordings that are simulated from its fit.
+
+    The same bodies, samples and windows are simulated with new random errors, and analysed in the same way: without
+    the named effect (how often is there a false alarm?), with it (how often is it found, and do the intervals contain
+    the true values?), and with each effect that could be mistaken for it. The result is stored with the fit; a run
+    that was interrupted continues.
+
+    Example: gyrotrack certify case1.h5 -n 200
+    """
+    from fitting._workers import WorkerPool
+    from fitting.discovery._certificate import certify, outcomes_of
+    from fitting.study._serialisation import certificate_document
+
+    out = Output(as_json=as_json, quiet=quiet)
+    study = open_study(cases, ledger)
+    own = shared.own_effects(effects)
+    if part:
+        found, _ = study.answered(start, own)
+        outcomes = outcomes_of(found, [_item(p) for p in part], seed=seed, extra=own)
+        out.result({"outcomes": [vars(o) for o in outcomes]})
+        return DONE
+    pool = WorkerPool() if workers is None else WorkerPool(workers - 1)
+    with pool, out.progress("simulating recordings") as progress:
+        progress(0, None)
+        found, fit_id = study.answered(start, own, workers=pool)
+        earlier = study.ledger.find(fit_id).certificate(found, seed)
+        known = earlier.outcomes if earlier is not None else ()
+        keep = _Keeper(out, progress, study.ledger, fit_id, found, n, seed, known)
+        if scheduler is None:
+            done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
+        else:
+            from gyrotrack.apps.batch._steps import new_sign
+            from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers
+
+            words = [*(str(c.resolve()) for c in cases), "--seed", str(seed), "--from", fit_id]
+            words += ["--ledger", str(study.ledger.path.resolve())]
+            words += ["--effects", str(effects.resolve())] if effects is not None else []
+            sign = new_sign(study.ledger.path.resolve().parent)
+            with closing(ClusterWorkers(scheduler, sign, Certificates(tls_ca, tls_cert, tls_key))) as cluster:
+                done = _on_cluster(found, n, seed, known, cluster, words, keep)
+        keep.store(done)
+    out.result({"fit_id": fit_id, **certificate_document(done)})
+    out.show(_table(done, fit_id))
+    return DONE
+
+
+class _Keeper:
+    """Shows the progress of a test, tells how long it will take, and stores its outcomes from time to time."""
+
+    def __init__(
+        self,
+        out: Output,
+        progress: Callable[[int, int | None], None],
+        ledger: Any,
+        fit_id: str,
+        found: Diagnosis,
+        n: int,
+        seed: int,
+        known: Sequence[Outcome],
+    ) -> None:
+        self._out, self._progress, self._ledger, self._fit_id = out, progress, ledger, fit_id
+        self._answer = (found, n, seed)
+        self._known, self._told, self._begun = len(known), False, monotonic()
+        self._stored = self._begun
+
+    def __call__(self, outcomes: Sequence[Outcome], total: int) -> None:
+        """Take note of the outcomes so far, of `total`."""
+        from fitting.discovery._certificate import Certificate
+
+        self._progress(len(outcomes), total)
+        now = monotonic()
+        new = len(outcomes) - self._known
+        if not self._told and new > 0 and len(outcomes) < total:
+            left = (total - len(outcomes)) * (now - self._begun) / new
+            self._out.note(f"{total} recordings are simulated and analysed; about {duration(left)} left.")
+            self._told = True
+        if now - self._stored > _KEPT:
+            found, n, seed = self._answer
+            self.store(Certificate.of_answer(found, outcomes, n, seed))
+            self._stored = now
+
+    def store(self, done: Certificate) -> None:
+        """Store a test, complete or not, with its fit."""
+        self._ledger.keep_certificate(self._fit_id, done)
+
+
+def _item(text: str) -> Item:
+    """Read ``truth:casing.windage:17``."""
+    kind, effect, number = (text.split(":", 1)[0], *text.split(":", 1)[-1].rsplit(":", 1))
+    if not number.isdigit():
+        raise UsageError(f"{text[:60]!r} names no simulated recording.", "Write kind:effect:number.")
+    return kind, effect, int(number)
+
+
+def _on_cluster(
+    found: Diagnosis,
+    n: int,
+    seed: int,
+    known: Sequence[Outcome],
+    cluster: Workers,
+    words: Sequence[str],
+    keep: Keep,
+) -> Certificate:
+    """Return the certificate with the recordings simulated on the workers of a cluster."""
+    from fitting.discovery._certificate import Certificate, Outcome, planned
+
+    wanted = planned(found, n)
+    done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
+    missing = [item for item in wanted if item not in done]
+    waiting = set()
+    for first in range(0, len(missing), _PART):
+        parts = [f"--part={kind}:{effect}:{k}" for kind, effect, k in missing[first : first + _PART]]
+        waiting.add(cluster.submit(["certify", *words, *parts], None))
+    while waiting:
+        ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+        for future in ended:
+            document = future.result()["document"]
+            if "error" in document:
+                raise GyrotrackError(str(document["error"]["message"]), str(document["error"]["hint"]))
+            for o in document["outcomes"]:
+                values = o | {
+                    "named": tuple(o["named"]),
+                    "score": math.nan if o["score"] is None else o["score"],
+                }
+                done[o["kind"], o["effect"], o["number"]] = Outcome(**values)
+        keep([done[item] for item in wanted if item in done], len(wanted))
+    return Certificate.of_answer(found, [done[item] for item in wanted], n, seed)
+
+
+def _table(found: Certificate, fit_id: str) -> str:
+    lines = [
+        *textwrap.wrap(found.sentence, _WIDTH),
+        "",
+        f"fit {fit_id}, verdict: {found.verdict.replace('_', ' ')}",
+    ]
+    lines += ["", "simulated recordings:", f"  {'simulated effect':<28}{'n':>5}  answers"]
+    for effect, count, answers in found.rows:
+        first, *more = textwrap.wrap(answers, _WIDTH - 37) or [""]
+        lines += [f"  {effect:<28}{count:>5}  {first}", *(f"  {'':<35}{line}" for line in more)]
+    covered = found.coverage("truth" if found.right_first is not None else "null")
+    if covered:
+        lines += ["", "share of 95 % intervals that contain the simulated value:"]
+        lines += [f"  {name:<32}{100 * share:>5.0f} %" for name, share in covered.items()]
+    return "\n".join(lines)
