@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -266,20 +266,22 @@ def worlds(found: Diagnosis) -> list[World]:
     found : Diagnosis
         The answer.
     """
-    null = World("null", "", found.fit)
+    base = found.fit
     if found.verdict != "missing_effect" or not found.candidates:
-        return [null]
+        return [World("null", "", base)]
     named, *others = found.candidates
-    truth = _with_effect(found.fit, named)
+    truth = _with_effect(base, named)
     if truth is None:
-        return [null]
+        return [World("null", "", base)]
     in_class = [c for c in others if c.effect.name in named.indistinguishable_from]
     next_best = [c for c in others if c.significant and c not in in_class]
     rivals: list[World] = []
     for c in (*in_class, *next_best):
         other = _with_effect(found.fit, c) if len(rivals) < _MOST_RIVALS else None
         if other is not None:
-            rivals.append(World("rival", c.effect.name, other))
+            # a wrong model has random torque in place of what it lacks
+            rivals.append(World("rival", c.effect.name, replace(other, noise=truth.noise)))
+    null = World("null", "", replace(base, noise=truth.noise))
     return [null, World("truth", named.effect.name, truth), *rivals]
 
 

@@ -3,8 +3,9 @@
 The expected values are those of the fit at every sample, with the fitted initial angles, camera errors, laws of an
 angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
 D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated
-angle noise and process noise at levels drawn from their posterior distributions, the errors that tracking states, the
-starts of the windows, and moments of inertia that differ from the stated ones by their standard uncertainties.
+angle noise at a level drawn from its uncertainty, the random torque in the residuals of the fit, the errors that
+tracking states, the starts of the windows, and moments of inertia that differ from the stated ones by their standard
+uncertainties.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Random = np.random.Generator
 
 _GAUSS = 3
 # iterations of a law of an angle that changes its own argument; the response is small compared with a radian
-_PASSES = 4
+_PASSES = 8
 # cells of a random torque: per correlation time at least, and in all
 _CELLS_PER_TIME, _FEWEST_CELLS, _MOST_CELLS = 5, 400, 40_000
 
@@ -100,8 +101,9 @@ class _Motion:
         """Return the expected values at the samples of the casing and of each window."""
         values = [np.array(v) for v in predicted_samples(self.data, self.case, self.fit)]
         runs = (self.data.record.casing, *self.data.record.rotor)
+        zero = float(np.median(values[0] - self.expected(runs[0].time, rotor=False)))
         for effect in self.fit.model.angle_dependent:
-            for value, change in zip(values, self._angle_response(effect), strict=True):
+            for value, change in zip(values, self._angle_response(effect, zero), strict=True):
                 value += change
         for effect in self.fit.model.measurement:
             for i, run in enumerate(runs):
@@ -123,8 +125,8 @@ class _Motion:
         error = np.asarray(Tape([effect.expression])(self._law(effect) | known)[0]) * np.ones(len(run))
         return error if self.data.is_angle else np.gradient(error, run.time)
 
-    def _angle_response(self, effect: Effect) -> list[Array]:
-        """Return the response of the casing and of each window to a law of an angle."""
+    def _angle_response(self, effect: Effect, zero: float) -> list[Array]:
+        """Return the response of the casing and of each window to a law of an angle, which is `zero` at the start."""
         record, path, motion = self.data.record, self.prediction.path, self.prediction.motion
         t = record.casing.time
         half = 0.5 * np.diff(t)
@@ -133,7 +135,7 @@ class _Motion:
         known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
         known |= {"delta": known["omega_r"] - known["omega_c"], "t": inner}
         known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-        psi = sampler.integral(*path.angle("omega_c")) + self._zero_of_angle
+        psi = sampler.integral(*path.angle("omega_c")) + (zero if self.data.is_angle else 0.0)
         on_rotor, on_casing = {"rotor": (1, 0), "casing": (0, 1), "bearing": (-1, 1)}[effect.joint]
         direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
         respond = motion.driven(t, _GAUSS, direction)
@@ -149,16 +151,6 @@ class _Motion:
             at = np.clip(run.time, t[0], t[-1])
             found.append(hermite(t, angle[0], speed[0], at, slopes=not self.data.is_angle))
         return found
-
-    @property
-    def _zero_of_angle(self) -> float:
-        """The measured angle of the casing less that of the model, which starts at zero [rad]."""
-        measured = self.data.measured_angle
-        if measured is None:
-            return 0.0
-        path = self.prediction.path
-        model = Sampler(path.mesh, self.data.record.casing.time).integral(*path.angle("omega_c"))
-        return float(np.median(measured - model))
 
 
 def _recording(motion: _Motion, random: Random) -> Record:
@@ -206,13 +198,12 @@ def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
 
 
 def _random_torque(motion: _Motion, random: Random) -> list[Array]:
-    """Return the change of the values by the process noise of the recording, on the casing and between the bodies.
+    """Return the change of the values by random torques on the casing and between the bodies.
 
-    Its level is drawn from the posterior distribution of the variance at low frequencies; the model has no part in it.
+    Their level is the one that the uncertainties of the fit include.
     """
-    noise, record = motion.fit.noise[motion.case], motion.data.record
-    runs = (record.casing, *record.rotor)
-    level = noise.pure * math.sqrt(random.choice(noise.process.ratios, p=noise.process.weights))
+    noise, record = motion.fit.noise[motion.case].with_unresolved, motion.data.record
+    runs, level = (record.casing, *record.rotor), noise.level
     if not level > 0:
         return [np.zeros(len(run)) for run in runs]
     first, last = record.span

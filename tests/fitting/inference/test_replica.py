@@ -1,0 +1,202 @@
+"""New recordings of a fit, against the errors that they must contain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import chi2, kstest
+
+from fitting._errors import EstimationError
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference import _replica
+from fitting.inference._angle_noise import AngleNoise
+from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
+from fitting.inference._record import Samples, make_record
+from fitting.inference._replica import replica
+from fitting.inference._simulation import Experiment, simulate
+
+BASE = Model.of(REDUCED).alone
+
+
+@pytest.fixture(scope="module")
+def speeds():
+    """Return a fit of measured speeds: I dw/dt = -b1 - b2 w, by SciPy, with white noise of 0.05 rad/s."""
+    t = np.arange(0, 60, 0.05)
+    w = solve_ivp(
+        lambda _, w: -(2e-4 + 3e-5 * w) / 2e-3, (0, 60), [80.0], t_eval=t, rtol=1e-10, atol=1e-10
+    ).y[0]
+    noise = np.random.default_rng(0).normal(0, 0.05, len(t))
+    record = make_record(
+        casing=(t, w + noise, np.full(len(t), 0.05)),
+        rotor=[],
+        I_rotor=2e-3,
+        I_casing=2e-3,
+        quantity="omega",
+        single=True,
+    )
+    return fit(BASE, [record])
+
+
+@pytest.fixture(scope="module")
+def gyroscope():
+    """Two bodies for 30 s, with a clock error of the rotor's camera of 2e-3 and an unbalance in the model."""
+    model = Model.of([*REDUCED, "casing.unbalance", "camera.clock"])
+    numbers = {
+        "rotor.air.quadratic.a2": 1.1e-10, "touchpoint.constant.b1": 2.9e-6, "casing.air.linear.b2": 8.3e-7,
+        "bearing.linear.d": 1.6e-7, "bearing.power.f": 1.3e-8, "bearing.power.g": 1.3,
+        "casing.unbalance.k": 3e-6, "casing.unbalance.phi": 0.7,
+    }  # fmt: skip
+    physical = Model.of([*REDUCED, "casing.unbalance"])
+    run = Experiment(
+        duration=30.0, windows=(2.0, 14.0, 25.0), window_length=2.0, casing_fps=120, rotor_fps=300
+    )
+    record = simulate(physical, numbers, run, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=3)
+    windows = tuple(Samples(w.time, w.value + 2e-3 * (w.value - w.value[0]), w.sigma) for w in record.rotor)
+    return fit(model, [replace(record, rotor=windows, digest="")])
+
+
+def test_a_seed_determines_the_recording(speeds):
+    one, same, other = (replica(speeds, s)[0] for s in (1, 1, 2))
+    assert np.array_equal(one.casing.value, same.casing.value)
+    assert not np.array_equal(one.casing.value, other.casing.value)
+
+
+def test_times_uncertainties_and_label_are_those_of_the_original(speeds):
+    old, new = speeds.problem.data[0].record, replica(speeds, 0)[0]
+    assert np.array_equal(new.casing.time, old.casing.time)
+    assert np.array_equal(new.casing.sigma, old.casing.sigma)
+    assert (new.label, new.I_casing, new.quantity) == (old.label, old.I_casing, old.quantity)
+    assert new.digest != old.digest
+
+
+def test_white_noise_has_the_level_of_the_recording(speeds):
+    old, new = speeds.problem.data[0].record, replica(speeds, 4)[0]
+    path = speeds.predictions[0].path
+    deviation = _replica._Motion(speeds, 0).expected(old.casing.time, rotor=False) - new.casing.value
+    assert path.states[1] == "omega_c"
+    scale = speeds.problem.data[0].casing.scale
+    # successive differences hold the white noise alone
+    measured = np.std(np.diff(deviation)) / np.sqrt(2) / old.casing.sigma[0]
+    assert measured == pytest.approx(scale, rel=0.06)
+
+
+def test_an_analysis_of_replicas_returns_the_values_of_the_fit(speeds):
+    pulls = []
+    for seed in range(12):
+        again = fit(BASE, replica(speeds, seed))
+        pulls += [(again.estimates[k].value - e.value) / again.estimates[k].stderr
+                  for k, e in speeds.estimates.items() if again.estimates[k].stderr > 0]  # fmt: skip
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+def test_laws_of_an_angle_and_camera_effects_are_in_the_values(gyroscope):
+    data, p = gyroscope.problem.data[0], gyroscope.predictions[0]
+    values = _replica._Motion(gyroscope, 0).values()
+    rows = data.sample_rows(values[0][:, None], [v[:, None] for v in values[1:]])[:, 0]
+    # up to the nuisance columns, which are in the values, the rows are those that the fit predicts
+    size = np.linalg.norm(data.nuisance, axis=0)
+    free, deviation = data.nuisance[:, size > 0] / size[size > 0], rows - p.rows
+    left = deviation - free @ np.linalg.lstsq(free, deviation, rcond=1e-9)[0]
+    kept = slice(0, data.slices["camera_prior"].start)
+    assert (
+        np.abs(left[kept]).max() < 0.1
+    )  # of the noise of a row; without the unbalance or the clock it is above 300
+    bare = replace(gyroscope, model=gyroscope.model.without("casing.unbalance"))
+    without = _replica._Motion(bare, 0).values()
+    assert np.abs(values[0] - without[0]).max() > 3e-3
+
+
+@pytest.mark.parametrize(("time", "step"), [(0.3, 0.01), (2.0, 0.5)])
+def test_ornstein_uhlenbeck_process(time, step):
+    random = np.random.default_rng(5)
+    t = np.arange(0, 4000 * step, step)
+    x = np.array([_replica._ornstein_uhlenbeck(t[:400], time, random) for _ in range(300)])
+    assert np.std(x[:, 0]) == pytest.approx(1, abs=0.13)
+    assert np.std(x[:, -1]) == pytest.approx(1, abs=0.13)
+    lag = 20
+    assert np.mean(x[:, 100] * x[:, 100 + lag]) == pytest.approx(np.exp(-lag * step / time), abs=0.2)
+
+
+def test_random_torque_has_the_variance_of_the_whitener(speeds):
+    """Rows of the response to a random torque, whitened with the covariance of the fit, are white."""
+    noise = speeds.noise[0]
+    level = 1e-2
+    loud = replace(speeds, noise=(noise.at(level),))
+    data, motion = speeds.problem.data[0], _replica._Motion(loud, 0)
+    whitener = noise.whitener.at(level)
+    random = np.random.default_rng(0)
+    total = []
+    for _ in range(40):
+        (change,) = _replica._random_torque(motion, random)
+        rows = data.sample_rows(change[:, None], [])[:, 0]
+        rotated = whitener.rotated(rows)[: len(whitener.vectors)]
+        large = np.argsort(whitener.values[: len(whitener.vectors)])[-5:]
+        total.append(np.sum(rotated[large] ** 2 / (level**2 * whitener.values[large])))
+    assert 0.7 < np.mean(total) / 5 < 1.4
+    assert kstest(total, chi2(5).cdf).pvalue > 1e-3
+
+
+def test_no_random_torque_where_the_recording_has_none(speeds):
+    silent = replace(speeds, noise=(speeds.noise[0].at(0.0),))
+    (change,) = _replica._random_torque(_replica._Motion(silent, 0), np.random.default_rng(0))
+    assert not change.any()
+
+
+@pytest.mark.parametrize("body", ["slow", "turn"])
+def test_correlated_angle_noise_has_its_level(body):
+    run = Samples(np.linspace(0, 500, 20001), np.linspace(0, 4000, 20001), np.full(20001, 1e-3))
+    levels = {"slow": {"sigma": 2e-3, "time": 0.5}, "turn": {"turn_sigma": 2e-3, "turn_time": 0.5}}[body]
+    error = _replica._slow_error(run, AngleNoise(**levels), np.random.default_rng(1))
+    assert np.std(error) == pytest.approx(2e-3, rel=0.1)
+    assert not _replica._slow_error(run, AngleNoise(), np.random.default_rng(1)).any()
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ((2e-3, 0.5, 0.0, 0.0), 2e-3),
+        ((0.0, 0.0, 2e-3, 0.0), 2e-3 * np.sqrt(2)),  # two orders in each block
+        ((0.0, 0.0, 0.0, 1e-3), 1e-3 * np.sqrt(10)),  # ten orders
+        ((0.0, 0.0, 0.0, 0.0), 0.0),
+    ],
+)
+def test_stated_errors_have_their_level(stated, expected):
+    t = np.arange(0, 400, 0.02)
+    record = make_record(
+        casing=(t, 0.3 * t, np.full(len(t), 1e-3)),
+        rotor=[],
+        single=True,
+        I_rotor=1,
+        I_casing=1,
+        correlated=stated,
+    )
+    data = CaseData.of(record)
+    error = [_replica._stated_error(data, np.random.default_rng(s)) for s in range(4)]
+    assert np.std(error) == pytest.approx(expected, rel=0.25)
+
+
+def test_stated_inertias_move_the_values_by_their_uncertainty(speeds):
+    """A wheel that is lighter by 1 % decelerates faster by 1 %; the record keeps the stated value."""
+    record = speeds.problem.data[0].record
+    uncertain = replace(record, I_casing_u=0.01 * record.I_casing)
+    found = fit(BASE, [uncertain])
+    motion = _replica._Motion(found, 0)
+    fall = np.ptp(motion.expected(record.casing.time, rotor=False))
+    changes = [
+        np.abs(_replica._other_inertias(motion, np.random.default_rng(s))[0]).max() / fall for s in range(60)
+    ]
+    known = _replica._Motion(speeds, 0)
+    assert not _replica._other_inertias(known, np.random.default_rng(0))[0].any()
+    assert np.sqrt(np.mean(np.square(changes))) == pytest.approx(0.005, rel=0.4)
+    assert replica(found, 0)[0].I_casing == record.I_casing
+
+
+def test_curves_made_from_data_are_refused(speeds):
+    data = speeds.problem.data[0]
+    made = replace(data, record=replace(data.record, gradients=True))
+    curve = replace(speeds, problem=replace(speeds.problem, data=(made,)))
+    with pytest.raises(EstimationError, match="only measured values"):
+        replica(curve, 0)
