@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         RecordError,
         SimulationError,
     )
+    from fitting.discovery._certificate import Certificate, certify
     from fitting.discovery._laws import laws
     from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
@@ -46,16 +47,17 @@ if TYPE_CHECKING:
     from fitting.study._serialisation import load_fit
 
 __all__ = [
-    "GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Candidate", "Criteria", "Diagnosis", "Effect", "EffectError",
-    "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Ledger",
+    "GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Candidate", "Certificate", "Criteria", "Diagnosis", "Effect",
+    "EffectError", "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Ledger",
     "LedgerError", "Model", "Parameter", "Record", "RecordError", "Scan", "SimulationError", "budget",
-    "compare", "diagnose", "effect", "fit", "improve", "laws", "load", "load_fit", "make_record", "plan",
+    "certify", "compare", "diagnose", "effect", "fit", "improve", "laws", "load", "load_fit", "make_record", "plan",
     "predict_recordings", "profile_interval", "read_effects", "scan", "scan_lines", "simulate",
 ]  # fmt: skip
 
 _MODULES = {
     "fitting._errors": tuple(n for n in __all__ if n.endswith("Error")),
     "fitting._criteria": ("Criteria",),
+    "fitting.discovery._certificate": ("Certificate", "certify"),
     "fitting.discovery._laws": ("laws",),
     "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),

@@ -145,8 +145,9 @@ class _Keeper:
 
 def _item(text: str) -> Item:
     """Read ``truth:casing.windage:17``."""
-    kind, effect, number = (text.split(":", 1)[0], *text.split(":", 1)[-1].rsplit(":", 1))
-    if not number.isdigit():
+    kind, _, rest = text.partition(":")
+    effect, _, number = rest.rpartition(":")
+    if not number.isdecimal():
         raise UsageError(f"{text[:60]!r} names no simulated recording.", "Write kind:effect:number.")
     return kind, effect, int(number)
 

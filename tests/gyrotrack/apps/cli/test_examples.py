@@ -25,7 +25,8 @@ LONG = {
     "figures",
     "laws",
     "plan",
-}  # minutes, or films; test_study.py, test_paper.py, test_laws.py and test_plan.py run the last five
+    "certify",
+}  # minutes, or films; test_study.py, test_paper.py, test_laws.py, test_plan.py and test_certify.py run the last six
 SERVED = {"view"}  # runs until it is stopped; it has tests of its own
 
 
