@@ -90,6 +90,7 @@ class Criteria:
         30.0, "correlated over white angle noise above which it is no noise")
     random_torque: float = _criterion(0.01,
         "random torque above which it is no noise, as a share of the mean torque")
+    random_torque_evidence: float = _criterion(10.0, "deviance that a random torque above the noise needs", _KASS)
     random_torque_shortest: float = _criterion(0.05, "shortest correlation time of a random torque [s]")
     random_torque_longest: float = _criterion(10.0, "longest correlation time of a random torque [s]")
     start_u: float = _criterion(3e-3,

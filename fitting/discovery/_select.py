@@ -20,7 +20,7 @@ import numpy as np
 from fitting._criteria import DEFAULT, Criteria
 from fitting._display import BLUE, block, draw_history, figure, figure_of, markup_table
 from fitting._errors import FittingError
-from fitting._numbers import short, unit_text
+from fitting._numbers import rounded, short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
 from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
@@ -329,13 +329,34 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
 
 
 def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candidate | None:
-    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none."""
-    for c in candidates:
-        if c.fit is None or not c.significant:
-            continue
-        if c.delta_bic < -needed_evidence(c.effect, c.fit, criteria):
-            return c
-    return None
+    """Return the candidate to add next: significant, refitted, better in BIC; None if there is none.
+
+    Where its strength is not determined, as that of a law with a shape far beyond the data, it is the first candidate
+    that the data cannot separate from it and whose strength is determined.
+    """
+    fitting = [
+        c
+        for c in candidates
+        if c.fit is not None and c.significant and c.delta_bic < -needed_evidence(c.effect, c.fit, criteria)
+    ]
+    if not fitting:
+        return None
+    alike = (c for c in fitting if c is fitting[0] or c.effect.name in fitting[0].indistinguishable_from)
+    return next(
+        (c for c in alike if c.fit is not None and not not_determined(c.effect, c.fit, criteria)), fitting[0]
+    )
+
+
+def not_determined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
+    """Return why an effect of a fit is not determined, as a sentence; empty if it is."""
+    name, amplitude = effect.name, effect.amplitude
+    if not fit.converged:
+        return f"The fit with {name} did not converge"
+    for key, e in fit.estimates.items():
+        is_strength = amplitude is not None and key.partition("@")[0] == f"{name}.{amplitude.symbol}"
+        if is_strength and math.isfinite(e.stderr) and not abs(e.value) >= criteria.named_sigma * e.stderr:
+            return f"The strength {key} = {rounded(e.value, e.stderr, e.unit)} is not determined"
+    return ""
 
 
 def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
@@ -477,6 +498,7 @@ def select(
     chosen = best(ranked, criteria)
     if chosen is None or chosen.fit is None:
         return Selection(ranked, None, base, base)
+    ranked = [chosen, *(c for c in ranked if c is not chosen)]
     if chosen.effect is START:
         return Selection(ranked, chosen, chosen.fit, chosen.fit)
     end = _refined(chosen.fit, criteria)

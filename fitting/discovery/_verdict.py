@@ -64,7 +64,15 @@ from fitting.discovery._residuals import (
     whiteness,
 )
 from fitting.discovery._score import Score
-from fitting.discovery._select import Candidate, Selection, Step, rank, select, separate_values
+from fitting.discovery._select import (
+    Candidate,
+    Selection,
+    Step,
+    not_determined,
+    rank,
+    select,
+    separate_values,
+)
 from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._result import Estimate, Fit
@@ -362,8 +370,13 @@ def _diagnosis(
         verdict, size = "adequate", Grade(None, None, None)
     hint = _undetermined(selection, criteria) if verdict == "missing_effect" else ""
     random = None if hint else _random_alternative(fit, selection, verdict, doubt, criteria)
-    if hint or random is not None:
-        unexplained = random is None and (misfit or doubt is not None)
+    restless = verdict == "adequate" and not within_uncertainty and fit.needs_random_torque(criteria)
+    if restless:
+        random = with_random_torque(fit, criteria)
+        # above its ceiling it is no noise
+        random = random if describes(random, criteria) else None
+    if hint or restless or random is not None:
+        unexplained = random is None and (misfit or restless or doubt is not None)
         verdict, size = "unexplained" if unexplained else "undecided", Grade(None, None, None)
     if verdict == "missing_effect":
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
@@ -406,17 +419,8 @@ def _undetermined(selection: Selection, criteria: Criteria) -> str:
     chosen = selection.chosen
     if chosen is None or chosen.effect is START:
         return ""
-    name = chosen.effect.name
-    if not selection.named.converged:
-        return f"The fit with {name} did not converge, so {name} is a hint only."
-    amplitude = chosen.effect.amplitude
-    estimates = {k: e for k, e in selection.named.estimates.items() if k.startswith(f"{name}.")}
-    for key, e in estimates.items():
-        is_strength = amplitude is not None and key.partition("@")[0] == f"{name}.{amplitude.symbol}"
-        if is_strength and math.isfinite(e.stderr) and not abs(e.value) >= criteria.named_sigma * e.stderr:
-            value = rounded(e.value, e.stderr, e.unit)
-            return f"The strength {key} = {value} is not determined, so {name} is a hint only."
-    return ""
+    why = not_determined(chosen.effect, selection.named, criteria)
+    return f"{why}, so {chosen.effect.name} is a hint only." if why else ""
 
 
 def _random_alternative(

@@ -294,6 +294,21 @@ def stated_error_rows(
     return np.concatenate(found, axis=1)
 
 
+def stated_harmonic_scale(run: Compressed, harmonic: float) -> Array:
+    """Return the standard deviation of the rows of harmonics, (rows,), in units of their white noise.
+
+    An error of the angle that repeats with the turn changes with speed, blur and light: beside its constant part, which
+    is a nuisance parameter, each block has amplitudes of orders 1 and 2 with the standard deviation `harmonic` [rad],
+    as its higher orders do.
+    """
+    k, found = run.lift.shape[1], [np.zeros(0)]
+    for where, operator in run.operators:
+        psi = run.samples.value[where]
+        waves = np.stack([f(order * psi) for order in (1, 2) for f in (np.cos, np.sin)], axis=1)
+        found.append(np.hypot(1.0, harmonic * np.linalg.norm(operator[k:] @ waves, axis=1)))
+    return np.concatenate(found)
+
+
 def _unit(covariance: Array) -> float:
     """Return the level at which the noise is as large as white noise in half of the rows."""
     return 1 / float(np.sqrt(np.median(np.diag(covariance)) + 1e-300))

@@ -33,6 +33,7 @@ from fitting.inference._angle_noise import (
     estimate_angle_noise,
     estimate_window_noise,
     stated_error_rows,
+    stated_harmonic_scale,
 )
 from fitting.inference._compression import (
     BLOCKS,
@@ -340,7 +341,8 @@ class CaseData:
                 later = np.cumsum((rows * (t - t[0]))[:, ::-1], axis=1)[:, ::-1] - later * (t - t[0])
             responses.append(later**2 @ np.gradient(t))
             frequencies.append(np.repeat([1.0, 2.0], 2) * abs(np.ptp(psi[where]) / np.ptp(t)))
-        return np.concatenate(responses), np.concatenate(frequencies)
+        scale = self._harmonic_scale if len(self._harmonic_scale) else 1.0
+        return np.concatenate(responses) / scale**2, np.concatenate(frequencies)
 
     @cached_property
     def node_times(self) -> Array:
@@ -531,20 +533,34 @@ class CaseData:
 
     def with_white_angles(self, rows: Array) -> Array:
         """Return rows whitened by the correlated angle noise alone."""
-        return self._transformed(rows, self.angle_noise.inverse, self.rotor_angle_noise.inverse)
+        inverse = 1 / self._harmonic_scale
+        return self._transformed(rows, self.angle_noise.inverse, self.rotor_angle_noise.inverse, inverse)
 
     def unwhitened(self, rows: Array) -> Array:
         """Return the rows before `whitened`."""
-        rows = self._transformed(rows, self.angle_noise.root, self.rotor_angle_noise.root)
+        rows = self._transformed(
+            rows, self.angle_noise.root, self.rotor_angle_noise.root, self._harmonic_scale
+        )
         return self.start_time_noise.unwhitened(rows)
 
-    def _transformed(self, rows: Array, casing: Array, rotor: Array) -> Array:
+    def _transformed(self, rows: Array, casing: Array, rotor: Array, harmonic: Array) -> Array:
         first, last = self.slices["rotor"].start, self.slices["rotor"].stop
+        end = self.slices["harmonic"].stop
         parts = [
             casing @ rows[:first] if len(casing) else rows[:first],
             rotor @ rows[first:last] if len(rotor) else rows[first:last],
+            (rows[last:end].T * harmonic).T if len(harmonic) else rows[last:end],
         ]
-        return np.concatenate([*parts, rows[last:]]) if len(casing) or len(rotor) else rows
+        changed = len(casing) or len(rotor) or len(harmonic)
+        return np.concatenate([*parts, rows[end:]]) if changed else rows
+
+    @cached_property
+    def _harmonic_scale(self) -> Array:
+        """Standard deviation of the rows of harmonics by the stated error of the angle; empty without one."""
+        stated = self.record.correlated[3]
+        if stated == 0 or not self.is_angle or self.oscillation is not None:
+            return np.zeros(0)
+        return stated_harmonic_scale(self.casing, stated)
 
     @cached_property
     def start_time_noise(self) -> StartTimeNoise:

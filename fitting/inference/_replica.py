@@ -245,7 +245,8 @@ def _stated_error(data: CaseData, random: Random) -> Array:
     for where, _ in data.casing.operators if periodic > 0 or harmonic > 0 else ():
         psi = run.value[where]
         few = np.ptp(psi) < TURNS_PER_BLOCK * 2 * np.pi
-        amplitudes = dict.fromkeys(HARMONICS, harmonic) | ({1: periodic, 2: periodic} if few else {})
+        slow = math.hypot(harmonic, periodic if few else 0.0)
+        amplitudes = dict.fromkeys(HARMONICS, harmonic) | {1: slow, 2: slow}
         for order, amplitude in amplitudes.items():
             a, b = amplitude * random.standard_normal(2)
             found[where] += a * np.cos(order * psi) + b * np.sin(order * psi)

@@ -343,7 +343,7 @@ class Fit(FitSummary):
             return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not_converged"
-        if self.fails():
+        if self.fails() or self.needs_random_torque():
             return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
 
@@ -382,6 +382,20 @@ class Fit(FitSummary):
             Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level.
         """
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
+
+    def needs_random_torque(self, criteria: Criteria = DEFAULT) -> bool:
+        """Return whether only a random torque describes the data that the recording does not show without the model.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level, its
+            `random_torque_evidence` the fall of the deviance by the random torque.
+        """
+        return any(
+            n.level > n.pure + criteria.excess_noise * n.pure_u and n.excess > criteria.random_torque_evidence
+            for n in self.noise
+        )
 
     @property
     def undetermined(self) -> list[str]:
