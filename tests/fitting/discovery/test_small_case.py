@@ -150,6 +150,29 @@ class TestOrder:
         assert best(ranked(), Criteria(evidence=-first.delta_bic + 1, evidence_periodic=1e9)) is None
         assert best(ranked(), Criteria(evidence=-first.delta_bic - 1)) is first
         assert best([replace(first, significant=False)]) is None
+
+    @pytest.mark.parametrize(
+        ("converged", "strength", "alike", "takes_the_other"),
+        [
+            (True, 3.1, True, False),
+            (True, 2.9, True, True),
+            (False, 3.1, True, True),
+            (True, 2.9, False, False),  # another candidate, not a rival
+        ],
+    )
+    def test_an_undetermined_strength_leaves_the_name_to_its_class(
+        self, converged, strength, alike, takes_the_other
+    ):
+        first, second = ranked()[:2]
+        key = f"{NAME}.k"
+        weak = replace(first.fit.estimates[key], stderr=first.fit.estimates[key].value / strength)
+        poor = replace(first.fit, converged=converged, estimates=first.fit.estimates | {key: weak})
+        names = (second.effect.name,) if alike else ()
+        better = replace(second, significant=True, delta_bic=-50.0, fit=replace(first.fit))
+        doubtful = replace(first, fit=poor, indistinguishable_from=names)
+        found = best([doubtful, better])
+        assert found is (better if takes_the_other else doubtful)
+        assert best([doubtful]) is doubtful
         assert best([replace(first, fit=None)]) is None
 
     @pytest.mark.parametrize(
@@ -323,6 +346,28 @@ class TestAnswer:
         assert history[-1].fit.verdict == "no_lack_of_fit"
         assert history[-1].fit.bic < base().bic - DEFAULT.evidence
         assert best(history[-1].candidates) is None
+
+    @pytest.mark.parametrize(
+        ("sigma", "excess", "needs"), [(4.5, 11.0, True), (3.5, 11.0, False), (4.5, 9.0, False)]
+    )
+    def test_a_random_torque_that_the_recording_does_not_show_is_a_lack_of_fit(self, sigma, excess, needs):
+        found = base(0.0)
+        n = found.noise[0]
+        noisy = replace(found, noise=(replace(n, level=n.pure + sigma * n.pure_u, excess=excess),))
+        assert noisy.needs_random_torque() == needs
+        assert noisy.verdict == ("lack_of_fit" if needs else found.verdict)
+        assert not noisy.needs_random_torque(Criteria(random_torque_evidence=1e9))
+
+    @pytest.mark.parametrize(("describes", "verdict"), [(True, "undecided"), (False, "unexplained")])
+    def test_such_a_model_is_not_adequate(self, monkeypatch, describes, verdict):
+        found = base(0.0)
+        n = found.noise[0]
+        noisy = replace(found, noise=(replace(n, level=n.pure + 5 * n.pure_u, excess=20.0),))
+        monkeypatch.setattr(globals()["verdict"], "describes", lambda *_: describes)
+        answered = diagnose(noisy, candidates=ranked(0.0), brief=True)
+        assert answered.verdict == verdict
+        assert "random torque" in answered.sentence or "unexplained torque" in answered.sentence
+        assert diagnose(found, candidates=ranked(0.0), brief=True).verdict == "adequate"
 
     def test_excess_noise_compares_the_fit_with_the_recording(self):
         found = base()

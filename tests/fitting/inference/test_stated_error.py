@@ -8,7 +8,7 @@ import pytest
 import twobody
 
 from fitting.dynamics._model import Model
-from fitting.inference._angle_noise import AngleNoise, stated_error_rows
+from fitting.inference._angle_noise import AngleNoise, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated
 from fitting.inference._compression import compress
@@ -137,3 +137,38 @@ def test_with_a_stated_error_the_uncertainties_are_right():
         found = fit(Model.of("reduced"), [film(seed, (SIGMA, TIME), SIGMA)]).estimates[name]
         pulls.append((found.value - GYROSCOPE["b2"]) / found.stderr)
     assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.7
+
+
+def test_harmonic_rows_have_the_variance_of_amplitudes_that_change_from_block_to_block():
+    level = 1.5e-3
+    data = CaseData.of(film(stated=(0.0, 0.0, 0.0, level)))
+    run, k, rng = data.casing, data.casing.lift.shape[1], np.random.default_rng(1)
+    psi, rows = run.samples.value, []
+    for _ in range(300):
+        found = []
+        for where, operator in run.operators:
+            a = level * rng.standard_normal(4)
+            waves = [f(order * psi[where]) for order in (1, 2) for f in (np.cos, np.sin)]
+            found.append(operator[k:] @ sum(x * w for x, w in zip(a, waves, strict=True)))
+        rows.append(np.concatenate(found))
+    expected = np.sqrt(1 + np.mean(np.square(rows), axis=0))
+    scale = stated_harmonic_scale(run, level)
+    assert scale == pytest.approx(expected, rel=0.2)
+    assert scale.max() > 5
+    assert stated_harmonic_scale(run, 0.0) == pytest.approx(1.0)
+
+
+def test_harmonic_rows_are_whitened_by_it_and_the_others_are_not():
+    level = 1.5e-3
+    with_error, without = (
+        replace(CaseData.of(film(stated=(0.0, 0.0, 0.0, x))), noiseless=True) for x in (level, 0.0)
+    )
+    where = with_error.slices["harmonic"]
+    scale = stated_harmonic_scale(with_error.casing, level)
+    one = np.random.default_rng(0).standard_normal((len(without.z), 2))
+    assert with_error.whitened(one)[where] == pytest.approx(one[where] / scale[:, None])
+    assert with_error.whitened(one)[where.stop :] == pytest.approx(one[where.stop :])
+    assert with_error.unwhitened(with_error.whitened(one)) == pytest.approx(one)
+    assert np.array_equal(without.whitened(one)[where], one[where])
+    responses = with_error.harmonic_row_responses[0], without.harmonic_row_responses[0]
+    assert responses[0] == pytest.approx(responses[1] / scale**2)
