@@ -6,9 +6,13 @@ significant,
 
     U = T_end - T_base + R,      explained = 1 - <(U - T_named + T_base)^2> / <U^2>,
 
-with the mean over the record, the bodies and the cases. Where a fitted shape constant is all that the named law lacks,
-and the base absorbs most of the law, the torques of the law itself take the place of U. Laws of an angle enter by their
-amplitudes k, <(k sin(n psi - phi))^2> = k^2 / 2.
+with the mean over the record, the bodies and the cases.
+
+A named law that does not depend on an angle is compared with the slow torques alone: torques of the angle, which angles
+once per turn leave undetermined and large, are stated beside its share. Where a second effect is not determined, the
+unmodelled torque of the fit with the named effect alone is the better estimate of what remains, so the smaller of both
+counts. Where a fitted shape constant is all that the named law lacks, and the base absorbs most of the law, the torques
+of the law itself take the place of U. Laws of an angle enter by their amplitudes k, <(k sin(n psi - phi))^2> = k^2 / 2.
 """
 
 from __future__ import annotations
@@ -107,13 +111,16 @@ class Torques:
         added = np.interp(self._time[case], curve.time, curve.torque, left=0.0, right=0.0)
         self.unmodelled[case][0][1 if curve.body == "casing" else 0] += added
 
-    def remaining(self, named: Fit) -> tuple[float, float]:
-        """Return the unexplained share of the mean square, and the rms of it on the body with more of it [N m]."""
+    def remaining(self, named: Fit, *, slow: bool = False) -> tuple[float, float]:
+        """Return the unexplained share of the mean square, and the rms of it on the body with more of it [N m].
+
+        With `slow`, torques of the angle are left out.
+        """
         explained = self._difference(named)
         whole, bodies = np.zeros(2), np.zeros(2)
         for (smooth, harmonics), (fitted, fitted_harmonics) in zip(self.unmodelled, explained, strict=True):
             for body in (0, 1):
-                names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body}
+                names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body and not slow}
                 own = {k: harmonics.get(k, 0) for k in names}
                 mean = float(np.mean(smooth[body] ** 2)) + 0.5 * sum(abs(x) ** 2 for x in own.values())
                 whole[body] += mean / len(self.unmodelled)
@@ -123,6 +130,16 @@ class Torques:
         if bodies.sum() >= whole.sum():  # it explains nothing: all of the torque remains
             return float(whole.sum() > 0), float(np.sqrt(whole.max()))
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
+
+    def of_angle(self, named: Fit) -> float:
+        """Return the rms of the torques of the angle that a fit leaves, on the body with more of them [N m]."""
+        bodies = np.zeros(2)
+        explained = self._difference(named)
+        for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
+            for k in {*harmonics, *fitted}:
+                rest = abs(harmonics.get(k, 0) - fitted.get(k, 0)) ** 2
+                bodies[k[0]] += 0.5 * rest / len(self.unmodelled)
+        return float(np.sqrt(bodies.max()))
 
     def shape_error(self, law: Effect, freed: Effect, fit: Fit) -> tuple[float, float, float]:
         """Return the size of the difference of a law with a free shape and that of the library, best scaled.
@@ -335,8 +352,14 @@ def grade(
     harmonic = doubt.fit if isinstance(doubt, HarmonicTest) else None
     sized = harmonic is not None or not isinstance(doubt, HarmonicTest)
     torques = Torques(base, harmonic or end, residual=significant and harmonic is None)
-    share, rms = unexplained = torques.remaining(selection.named)
-    whole = "unmodelled torque"
+    slow = not chosen.effect.depends_on_angle
+    share, rms = unexplained = torques.remaining(selection.named, slow=slow)
+    if others and slow and 1 - share < criteria.explained and selection.named.converged:
+        alone = Torques(base, selection.named, residual=True).remaining(selection.named, slow=True)
+        share, rms = unexplained = min(unexplained, alone)
+    whole = (
+        "slow unmodelled torque" if slow and torques.of_angle(selection.named) > 0 else "unmodelled torque"
+    )
     for e in free if not others else []:
         of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e, end)
         # the fit of a law of the wrong shape may be in another minimum: then the law is closer than its fit
@@ -346,6 +369,9 @@ def grade(
             share, rms, whole = of_law, difference, f"torque of {e.name}"
     parts = [f"shape of {e.name}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free]
     parts += [f"second effect {', '.join(others)}"] if others else []
+    of_angle = torques.of_angle(selection.named) if slow else 0.0
+    if of_angle > 0:
+        parts.append(f"a torque of the angle of {format_torque(of_angle, unit=base.torque_unit)} rms")
     p = _likelihood_ratio(selection.named, end)
     if significant:
         found = doubt if doubt is not None else smooth_test(end)
@@ -378,7 +404,7 @@ def grade(
         for c in selection.candidates
         if c is not chosen and c.physical == chosen.physical and c.significant and c.fit is not None
         if c.effect.name != chosen.effect.name
-        if c.score > chosen.score - margin and torques.remaining(c.fit)[0] < 2 * unexplained[0]
+        if c.score > chosen.score - margin and torques.remaining(c.fit, slow=slow)[0] < 2 * unexplained[0]
     )
     return Grade("approximate", 1 - share, remainder, rivals, test=tested)
 

@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting._criteria import DEFAULT, Criteria
+from fitting.discovery import _remainder as remainder
 from fitting.discovery import _verdict as verdict
 from fitting.discovery._lack_of_fit import contradiction, smooth_test
 from fitting.discovery._refine import with_shape_parameter
@@ -378,6 +379,55 @@ class TestAnswer:
         assert raised(4.5).has_excess_noise()
         assert not raised(0.5).has_excess_noise()
         assert not raised(4.5).has_excess_noise(Criteria(excess_noise=1e9))
+
+
+@cache
+def with_torque_of_the_angle():
+    """Return the fit with the drag, and one with a torque of 2 mN m twice a turn beside it."""
+    named = fit(Model.of((*BASE, NAME)), base())
+    end = fit(Model.of((*BASE, NAME, "casing.asymmetry")), base(), start=named.values)
+    theta = end.theta.copy()
+    theta[end.problem.layout.index["casing.asymmetry.k"]] = 2e-3
+    return named, replace(end, theta=theta)
+
+
+class TestKindsOfTorque:
+    """A drag and a second effect that repeats with the angle and is not determined."""
+
+    def test_torques_of_the_angle_have_a_size_of_their_own(self):
+        named, end = with_torque_of_the_angle()
+        torques = Torques(base(), end, residual=False)
+        assert torques.of_angle(named) == pytest.approx(2e-3 / math.sqrt(2))
+        assert torques.of_angle(end) == 0.0
+        assert torques.remaining(named)[0] > 0.5
+        assert torques.remaining(named, slow=True)[0] < 0.05
+
+    def test_a_drag_is_not_measured_by_torques_of_the_angle(self, monkeypatch):
+        named, end = with_torque_of_the_angle()
+        first = replace(ranked()[0], fit=named)
+        selection = Selection([first], first, named, end)
+        monkeypatch.setattr(type(end), "fails", lambda *_: False)
+        size = remainder.grade(base(), selection, None, DEFAULT, misfit=False)
+        assert size.explained > 0.95
+        assert size.form == "approximate"
+        assert "second effect casing.asymmetry" in size.remainder.sentence
+        assert "a torque of the angle of 1.41 mN m rms" in size.remainder.sentence
+
+    @pytest.mark.parametrize(("alone", "explained"), [(0.02, 0.98), (0.3, 0.7), (0.6, 0.6)])
+    def test_the_smaller_estimate_of_what_remains_counts(self, monkeypatch, alone, explained):
+        """Beside an undetermined second effect, 0.4 of the torque seems to remain."""
+        named, end = with_torque_of_the_angle()
+
+        class Estimated(Torques):
+            def remaining(self, fit, *, slow=False):
+                assert slow
+                return (alone if self._end is named else 0.4), 1e-6
+
+        monkeypatch.setattr(remainder, "Torques", Estimated)
+        monkeypatch.setattr(remainder, "better_law", lambda *_: "")
+        first = replace(ranked()[0], fit=named)
+        size = remainder.grade(base(), Selection([first], first, named, end), None, DEFAULT, misfit=False)
+        assert size.explained == pytest.approx(explained)
 
 
 class TestShape:
