@@ -36,7 +36,14 @@ from fitting.inference._initial_values import initial_shapes, initial_values, un
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
-from fitting.inference._problem import Problem, first_noise, measure_noise, raised_noise, refine_level
+from fitting.inference._problem import (
+    GIVEN_UP,
+    Problem,
+    first_noise,
+    measure_noise,
+    raised_noise,
+    refine_level,
+)
 from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
 
@@ -182,6 +189,41 @@ def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | N
             yield begin
 
 
+def _from_separate_fits(
+    problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
+) -> tuple[Solution, tuple[Noise, ...]]:
+    """Return a solution of a joint fit and its noise, searched again from fits of each case alone.
+
+    From values that describe one case and not another, random torque in the latter accounts for the difference, and its
+    data lose their weight. The better description of both has the lower deviance.
+    """
+    alone = []
+    for d in problem.data:
+        try:
+            alone.append(fit(problem.layout.model, [d], quick=True))
+        except FittingError:
+            return found, noise
+    start = {name: _of_separate_fits(name, alone) for name in problem.layout.names}
+    try:
+        ends = [
+            (found, noise),
+            search_with_noise(problem, initial_values(problem, start), start, quick=quick),
+        ]
+    except FittingError:
+        return found, noise
+    return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
+
+
+def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
+    """Return the value of a variable of a joint fit: of its own case, or the mean of all, weighted by 1 / u^2."""
+    key, _, label = name.partition("@")
+    own = [f.estimates.get(name) or f.estimates[key] for f in alone if not label or f.labels == (label,)]
+    known = [e for e in own if np.isfinite(e.stderr) and e.stderr > 0]
+    if not known:
+        return float(np.mean([e.value for e in own]))
+    return float(np.average([e.value for e in known], weights=[e.stderr**-2 for e in known]))
+
+
 # chi2 per row above which the process noise is estimated again at the minimum
 _REFINED_ABOVE = 1.5
 
@@ -217,6 +259,8 @@ def fit(
     active: ActiveBounds | None = None
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)
+        if any(n.level > GIVEN_UP * n.pure for n in noise) and len(data) > 1:
+            found, noise = _from_separate_fits(problem, found, noise, quick=quick)
         theta, active = found.theta, found.active
     elif not _free_names(problem) <= set(start or ()):
         # far from the minimum residuals far exceed the noise, and the search would take long at a low level
