@@ -32,6 +32,7 @@ from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
+from fitting.inference._record import Record
 from fitting.inference._replica import replica
 from fitting.inference._result import Fit
 
@@ -120,7 +121,9 @@ class Certificate:
     seed: int = 0
 
     @classmethod
-    def of_answer(cls, found: Diagnosis, outcomes: Sequence[Outcome], n: int, seed: int = 0) -> Self:
+    def of_answer(
+        cls, found: Diagnosis, outcomes: Sequence[Outcome], n: int, seed: int = 0, *, film: bool = False
+    ) -> Self:
         """Return the certificate of an answer.
 
         Parameters
@@ -131,12 +134,14 @@ class Certificate:
             The answers to simulated recordings.
         n, seed : int
             Number of recordings without the named effect, seed.
+        film : bool
+            Whether films were rendered and tracked.
         """
         best = found.candidates[0] if found.candidates else None
         named: tuple[str, ...] = ()
         if best is not None and found.verdict == "missing_effect":
             named = (best.effect.name, *best.indistinguishable_from)
-        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), seed=seed)
+        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed)
 
     def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
         """Return the outcomes of one kind of world, or of one world.
@@ -209,6 +214,7 @@ class Certificate:
         null = len(self.of("null"))
         low, high = self.interval
         what = f"without {self.named[0]}" if self.named else "of the fitted model"
+        what = f"{what}, from rendered films on" if self.film else what
         interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
         if self.named:
@@ -429,17 +435,43 @@ def _count(world: World, n: int) -> int:
 
 def _outcome(work: _Work, item: Item) -> Outcome:
     """Simulate one recording and analyse it like the original."""
-    kind, effect, number = item
-    world = work.worlds[kind, effect]
-    records = replica(world.fit, (work.seed, *world.effect.encode(), number))
-    layout = work.base.problem.layout
+    _, effect, number = item
+    records = replica(work.worlds[item[:2]].fit, (work.seed, *effect.encode(), number))
+    return _analysed(work, item, records)
+
+
+def outcome_of_records(
+    found: Diagnosis,
+    item: Item,
+    records: Sequence[Record],
+    *,
+    extra: Sequence[Effect] = (),
+    criteria: Criteria = DEFAULT,
+) -> Outcome:
+    """Return the answer to recordings of a world that were made elsewhere, such as from rendered films.
+
+    Parameters
+    ----------
+    found, extra, criteria
+        As for `certify`.
+    item : (str, str, int)
+        Kind, effect and number of the simulation.
+    records : sequence of Record
+        One for each case; none if their measurement failed.
+    """
+    work = _Work.of(found, extra, criteria, 0)
+    return _analysed(work, item, records) if records else Outcome(*item, _FAILED, (), math.nan, {})
+
+
+def _analysed(work: _Work, item: Item, records: Sequence[Record]) -> Outcome:
+    world, layout = work.worlds[item[:2]], work.base.problem.layout
     share, per_case = ([k for k in keys if k in work.base.model.free] for keys in layout.choices)
     try:
         data = [CaseData.of(r) for r in records]
         again = fit_model(work.base.model, data, share=share, per_case=per_case, ranges=layout.ranges)
         found = diagnose(again, work.extra, criteria=work.criteria, brief=True)
     except FittingError:
-        return Outcome(world.kind, world.effect, number, _FAILED, (), math.nan, {})
+        return Outcome(*item, _FAILED, (), math.nan, {})
     best = found.candidates[0] if found.candidates else None
     named: tuple[str, ...] = ()
     if best is not None and found.verdict == "missing_effect":
@@ -448,8 +480,7 @@ def _outcome(work: _Work, item: Item) -> Outcome:
     inside = {}
     if final is not None and set(final.model.names) == set(world.fit.model.names):
         inside = _inside(final, world.fit)
-    score = best.score if best is not None else 0.0
-    return Outcome(world.kind, world.effect, number, found.verdict, named, score, inside)
+    return Outcome(*item, found.verdict, named, best.score if best is not None else 0.0, inside)
 
 
 def _inside(found: Fit, truth: Fit) -> dict[str, bool]:

@@ -67,7 +67,36 @@ def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
                 f"{data.record.label}: only measured values can be simulated, not curves made from them",
                 "fit the case as it was measured, without --data and --rotor",
             )
-    return [_recording(_Motion(fit, case), random) for case in range(len(fit.problem.data))]
+    return [_recording(_Motion(fit, case, data), random) for case, data in enumerate(fit.problem.data)]
+
+
+def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> tuple[Array, Array]:
+    """Return the angles of casing and rotor [rad] of a repetition of a recording, without any error of measurement.
+
+    Parameters
+    ----------
+    fit : Fit
+        The motion and its random torque.
+    case : int
+        Index of the recording.
+    times : ndarray, shape (n,)
+        Times within the recording [s].
+    seed : int or sequence of int
+        Seed of moments of inertia and random torque.
+    """
+    random = np.random.default_rng(seed)
+    known = fit.problem.data[case]
+    first = _Motion(fit, case, known)
+    zero = float(np.median(known.record.casing.value - first.expected(known.record.casing.time, rotor=False)))
+    angles = [first.expected(times, rotor=False) + zero, first.expected(times, rotor=True)]
+    runs = [Samples(times, angle, np.ones(len(times))) for angle in angles]
+    motion = _Motion(
+        fit, case, replace(known, record=replace(known.record, casing=runs[0], rotor=(runs[1],)))
+    )
+    changes = [_other_inertias(motion, random), _random_torque(motion, random)]
+    changes += [motion.angle_response(effect, zero) for effect in fit.model.angle_dependent]
+    casing, rotor = (a + np.sum([c[i] for c in changes], axis=0) for i, a in enumerate(angles))
+    return casing, rotor
 
 
 @dataclass(frozen=True)
@@ -76,10 +105,7 @@ class _Motion:
 
     fit: Fit
     case: int
-
-    @property
-    def data(self) -> CaseData:
-        return self.fit.problem.data[self.case]
+    data: CaseData
 
     @property
     def prediction(self) -> Prediction:
@@ -103,7 +129,7 @@ class _Motion:
         runs = (self.data.record.casing, *self.data.record.rotor)
         zero = float(np.median(values[0] - self.expected(runs[0].time, rotor=False)))
         for effect in self.fit.model.angle_dependent:
-            for value, change in zip(values, self._angle_response(effect, zero), strict=True):
+            for value, change in zip(values, self.angle_response(effect, zero), strict=True):
                 value += change
         for effect in self.fit.model.measurement:
             for i, run in enumerate(runs):
@@ -125,7 +151,7 @@ class _Motion:
         error = np.asarray(Tape([effect.expression])(self._law(effect) | known)[0]) * np.ones(len(run))
         return error if self.data.is_angle else np.gradient(error, run.time)
 
-    def _angle_response(self, effect: Effect, zero: float) -> list[Array]:
+    def angle_response(self, effect: Effect, zero: float) -> list[Array]:
         """Return the response of the casing and of each window to a law of an angle, which is `zero` at the start."""
         record, path, motion = self.data.record, self.prediction.path, self.prediction.motion
         t = record.casing.time

@@ -139,10 +139,12 @@ class Entry:
                 return restored_diagnosis(StoredDiagnosis.model_validate(stored), fit, extra)
         return None
 
-    def certificate(self, found: Diagnosis, seed: int | None = None) -> Certificate | None:
+    def certificate(
+        self, found: Diagnosis, seed: int | None = None, *, film: bool | None = None
+    ) -> Certificate | None:
         """Return the certificate of this answer by the same code, complete or not; None if there is none.
 
-        With a `seed`, only one whose random errors have this seed.
+        With a `seed`, only one whose random errors have this seed; with `film`, only one from films, or from data.
         """
         stored = self.document.get("certificate")
         known = None
@@ -152,7 +154,8 @@ class Entry:
         answer = Certificate.of_answer(found, (), 0)
         if known is None or (known.verdict, known.named) != (answer.verdict, answer.named):
             return None
-        return known if seed is None or seed == known.seed else None
+        same = seed in {None, known.seed} and film in {None, known.film}
+        return known if same else None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Fit the model again with the stored parameters as initial values."""

@@ -7,25 +7,37 @@ import textwrap
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from gyrotrack._errors import GyrotrackError, UsageError
+from gyrotrack.apps._filming import Filming
 from gyrotrack.apps._study import open_study
+from gyrotrack.apps.batch._steps import new_sign
+from gyrotrack.apps.batch._workers import Certificates, Child, ClusterWorkers, LocalWorkers, Workers, cores
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, Output, duration
 from gyrotrack.apps.cli._settings import option
+from gyrotrack.io._hdf5 import read_case
+from gyrotrack.io._scratch import scratch_folder
+from gyrotrack.synthetic._scene import Motion
 
 if TYPE_CHECKING:
     from fitting.discovery._certificate import Certificate, Item, Outcome
     from fitting.discovery._verdict import Diagnosis
+    from fitting.effects._effect import Effect
     from gyrotrack.apps.batch._workers import Workers
 
 _WIDTH = 79
 # seconds between two writes of the ledger, and recordings that a worker of a cluster simulates in one command
 _KEPT, _PART = 20.0, 4
+_RECORDINGS, _FILMS = 200, 20
+_POINTS_PER_SECOND = 500
 Keep = Callable[["Sequence[Outcome]", int], None]
 
 
@@ -33,13 +45,17 @@ def certify_command(
     cases: shared.CaseFiles,
     *,
     n: Annotated[
-        int,
+        int | None,
         option(
             "-n --recordings N",
-            "Simulated recordings without the named effect; as many have it, and a quarter of it each rival.",
+            "Simulated recordings without the named effect; as many have it, and a quarter of it each rival. "
+            "By default 200, or 20 with --film.",
             min=1,
         ),
-    ] = 200,
+    ] = None,
+    film: Annotated[
+        bool, option("--film", "Render films of this scene, and track and synchronise them; takes hours.")
+    ] = False,
     seed: Annotated[int, option("--seed N", "Random seed of all simulated errors.", min=0)] = 0,
     workers: Annotated[
         int | None, option("--workers N", "Processes; by default one per core, at most 5.", min=1)
@@ -67,40 +83,85 @@ def certify_command(
     Example: gyrotrack certify case1.h5 -n 200
     """
     from fitting._workers import WorkerPool
-    from fitting.discovery._certificate import certify, outcomes_of
+    from fitting.discovery._certificate import Certificate, certify, outcomes_of
     from fitting.study._serialisation import certificate_document
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    own = shared.own_effects(effects)
+    own, n = shared.own_effects(effects), n or (_FILMS if film else _RECORDINGS)
     if part:
         found, _ = study.answered(start, own)
-        outcomes = outcomes_of(found, [_item(p) for p in part], seed=seed, extra=own)
+        items = [_item(p) for p in part]
+        outcomes = (
+            [_from_film(found, item, cases, seed, own) for item in items]
+            if film
+            else outcomes_of(found, items, seed=seed, extra=own)
+        )
         out.result({"outcomes": [vars(o) for o in outcomes]})
         return DONE
+    for case in cases if film else ():
+        Filming.of(read_case(case))  # refuses a case without films before hours are spent
     pool = WorkerPool() if workers is None else WorkerPool(workers - 1)
     with pool, out.progress("simulating recordings") as progress:
         progress(0, None)
         found, fit_id = study.answered(start, own, workers=pool)
-        earlier = study.ledger.find(fit_id).certificate(found, seed)
+        earlier = study.ledger.find(fit_id).certificate(found, seed, film=film)
         known = earlier.outcomes if earlier is not None else ()
-        keep = _Keeper(out, progress, study.ledger, fit_id, found, n, seed, known)
-        if scheduler is None:
+        empty = Certificate.of_answer(found, (), n, seed, film=film)
+        keep = _Keeper(out, progress, study.ledger, fit_id, empty, len(known))
+        if scheduler is None and not film:
             done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
         else:
-            from gyrotrack.apps.batch._steps import new_sign
-            from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers
-
             words = [*(str(c.resolve()) for c in cases), "--seed", str(seed), "--from", fit_id]
             words += ["--ledger", str(study.ledger.path.resolve())]
             words += ["--effects", str(effects.resolve())] if effects is not None else []
-            sign = new_sign(study.ledger.path.resolve().parent)
-            with closing(ClusterWorkers(scheduler, sign, Certificates(tls_ca, tls_cert, tls_key))) as cluster:
-                done = _on_cluster(found, n, seed, known, cluster, words, keep)
+            words += ["--film"] if film else []
+            certificates = Certificates(tls_ca, tls_cert, tls_key)
+            place: Workers = (
+                LocalWorkers(workers or cores())
+                if scheduler is None
+                else ClusterWorkers(scheduler, new_sign(study.ledger.path.resolve().parent), certificates)
+            )
+            with closing(place):
+                done = _by_commands(found, empty, known, place, words, keep)
         keep.store(done)
     out.result({"fit_id": fit_id, **certificate_document(done)})
     out.show(_table(done, fit_id))
     return DONE
+
+
+def _from_film(
+    found: Diagnosis, item: Item, cases: Sequence[Path], seed: int, own: Sequence[Effect]
+) -> Outcome:
+    """Render the films of one simulated experiment, run the whole chain on them, and return its answer."""
+    from fitting.discovery._certificate import outcome_of_records, worlds
+    from fitting.inference._case_file import read_record
+    from fitting.inference._replica import motion_of
+
+    kind, effect, number = item
+    (world,) = (w for w in worlds(found) if (w.kind, w.effect) == (kind, effect))
+    child, records = Child(), []
+    with scratch_folder() as folder, closing(child):
+        for i, path in enumerate(cases):
+            place = folder / str(i)
+            place.mkdir()
+            case, data = read_case(path), found.fit.problem.data[i]
+            first, last = data.record.casing.time[[0, -1]].tolist()
+            times = np.linspace(first, last, int((last - first) * _POINTS_PER_SECOND) + 1)
+            casing, rotor = motion_of(world.fit, i, times, (seed, *effect.encode(), number))
+            motion = Motion.from_angles(times, rotor, casing)
+            trial = Motion.from_angles(times, *motion_of(found.fit, i, times, seed)[::-1])
+            filming = Filming.of(case).with_measured_noise(trial, place, child.run, seed)
+            inertias = ["--label", data.record.label]
+            for name in ("rotor", "casing"):
+                value, u = getattr(case, f"I_{name}"), getattr(case, f"I_{name}_u")
+                stated = f"{value!r} +- {u!r}" if math.isfinite(u) else repr(value)
+                inertias += [f"--inertia-{name}", stated]
+            made = filming.recorded(motion, place, child.run, inertias, seed + 97 * number + 1)
+            if made is None:
+                return outcome_of_records(found, item, (), extra=own)
+            records.append(read_record(made))
+    return outcome_of_records(found, item, records, extra=own)
 
 
 class _Keeper:
@@ -112,20 +173,15 @@ class _Keeper:
         progress: Callable[[int, int | None], None],
         ledger: Any,
         fit_id: str,
-        found: Diagnosis,
-        n: int,
-        seed: int,
-        known: Sequence[Outcome],
+        empty: Certificate,
+        known: int,
     ) -> None:
         self._out, self._progress, self._ledger, self._fit_id = out, progress, ledger, fit_id
-        self._answer = (found, n, seed)
-        self._known, self._told, self._begun = len(known), False, monotonic()
-        self._stored = self._begun
+        self._empty, self._known, self._told = empty, known, False
+        self._begun = self._stored = monotonic()
 
     def __call__(self, outcomes: Sequence[Outcome], total: int) -> None:
         """Take note of the outcomes so far, of `total`."""
-        from fitting.discovery._certificate import Certificate
-
         self._progress(len(outcomes), total)
         now = monotonic()
         new = len(outcomes) - self._known
@@ -134,8 +190,7 @@ class _Keeper:
             self._out.note(f"{total} recordings are simulated and analysed; about {duration(left)} left.")
             self._told = True
         if now - self._stored > _KEPT:
-            found, n, seed = self._answer
-            self.store(Certificate.of_answer(found, outcomes, n, seed))
+            self.store(replace(self._empty, outcomes=tuple(outcomes)))
             self._stored = now
 
     def store(self, done: Certificate) -> None:
@@ -152,25 +207,24 @@ def _item(text: str) -> Item:
     return kind, effect, int(number)
 
 
-def _on_cluster(
+def _by_commands(
     found: Diagnosis,
-    n: int,
-    seed: int,
+    empty: Certificate,
     known: Sequence[Outcome],
-    cluster: Workers,
+    place: Workers,
     words: Sequence[str],
     keep: Keep,
 ) -> Certificate:
-    """Return the certificate with the recordings simulated on the workers of a cluster."""
-    from fitting.discovery._certificate import Certificate, Outcome, planned
+    """Return the certificate with the recordings simulated by commands, in processes or on a cluster."""
+    from fitting.discovery._certificate import Outcome, planned
 
-    wanted = planned(found, n)
+    wanted = planned(found, empty.n)
     done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
     missing = [item for item in wanted if item not in done]
-    waiting = set()
-    for first in range(0, len(missing), _PART):
-        parts = [f"--part={kind}:{effect}:{k}" for kind, effect, k in missing[first : first + _PART]]
-        waiting.add(cluster.submit(["certify", *words, *parts], None))
+    waiting, size = set(), 1 if empty.film else _PART
+    for first in range(0, len(missing), size):
+        parts = [f"--part={kind}:{effect}:{k}" for kind, effect, k in missing[first : first + size]]
+        waiting.add(place.submit(["certify", *words, *parts], None))
     while waiting:
         ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
         for future in ended:
@@ -178,13 +232,12 @@ def _on_cluster(
             if "error" in document:
                 raise GyrotrackError(str(document["error"]["message"]), str(document["error"]["hint"]))
             for o in document["outcomes"]:
-                values = o | {
-                    "named": tuple(o["named"]),
-                    "score": math.nan if o["score"] is None else o["score"],
-                }
-                done[o["kind"], o["effect"], o["number"]] = Outcome(**values)
+                score = math.nan if o["score"] is None else o["score"]
+                done[o["kind"], o["effect"], o["number"]] = Outcome(
+                    **(o | {"named": tuple(o["named"]), "score": score})
+                )
         keep([done[item] for item in wanted if item in done], len(wanted))
-    return Certificate.of_answer(found, [done[item] for item in wanted], n, seed)
+    return replace(empty, outcomes=tuple(done[item] for item in wanted))
 
 
 def _table(found: Certificate, fit_id: str) -> str:

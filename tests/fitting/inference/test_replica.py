@@ -21,6 +21,10 @@ from fitting.inference._simulation import Experiment, simulate
 BASE = Model.of(REDUCED).alone
 
 
+def motion(found):
+    return _replica._Motion(found, 0, found.problem.data[0])
+
+
 @pytest.fixture(scope="module")
 def speeds():
     """Return a fit of measured speeds: I dw/dt = -b1 - b2 w, by SciPy, with white noise of 0.05 rad/s."""
@@ -75,7 +79,7 @@ def test_times_uncertainties_and_label_are_those_of_the_original(speeds):
 def test_white_noise_has_the_level_of_the_recording(speeds):
     old, new = speeds.problem.data[0].record, replica(speeds, 4)[0]
     path = speeds.predictions[0].path
-    deviation = _replica._Motion(speeds, 0).expected(old.casing.time, rotor=False) - new.casing.value
+    deviation = motion(speeds).expected(old.casing.time, rotor=False) - new.casing.value
     assert path.states[1] == "omega_c"
     scale = speeds.problem.data[0].casing.scale
     # successive differences hold the white noise alone
@@ -94,7 +98,7 @@ def test_an_analysis_of_replicas_returns_the_values_of_the_fit(speeds):
 
 def test_laws_of_an_angle_and_camera_effects_are_in_the_values(gyroscope):
     data, p = gyroscope.problem.data[0], gyroscope.predictions[0]
-    values = _replica._Motion(gyroscope, 0).values()
+    values = motion(gyroscope).values()
     rows = data.sample_rows(values[0][:, None], [v[:, None] for v in values[1:]])[:, 0]
     # up to the nuisance columns, which are in the values, the rows are those that the fit predicts
     size = np.linalg.norm(data.nuisance, axis=0)
@@ -105,7 +109,7 @@ def test_laws_of_an_angle_and_camera_effects_are_in_the_values(gyroscope):
         np.abs(left[kept]).max() < 0.1
     )  # of the noise of a row; without the unbalance or the clock it is above 300
     bare = replace(gyroscope, model=gyroscope.model.without("casing.unbalance"))
-    without = _replica._Motion(bare, 0).values()
+    without = motion(bare).values()
     assert np.abs(values[0] - without[0]).max() > 3e-3
 
 
@@ -125,12 +129,12 @@ def test_random_torque_has_the_variance_of_the_whitener(speeds):
     noise = speeds.noise[0]
     level = 1e-2
     loud = replace(speeds, noise=(noise.at(level),))
-    data, motion = speeds.problem.data[0], _replica._Motion(loud, 0)
+    data, moved = speeds.problem.data[0], motion(loud)
     whitener = noise.whitener.at(level)
     random = np.random.default_rng(0)
     total = []
     for _ in range(40):
-        (change,) = _replica._random_torque(motion, random)
+        (change,) = _replica._random_torque(moved, random)
         rows = data.sample_rows(change[:, None], [])[:, 0]
         rotated = whitener.rotated(rows)[: len(whitener.vectors)]
         large = np.argsort(whitener.values[: len(whitener.vectors)])[-5:]
@@ -141,7 +145,7 @@ def test_random_torque_has_the_variance_of_the_whitener(speeds):
 
 def test_no_random_torque_where_the_recording_has_none(speeds):
     silent = replace(speeds, noise=(speeds.noise[0].at(0.0),))
-    (change,) = _replica._random_torque(_replica._Motion(silent, 0), np.random.default_rng(0))
+    (change,) = _replica._random_torque(motion(silent), np.random.default_rng(0))
     assert not change.any()
 
 
@@ -183,12 +187,13 @@ def test_stated_inertias_move_the_values_by_their_uncertainty(speeds):
     record = speeds.problem.data[0].record
     uncertain = replace(record, I_casing_u=0.01 * record.I_casing)
     found = fit(BASE, [uncertain])
-    motion = _replica._Motion(found, 0)
-    fall = np.ptp(motion.expected(record.casing.time, rotor=False))
+    uncertain = motion(found)
+    fall = np.ptp(uncertain.expected(record.casing.time, rotor=False))
     changes = [
-        np.abs(_replica._other_inertias(motion, np.random.default_rng(s))[0]).max() / fall for s in range(60)
+        np.abs(_replica._other_inertias(uncertain, np.random.default_rng(s))[0]).max() / fall
+        for s in range(60)
     ]
-    known = _replica._Motion(speeds, 0)
+    known = motion(speeds)
     assert not _replica._other_inertias(known, np.random.default_rng(0))[0].any()
     assert np.sqrt(np.mean(np.square(changes))) == pytest.approx(0.005, rel=0.4)
     assert replica(found, 0)[0].I_casing == record.I_casing

@@ -112,16 +112,13 @@ class Notes:
 
 
 def test_duration_is_told_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
-    from types import SimpleNamespace
-
-    from fitting.discovery._certificate import Outcome
+    from fitting.discovery._certificate import Certificate, Outcome
     from gyrotrack.apps.cli import _certify
 
     clock = iter([0.0, 10.0, 21.0, 25.0, 45.0])
     monkeypatch.setattr(_certify, "monotonic", lambda: next(clock))
     ledger, notes = Kept(), Notes()
-    answer = SimpleNamespace(candidates=(), verdict="adequate")
-    keep = _Keeper(notes, lambda *_: None, ledger, "f1", answer, 20, 0, ())
+    keep = _Keeper(notes, lambda *_: None, ledger, "f1", Certificate(20, "adequate", (), 0.0, ()), 0)
     outcomes = [Outcome("null", "", k, "adequate", (), 0.0, {}) for k in range(4)]
     for k in range(1, 5):
         keep(outcomes[:k], 20)
@@ -142,3 +139,10 @@ def test_a_cluster_gives_the_same_outcomes(gyrotrack, wheel, tmp_path, monkeypat
         there = gyrotrack("certify", wheel, *words)
     assert there.code == 0
     assert there.json == here
+
+
+def test_a_case_without_films_is_refused_before_anything_is_rendered(gyrotrack, wheel):
+    said = gyrotrack("certify", wheel, "--film", "--json")
+    assert said.code == 1
+    assert "was not made from films" in said.error["message"]
+    assert "--film" in said.error["hint"]
