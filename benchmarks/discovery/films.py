@@ -178,6 +178,9 @@ def _chain(rig: Rig, films: list[Path]) -> dict[str, Any]:
     line["exit"]["diagnose"], said = _gyrotrack("diagnose", case, "--json")
     line["answered_s"] = time.monotonic() - began
     found, base = json.loads(said or "{}"), json.loads(fitted or "{}")
+    refused = [x["error"]["message"] for x in (base, found) if "error" in x]
+    if refused:
+        raise RuntimeError("; ".join(refused))
     line |= {"commit": commit(), "fit": base.get("verdict"), "verdict": found.get("verdict")}
     line |= {"sentence": found.get("sentence"), "nuisance": found.get("nuisance")}
     if found.get("verdict") == "missing_effect" and found["candidates"]:
