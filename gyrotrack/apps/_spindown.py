@@ -466,8 +466,10 @@ def _analysed(
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
-            # a new history, independent of earlier fits of this case
-            base = fit(study.model(REDUCED), study.data)
+            # a new history, independent of earlier fits of this case; an oscillation has no solution without a
+            # restoring torque, and while one law is missing the next one imitates it
+            names = REDUCED if laws is None else (*laws.restoring, *laws.damping)
+            base = fit(study.model(names), study.data)
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
@@ -484,7 +486,9 @@ def _analysed(
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
             if laws is not None:
-                laws, disagreement = laws.with_fit(history[-1].fit)
+                # the last fit that does not contradict amplitude and phase
+                found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
+                laws, disagreement = next((f for f in found_laws if not f[1]), found_laws[-1])
                 warnings += [disagreement] if disagreement else []
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])

@@ -546,7 +546,7 @@ def _oscillator_lines(laws: Any) -> list[str]:
 
     def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
         values = [
-            f"{key} {f'about {p.value:.3g} {p.unit}' if p.approximate else f'= {rounded(p.value, p.stderr, p.unit)}'}"
+            f"{key} {'about' if p.approximate else '='} {rounded(p.value, p.stderr, p.unit)}"
             for key, p in laws.parameters.items()
             if key.rpartition(".")[0] in chosen
         ]
