@@ -26,6 +26,7 @@ from gyrotrack.apps._motion import (
     start_of_motion,
 )
 from gyrotrack.apps._study import Recorder, open_study
+from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
@@ -163,7 +164,14 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     )
     parts = dict.fromkeys(("case", "report", "picture", "oscillator", "response", "diagnosis"))
     parts["reading"] = []
-    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note], "ambiguous": False}
+    return {
+        **parts,
+        "motion": motion,
+        "laws": [],
+        "ladder": [],
+        "warnings": [*found.notes, note],
+        "ambiguous": False,
+    }
 
 
 def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
@@ -445,6 +453,7 @@ def _analysed(
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
+    strengths: tuple[LawOfBody, ...] = ()
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
@@ -461,7 +470,7 @@ def _analysed(
             f"No torque law: the body is driven ({drive.reason}), so its friction is not determined."
         )
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
-        return {**document, **nothing, "ladder": [], "warnings": warnings}
+        return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
     try:
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
@@ -485,6 +494,7 @@ def _analysed(
             if history.stopped:
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
+            strengths = laws_of_body(history[-1].fit)
             if laws is not None:
                 # the last fit that does not contradict amplitude and phase
                 found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
@@ -514,6 +524,7 @@ def _analysed(
         **document,
         "report": written,
         "oscillator": laws,
+        "laws": strengths,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
