@@ -29,7 +29,7 @@ from gyrotrack.plotting._charts import (
     markup,
     style,
 )
-from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
+from gyrotrack.plotting._study_data import CaseView, Curve, Residual, residual_rms
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def case_dashboard(
     """Return all charts of one case; `steps` names the steps of the history, `names` the first and the last model."""
     bodies = ("casing", "rotor") if view.rotor else ("casing",)
     charts = [speed_chart(view, "casing", names), residual_chart(view, "casing", names)]
-    charts.append(torque_speed_chart(view, names))
+    charts.append(torque_law_chart(view, names))
     charts += [torque_chart(view, b, names) for b in bodies]
     if view.rotor:
         charts += [speed_chart(view, "rotor", names), residual_chart(view, "rotor", names)]
@@ -243,6 +243,35 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         caption="Unmodelled torque against speed, inferred from the residual without assuming a law; bands: ±2 σ. "
         f"Dashed: acceleration of the {view.body}. For friction that depends on speed only, both curves coincide. "
         "Dotted: the added law, after a refit of the other parameters.",
+    )
+
+
+def torque_law_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
+    """Return the unmodelled torque against what it may depend on: the deflection of an oscillation, else the speed."""
+    if view.deflection is None:
+        return torque_speed_chart(view, names, alternatives=alternatives)
+    return _torque_deflection_chart(view, view.deflection, names)
+
+
+def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[str]) -> Chart:
+    """Return the chart of the unmodelled torque on a body that oscillates against its angle from the equilibrium."""
+    factor, prefix = _torque_scale(view, "casing")
+    traces = []
+    for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        curve = m.torques["casing"]
+        torque, _ = _determined(curve.torque, curve.sigma)
+        angle = np.interp(curve.time, deflection.time, deflection.value)
+        order = np.argsort(angle, kind="stable")
+        traces.append(Trace(label, angle[order], factor * torque[order], colour, kind="points", width=1.2))
+    return Chart(
+        "torque-deflection",
+        f"Unmodelled torque, {view.body}",
+        f"{prefix}{view.torque_unit}",
+        tuple(traces),
+        _torque_finding(view, "casing"),
+        x_label=f"deflection of the {view.body} [rad]",
+        caption="Unmodelled torque against the angle from the equilibrium, inferred from the residual without assuming "
+        "a law. A restoring law of another form is a curve through zero here; friction is not.",
     )
 
 

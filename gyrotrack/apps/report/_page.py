@@ -151,7 +151,7 @@ def _section(
     overview = (
         (charts.speed_chart(v, "casing"), _WIDE),
         (charts.normalised_chart(v), _WIDE),
-        (charts.torque_speed_chart(v, alternatives=not view.improved), _TALL),
+        (charts.torque_law_chart(v, alternatives=not view.improved), _TALL),
     )
     return Section(
         heading=v.label if len(view.cases) > 1 else "",
