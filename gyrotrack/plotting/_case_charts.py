@@ -46,6 +46,8 @@ _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
 # a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
 _UNDETERMINED = 3.0
+# intervals of the deflection in which the unmodelled torque is averaged, smallest number of points in one
+_INTERVALS, _FEWEST = 24, 4
 # a residual beyond _LARGE [σ] is drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
 
@@ -261,8 +263,10 @@ def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[
         curve = m.torques["casing"]
         torque, _ = _determined(curve.torque, curve.sigma)
         angle = np.interp(curve.time, deflection.time, deflection.value)
-        order = np.argsort(angle, kind="stable")
-        traces.append(Trace(label, angle[order], factor * torque[order], colour, kind="points", width=1.2))
+        for sense, name, dash in ((1, f"{label}, increasing", ()), (-1, f"{label}, decreasing", (4.0, 2.0))):
+            known = np.isfinite(torque) & (np.sign(curve.omega_c) == sense)
+            x, mean, error = _means(angle[known], factor * torque[known])
+            traces.append(Trace(name, x, mean, colour, error, dash=dash))
     return Chart(
         "torque-deflection",
         f"Unmodelled torque, {view.body}",
@@ -271,8 +275,20 @@ def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[
         _torque_finding(view, "casing"),
         x_label=f"deflection of the {view.body} [rad]",
         caption="Unmodelled torque against the angle from the equilibrium, inferred from the residual without assuming "
-        "a law. A restoring law of another form is a curve through zero here; friction is not.",
+        "a law, for increasing and decreasing angle: means, with bands of ±2 standard errors. For a restoring law both "
+        "curves coincide; friction separates them.",
     )
+
+
+def _means(x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return the means of x and y, and the standard error of the latter, in equal intervals of x with enough points."""
+    if not len(x):
+        return (np.zeros(0),) * 3
+    place = np.digitize(x, np.linspace(x.min(), x.max(), _INTERVALS + 1)[1:-1])
+    parts = [np.flatnonzero(place == k) for k in range(_INTERVALS)]
+    parts = [p for p in parts if len(p) >= _FEWEST]
+    error = [float(y[p].std(ddof=1)) / np.sqrt(len(p)) for p in parts]
+    return np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts]), np.array(error)
 
 
 def torque_angle_charts(
