@@ -221,7 +221,7 @@ def export_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON, or text or project of OSP Tracker, by the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """

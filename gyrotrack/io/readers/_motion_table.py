@@ -358,10 +358,17 @@ def _without_header(raw: RawTable) -> DatasetError:
     if indices:
         which = " and ".join(str(i + 1) for i in indices)
         what += f", and {which} {'number' if len(indices) > 1 else 'numbers'} the rows"
+    if len(raw.names) == 1:
+        return DatasetError(
+            f"{raw.header_place}: the only column has no header.",
+            "Give --pulses-per-turn N for times of pulses or intervals between them, or --casing-fps N --column "
+            "'angle=1 [deg]' for samples.",
+        )
     time = "--casing-fps N" if 0 in indices else "--column t=1"
+    angle = next((i + 1 for i in range(1, len(raw.names)) if i not in indices), 2)
     return DatasetError(
         f"{what}.",
-        f"Give them by number: {time} --column 'angle=2 [deg]'; or give --pulses-per-turn for pulses or counts.",
+        f"Give them by number: {time} --column 'angle={angle} [deg]'; or give --pulses-per-turn for pulses or counts.",
     )
 
 

@@ -173,3 +173,17 @@ def test_a_pendulum_with_lost_passages_is_refused(write, lost, refused):
             read_passages(path, ReadOptions())
     else:
         assert len(read_passages(path, ReadOptions()).time) >= len(begin) - 1
+
+
+@pytest.mark.parametrize(
+    ("columns", "hint"),
+    [
+        ((TIME,), "times of pulses or intervals between them"),
+        ((TIME, SWING), "--column t=1 --column 'angle=2 [deg]'"),
+        ((np.arange(600), np.arange(600), SWING), "--casing-fps N --column 'angle=3 [deg]'"),
+    ],
+)
+def test_the_hint_for_columns_without_header_names_one_that_is_no_index(write, columns, hint):
+    with pytest.raises(DatasetError, match="no header") as caught:
+        read_motion(write("", *columns))
+    assert hint in caught.value.hint
