@@ -232,7 +232,7 @@ def test_a_table_is_read_for_the_page_before_it_becomes_a_case(project, tmp_path
     (plot,) = wheel["reading"]["plot"]
     assert 100 <= len(plot["time"]) == len(plot["omega"]) <= 400
     assert other["jobs"]["read"]["state"] == "failed"
-    assert "there is no column for the angle or omega" in other["jobs"]["read"]["message"]
+    assert "there is no column for the time" in other["jobs"]["read"]["message"]
     assert set(tmp_path.iterdir()) - before == {tmp_path / STATE_FILE}
     with pytest.raises(UsageError, match="no such film or table"):
         project.read("99")
