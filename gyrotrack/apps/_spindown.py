@@ -409,7 +409,7 @@ def _analysed(
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
     from fitting.discovery._oscillator import oscillator_laws
-    from fitting.discovery._select import improve
+    from fitting.discovery._select import improve, rank
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
@@ -484,12 +484,19 @@ def _analysed(
             recorder = study.recorder(parent, base)
             oscillation = base.problem.data[0].oscillation
             long = oscillation is not None and DEFAULT.refits_through(len(oscillation.reversals)) == 1
-            # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
-            history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
+            # through hundreds of reversals, where an exact fit takes long, the averaged equations tell the laws
+            first = rank(base, refitting=False) if long and laws is not None else None
+            steps = None if not long else int(laws is None)
+            history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)
             if long and oscillation is not None:
+                tried = (
+                    "one effect was added"
+                    if laws is None
+                    else "no law beyond those of amplitude and phase was fitted"
+                )
                 warnings.append(
-                    f"The oscillation has {len(oscillation.reversals)} reversals: one effect was added; "
-                    "`gyrotrack improve` continues the search."
+                    f"The oscillation has {len(oscillation.reversals)} reversals: {tried}; `gyrotrack improve` "
+                    "continues the search."
                 )
             if history.stopped:
                 warnings.append(f"The search stopped: {history.stopped}")
