@@ -31,7 +31,7 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
         f"alone, the speed halves in {math.log(2) / a / (2 * math.pi):.4g} turns"
     ),
     "casing.spring.linear.k": lambda a: f"a period of {2 * math.pi / math.sqrt(a):.4g} s",
-    "casing.gravity.k": lambda a: f"a period of {2 * math.pi / math.sqrt(a):.4g} s in small swings",
+    "casing.gravity.k": lambda a: f"a period of {2 * math.pi / math.sqrt(a):.4g} s at small amplitude",
 }
 
 

@@ -140,7 +140,7 @@ def wrapping_unit(angle: Floats) -> str:
 def doubt_of_rad(angle: Floats) -> str:
     """Return what would be unusual about an angle of which no unit is stated if it were in rad; "" if nothing.
 
-    Pendulums and spiral springs swing by less than half a turn to either side, and a sampled body turns by less than
+    Pendulums and spiral springs oscillate by less than half a turn to either side, and a sampled body turns by less than
     half a turn between two samples; in degrees most numbers are larger than that.
     """
     known = angle[np.isfinite(angle)]
@@ -152,7 +152,7 @@ def doubt_of_rad(angle: Floats) -> str:
     middle, span = 0.5 * float(known.max() + known.min()), float(np.ptp(known))
     clear = np.sign(known - middle)[np.abs(known - middle) > _CLEAR * span]
     swings = np.count_nonzero(np.diff(clear)) >= _PASSAGES
-    return f"it would swing by {0.5 * span / TURN:.3g} turns to either side" if swings and span > TURN else ""
+    return f"it would oscillate by {0.5 * span / TURN:.3g} turns to either side" if swings and span > TURN else ""
 
 
 def wraps_at_no_turn(angle: Floats) -> bool:

@@ -28,7 +28,7 @@ def fitted(values, inertia=2.0, single=True):
         ("casing.air.linear.b2", 0.5, "falls to 1/e in 4 s"),
         ("casing.air.quadratic.k", 2 * np.log(2) / (2 * np.pi * 10), "halves in 10 turns"),
         ("casing.spring.linear.k", 2 * (2 * np.pi / 3) ** 2, "a period of 3 s"),
-        ("casing.gravity.k", 2 * (2 * np.pi / 3) ** 2, "a period of 3 s in small swings"),
+        ("casing.gravity.k", 2 * (2 * np.pi / 3) ** 2, "a period of 3 s at small amplitude"),
     ],
 )
 def test_a_strength_is_told_by_what_it_does(key, value, words):
