@@ -152,7 +152,11 @@ def doubt_of_rad(angle: Floats) -> str:
     middle, span = 0.5 * float(known.max() + known.min()), float(np.ptp(known))
     clear = np.sign(known - middle)[np.abs(known - middle) > _CLEAR * span]
     swings = np.count_nonzero(np.diff(clear)) >= _PASSAGES
-    return f"it would oscillate by {0.5 * span / TURN:.3g} turns to either side" if swings and span > TURN else ""
+    return (
+        f"it would oscillate by {0.5 * span / TURN:.3g} turns to either side"
+        if swings and span > TURN
+        else ""
+    )
 
 
 def wraps_at_no_turn(angle: Floats) -> bool:

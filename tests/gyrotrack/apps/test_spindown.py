@@ -620,3 +620,24 @@ def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
     assert code == 3
     assert abs(period["value"] - 15) < 2 * period["stderr"]
     assert all(v["approximate"] for v in found["oscillator"]["parameters"].values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("periods", "searched"), [(30, True), (130, False)])
+def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_laws(
+    tmp_path, capsys, monkeypatch, periods, searched
+):
+    """A dry friction that begins halfway is no law of the list; 30 periods are searched for it."""
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0, periods * 2 * np.pi / 5, 0.05)
+    later = 0.5 * t[-1]
+    run = solve_ivp(
+        lambda t, y: [y[1], -25 * y[0] - 0.6 / t_end * y[1] - 0.02 * (t > later) * np.tanh(y[1] / 1e-3)],
+        (0, t_end := float(t[-1])), [1.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.05, method="LSODA",
+    )  # fmt: skip
+    angle = noisy(t, run.y[0], 2e-3, 5)[0]
+    np.savetxt("s.csv", np.c_[t, angle], delimiter=",", header="t [s],theta [rad]", comments="")
+    _, found = _said(capsys, "s.csv")
+    assert found["oscillator"]["restoring"] == ["casing.spring.linear"]
+    assert (len(found["ladder"]) > 1) is searched
+    assert any("no law beyond" in w for w in found["warnings"]) is not searched
