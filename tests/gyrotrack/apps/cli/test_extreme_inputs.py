@@ -15,7 +15,7 @@ def table(header, row):
 
 
 def angles(scale):
-    return table("t,angle", lambda k: f"{0.01 * k},{scale * (0.1 * k - 1e-4 * k * k)}")
+    return table("t,angle [rad]", lambda k: f"{0.01 * k},{scale * (0.1 * k - 1e-4 * k * k)}")
 
 
 def times(scale):
