@@ -140,8 +140,8 @@ def wrapping_unit(angle: Floats) -> str:
 def doubt_of_rad(angle: Floats) -> str:
     """Return what would be unusual about an angle of which no unit is stated if it were in rad; "" if nothing.
 
-    Pendulums and spiral springs oscillate by less than half a turn to either side, and a sampled body turns by less than
-    half a turn between two samples; in degrees most numbers are larger than that.
+    Pendulums and spiral springs oscillate by less than half a turn to either side, and a sampled body turns by less
+    than half a turn between two samples; in degrees most numbers are larger than that.
     """
     known = angle[np.isfinite(angle)]
     if len(known) < _FEWEST:
