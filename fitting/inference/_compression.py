@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from fitting.dynamics._collocation import TOLERANCE
 from fitting.inference._record import Samples
 
 Array = NDArray[np.float64]
@@ -180,6 +181,9 @@ def compress(
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
+    # without noise, as in a computed table, rounding and the error of the integration are what remains
+    least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
+    variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
     correlation = max(1.0, variance / fast) if fast > 0 else 1.0
     if not noisy:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,8 @@ _ORDERS = range(2, 7)
 _SPEED_ORDERS = range(1, 6)
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
+# difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
+_INSEPARABLE = 10.0
 # degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
 # highest degree of the polynomials for times and durations of passages through a light gate
@@ -374,25 +377,36 @@ def _oscillation(
     tracked = _tracked_oscillation(middle, start, t, angle, sigma)
     if tracked is not None:
         trials += [(w, w.fitted(w.extended(tracked, middle), t, angle, sigma)) for w in waves[1:]]
-    best = None
+    found = []
     for wave, c in trials:
-        rest = angle - wave(c, t)
-        criterion, errors = wave.errors(c, t, rest, sigma)
-        if best is None or criterion < best[0]:
-            best = criterion, wave, c, errors
-    assert best is not None  # noqa: S101 - there is at least one trial
-    _, wave, c, (frequency_error, decay_error, amplitude_error) = best
-    decay, amplitude = Value(float(c[1]), decay_error), Value(float(np.hypot(c[2], c[3])), amplitude_error)
+        criterion, errors = wave.errors(c, t, angle - wave(c, t), sigma)
+        values = float(c[0]), float(c[1]), float(np.hypot(c[2], c[3]))
+        found.append((criterion, wave, c, [Value(v, e) for v, e in zip(values, errors, strict=True)]))
+    least, wave, c, best = min(found, key=lambda f: f[0])
+    rivals = [values for criterion, _, _, values in found if criterion < least + _INSEPARABLE]
+    frequency, decay, amplitude = (
+        _with_rivals(value, others) for value, others in zip(best, zip(*rivals, strict=True), strict=True)
+    )
     short = 1e-4 / float(c[0])
     first, last = ((wave(c, e + short) - wave(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
     ends = {"first": float(first), "last": float(last)}
     return (
-        Value(1 / float(c[0]), frequency_error / float(c[0]) ** 2),
+        Value(1 / frequency.value, frequency.stderr / frequency.value**2),
         amplitude,
         decay,
         ends,
         wave(c, t),
     )
+
+
+def _with_rivals(value: Value, rivals: Sequence[Value]) -> Value:
+    """Return a value with the difference from those of models that the data do not separate in its uncertainty.
+
+    Only the part of a difference beyond two standard uncertainties of the rival counts, since the values of a model
+    with more parameters scatter more.
+    """
+    beyond = max(max(abs(r.value - value.value) - 2 * r.stderr, 0.0) for r in rivals)
+    return replace(value, stderr=math.hypot(value.stderr, beyond))
 
 
 def _frequency(t: Floats, angle: Floats) -> float | None:

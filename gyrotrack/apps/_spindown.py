@@ -26,6 +26,7 @@ from gyrotrack.apps._motion import (
     start_of_motion,
 )
 from gyrotrack.apps._study import Recorder, open_study
+from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
@@ -163,7 +164,14 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     )
     parts = dict.fromkeys(("case", "report", "picture", "oscillator", "response", "diagnosis"))
     parts["reading"] = []
-    return {**parts, "motion": motion, "ladder": [], "warnings": [*found.notes, note], "ambiguous": False}
+    return {
+        **parts,
+        "motion": motion,
+        "laws": [],
+        "ladder": [],
+        "warnings": [*found.notes, note],
+        "ambiguous": False,
+    }
 
 
 def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
@@ -401,7 +409,7 @@ def _analysed(
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
     from fitting.discovery._oscillator import oscillator_laws
-    from fitting.discovery._select import improve
+    from fitting.discovery._select import improve, rank
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
@@ -445,6 +453,7 @@ def _analysed(
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
+    strengths: tuple[LawOfBody, ...] = ()
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
@@ -461,30 +470,42 @@ def _analysed(
             f"No torque law: the body is driven ({drive.reason}), so its friction is not determined."
         )
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
-        return {**document, **nothing, "ladder": [], "warnings": warnings}
+        return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
     try:
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
-            # a new history, independent of earlier fits of this case
-            base = fit(study.model(REDUCED), study.data)
+            # a new history, independent of earlier fits of this case; an oscillation has no solution without a
+            # restoring torque, and while one law is missing the next one imitates it
+            names = REDUCED if laws is None else (*laws.restoring, *laws.damping)
+            base = fit(study.model(names), study.data)
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
             oscillation = base.problem.data[0].oscillation
             long = oscillation is not None and DEFAULT.refits_through(len(oscillation.reversals)) == 1
-            # through hundreds of reversals the averaged equations tell the laws in place of further exact fits
-            history = improve(base, [], max_steps=1 if long else None, workers=workers, keep=recorder)
+            # through hundreds of reversals, where an exact fit takes long, the averaged equations tell the laws
+            first = rank(base, refitting=False) if long and laws is not None else None
+            steps = None if not long else int(laws is None)
+            history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)
             if long and oscillation is not None:
+                tried = (
+                    "one effect was added"
+                    if laws is None
+                    else "no law beyond those of amplitude and phase was fitted"
+                )
                 warnings.append(
-                    f"The oscillation has {len(oscillation.reversals)} reversals: one effect was added; "
-                    "`gyrotrack improve` continues the search."
+                    f"The oscillation has {len(oscillation.reversals)} reversals: {tried}; `gyrotrack improve` "
+                    "continues the search."
                 )
             if history.stopped:
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
+            strengths = laws_of_body(history[-1].fit)
             if laws is not None:
-                laws, disagreement = laws.with_fit(history[-1].fit)
+                # the last fit that does not contradict amplitude and phase
+                found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
+                laws, disagreement = next((f for f in found_laws if not f[1]), found_laws[-1])
                 warnings += [disagreement] if disagreement else []
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             study.keep_diagnosis(parent, found, [])
@@ -510,6 +531,7 @@ def _analysed(
         **document,
         "report": written,
         "oscillator": laws,
+        "laws": strengths,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,

@@ -1,6 +1,6 @@
 """Contents of a file: consistency check (`info`), and export to other programs.
 
-The export formats are CSV, Parquet, netCDF, JSON and text of OSP Tracker; `import` reads all of them.
+The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all of them.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from gyrotrack.io._atomic import new_file
 from gyrotrack.io._records import BodyTrack, Case, Column, Floats, Recording, Series, columns, windows_of
 from gyrotrack.io._schema import CASE, STATUS
 from gyrotrack.io._tables import attribute, check_storage, load
+from gyrotrack.io._tracker_project import write_project
 
 _PROVENANCE = ("format_version", "software_version", "created", "command")
 
@@ -195,8 +196,9 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
         A recording or a case.
     target : Path
         ``.csv`` (units in the header, numbers with all digits, empty cells for NaN), ``.parquet`` (units in the
-        metadata of the fields), ``.json`` (columns and units), ``.txt`` (OSP Tracker: a point on the unit circle for
-        each body) or ``.nc`` (netCDF-4 with the complete contents).
+        metadata of the fields), ``.json`` (columns and units), ``.txt``, ``.trk`` or ``.trz`` (text, project or zipped
+        project of OSP Tracker: a point on the unit circle for each body) or ``.nc`` (netCDF-4 with the complete
+        contents).
     table : str
         Table of `columns`; netCDF contains all of them.
     force : bool
@@ -273,19 +275,33 @@ def _json(made: Sequence[Column], stream: BinaryIO) -> None:
     stream.write(json.dumps(document, allow_nan=False).encode())
 
 
-def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
-    """Write a track of each body, (cos, sin) of its angle about the track "origin", at the times of all bodies."""
+def _angles_of_bodies(made: Sequence[Column]) -> list[tuple[str, Floats, Floats]]:
+    """Return name, times [s] and angles [rad] of each body."""
     columns = {c.name: c.values for c in made}
     if not {"body", "time", "angle"} <= set(columns):
-        raise UsageError("Text of OSP Tracker can contain angles of bodies only.", "Use --table motion.")
-    bodies = list(dict.fromkeys(columns["body"].tolist()))
-    times = np.unique(columns["time"])
+        raise UsageError("A file of OSP Tracker can contain angles of bodies only.", "Use --table motion.")
+    bodies = dict.fromkeys(columns["body"].tolist())
+    rows = {body: columns["body"] == body for body in bodies}
+    return [(str(b), columns["time"][rows[b]], columns["angle"][rows[b]]) for b in bodies]
+
+
+def _project(made: Sequence[Column], stream: BinaryIO) -> None:
+    write_project(stream, _angles_of_bodies(made))
+
+
+def _zipped_project(made: Sequence[Column], stream: BinaryIO) -> None:
+    write_project(stream, _angles_of_bodies(made), zipped=True)
+
+
+def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
+    """Write a track of each body, (cos, sin) of its angle about the track "origin", at the times of all bodies."""
+    bodies = _angles_of_bodies(made)
+    times = np.unique(np.concatenate([time for _, time, _ in bodies]))
     places = np.full((len(times), 2 * len(bodies)), np.nan)
-    for k, body in enumerate(bodies):
-        rows = columns["body"] == body
-        at, angle = np.searchsorted(times, columns["time"][rows]), columns["angle"][rows]
+    for k, (_, time, angle) in enumerate(bodies):
+        at = np.searchsorted(times, time)
         places[at, 2 * k], places[at, 2 * k + 1] = np.cos(angle), np.sin(angle)
-    titles = ["", *(f"{body}\t" for body in bodies), "origin\t"]
+    titles = ["", *(f"{body}\t" for body, *_ in bodies), "origin\t"]
     lines = ["\t".join(titles), "\t".join(["t", *("x", "y") * (len(bodies) + 1)])]
     for time, row in zip(times.tolist(), places.tolist(), strict=True):
         lines.append("\t".join([repr(time), *("" if v != v else repr(v) for v in row), "0.0", "0.0"]))
@@ -315,4 +331,6 @@ FORMATS: dict[str, Callable[..., Any]] = {
     ".nc": _netcdf,
     ".json": _json,
     ".txt": _tracker,
+    ".trk": _project,
+    ".trz": _zipped_project,
 }

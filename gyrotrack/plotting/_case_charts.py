@@ -29,7 +29,7 @@ from gyrotrack.plotting._charts import (
     markup,
     style,
 )
-from gyrotrack.plotting._study_data import CaseView, Residual, residual_rms
+from gyrotrack.plotting._study_data import CaseView, Curve, Residual, residual_rms
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
 # a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
 _UNDETERMINED = 3.0
+# intervals of the deflection in which the unmodelled torque is averaged, smallest number of points in one
+_INTERVALS, _FEWEST = 24, 4
 # a residual beyond _LARGE [σ] is drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
 
@@ -56,7 +58,7 @@ def case_dashboard(
     """Return all charts of one case; `steps` names the steps of the history, `names` the first and the last model."""
     bodies = ("casing", "rotor") if view.rotor else ("casing",)
     charts = [speed_chart(view, "casing", names), residual_chart(view, "casing", names)]
-    charts.append(torque_speed_chart(view, names))
+    charts.append(torque_law_chart(view, names))
     charts += [torque_chart(view, b, names) for b in bodies]
     if view.rotor:
         charts += [speed_chart(view, "rotor", names), residual_chart(view, "rotor", names)]
@@ -244,6 +246,49 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         f"Dashed: acceleration of the {view.body}. For friction that depends on speed only, both curves coincide. "
         "Dotted: the added law, after a refit of the other parameters.",
     )
+
+
+def torque_law_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
+    """Return the unmodelled torque against what it may depend on: the deflection of an oscillation, else the speed."""
+    if view.deflection is None:
+        return torque_speed_chart(view, names, alternatives=alternatives)
+    return _torque_deflection_chart(view, view.deflection, names)
+
+
+def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[str]) -> Chart:
+    """Return the chart of the unmodelled torque on a body that oscillates against its angle from the equilibrium."""
+    factor, prefix = _torque_scale(view, "casing")
+    traces = []
+    for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
+        curve = m.torques["casing"]
+        torque, _ = _determined(curve.torque, curve.sigma)
+        angle = np.interp(curve.time, deflection.time, deflection.value)
+        for sense, name, dash in ((1, f"{label}, increasing", ()), (-1, f"{label}, decreasing", (4.0, 2.0))):
+            known = np.isfinite(torque) & (np.sign(curve.omega_c) == sense)
+            x, mean, error = _means(angle[known], factor * torque[known])
+            traces.append(Trace(name, x, mean, colour, error, dash=dash))
+    return Chart(
+        "torque-deflection",
+        f"Unmodelled torque, {view.body}",
+        f"{prefix}{view.torque_unit}",
+        tuple(traces),
+        _torque_finding(view, "casing"),
+        x_label=f"deflection of the {view.body} [rad]",
+        caption="Unmodelled torque against the angle from the equilibrium, inferred from the residual without assuming "
+        "a law, for increasing and decreasing angle: means, with bands of ±2 standard errors. For a restoring law both "
+        "curves coincide; friction separates them.",
+    )
+
+
+def _means(x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return the means of x and y, and the standard error of the latter, in equal intervals of x with enough points."""
+    if not len(x):
+        return (np.zeros(0),) * 3
+    place = np.digitize(x, np.linspace(x.min(), x.max(), _INTERVALS + 1)[1:-1])
+    parts = [np.flatnonzero(place == k) for k in range(_INTERVALS)]
+    parts = [p for p in parts if len(p) >= _FEWEST]
+    error = [float(y[p].std(ddof=1)) / np.sqrt(len(p)) for p in parts]
+    return np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts]), np.array(error)
 
 
 def torque_angle_charts(

@@ -141,6 +141,8 @@ def import_command(
     for source in case.extra["sources"]:
         out.detail(f"{source['file']}: {source['samples']} samples used")
     document = {"output": output, "reading": case.extra["reading"], **summary(case)}
+    if dry_run:
+        document["plot"] = _plotted(case)
     out.result(document)
     if dry_run:
         out.show(*map(_reading_table, document["reading"]), *_plots(case))
@@ -149,6 +151,8 @@ def import_command(
 
 
 import_command.__doc__ = (import_command.__doc__ or "").replace("{formats}", "; ".join(ALL))
+
+_MOST_PLOTTED = 200  # points of the plot of a body
 
 
 def _reading_table(reading: Mapping[str, Any]) -> Any:
@@ -177,6 +181,21 @@ def _plots(case: Case) -> list[str]:
                 f"speed of the {name}, {speed.min():.4g} to {speed.max():.4g} rad/s: {sparkline(speed)}"
             )
     return lines
+
+
+def _plotted(case: Case) -> list[dict[str, Any]]:
+    """Return the speeds of the bodies over time, thinned, for a plot of the workbench."""
+    import numpy as np
+
+    found = []
+    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+        known = np.flatnonzero(np.isfinite(series.omega))
+        rows = known[:: max(len(known) // _MOST_PLOTTED, 1)]
+        if len(rows):
+            found.append(
+                {"body": name, "time": series.time[rows].tolist(), "omega": series.omega[rows].tolist()}
+            )
+    return found
 
 
 def _lines(document: dict[str, Any]) -> str:
@@ -221,7 +240,7 @@ def export_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Export the data as CSV, Parquet, netCDF, JSON or text of OSP Tracker, according to the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON, or text or project of OSP Tracker, by the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """

@@ -546,7 +546,7 @@ def _oscillator_lines(laws: Any) -> list[str]:
 
     def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
         values = [
-            f"{key} {f'about {p.value:.3g} {p.unit}' if p.approximate else f'= {rounded(p.value, p.stderr, p.unit)}'}"
+            f"{key} {'about' if p.approximate else '='} {rounded(p.value, p.stderr, p.unit)}"
             for key, p in laws.parameters.items()
             if key.rpartition(".")[0] in chosen
         ]
@@ -579,32 +579,58 @@ def _response_lines(response: Response | None) -> list[str]:
     return lines + [f"{n:<9}  {rounded(q.value, q.stderr, u)}" for n, q, u in quantities if q is not None]
 
 
-def _lines(document: dict[str, Any]) -> list[str]:
+def _law_lines(document: dict[str, Any]) -> list[str]:
+    """Return the strengths of the fitted laws, and what they do to the motion; of an oscillator the latter alone."""
     from fitting._numbers import rounded
 
+    known = () if document["oscillator"] is None else document["oscillator"].parameters
+    return [
+        f"{'law':<9}  {law.parameter}"
+        + ("" if law.parameter in known else f" = {rounded(law.value, law.stderr, law.unit)}")
+        + f": {law.meaning}"
+        for law in document["laws"]
+    ]
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    from fitting._numbers import rounded
+    from gyrotrack.io.readers._reading import units_of_file
+
     motion = document["motion"]
+    own = next((found for reading in document["reading"] if (found := units_of_file(reading))), {})
     faster = motion.kind == "spin-down" and abs(motion.omega["last"]) > abs(motion.omega["first"])
     kind = "spin-up" if faster else motion.kind
     lines = [kind if math.isnan(motion.turns) else f"{kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
         quantities = [
-            ("period", motion.period, "s"),
-            ("amplitude", motion.amplitude, "rad"),
-            ("decay", motion.decay, "1/s"),
-            ("Q", motion.quality_factor, ""),
+            ("period", motion.period, "s", ""),
+            ("amplitude", motion.amplitude, "rad", "angle"),
+            ("decay", motion.decay, "1/s", ""),
+            ("Q", motion.quality_factor, "", ""),
         ]
     else:
         lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
-        quantities = [("mean", motion.omega_mean, "rad/s"), ("alpha", motion.alpha, "rad/s2")]
+        if "omega" in own:
+            unit, scale = own["omega"]
+            first, last = (motion.omega[end] / scale for end in ("first", "last"))
+            lines[-1] += f" ({first:.6g} to {last:.6g} {unit})"
+        quantities = [
+            ("mean", motion.omega_mean, "rad/s", "omega"),
+            ("alpha", motion.alpha, "rad/s2", "alpha"),
+        ]
         # the polynomial of a free motion does not describe a driven one
         quantities = quantities if motion.kind != "driven" else []
-    lines += [
-        f"{name:<9}  {rounded(q.value, q.stderr, unit)}" for name, q, unit in quantities if q is not None
-    ]
+    for name, q, unit, kind in quantities:
+        if q is not None:
+            lines.append(f"{name:<9}  {rounded(q.value, q.stderr, unit)}")
+            if kind in own:
+                unit, scale = own[kind]
+                lines[-1] += f" ({rounded(q.value / scale, q.stderr / scale, unit)})"
     if motion.kind == "driven":
         lines += _response_lines(document["response"])
     if document["oscillator"] is not None:
         lines += _oscillator_lines(document["oscillator"])
+    lines += _law_lines(document)
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
         lines += [

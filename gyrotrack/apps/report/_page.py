@@ -10,12 +10,16 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting._numbers import nonbreaking, probability, scaled, short, typeset, unit_text
+import numpy as np
+
+from fitting._numbers import nonbreaking, probability, rounded, scaled, short, typeset, unit_text
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
+from gyrotrack.apps.report._laws import laws_of_body
 from gyrotrack.io._atomic import new_file, open_side_file, refusal, refuse_existing
 from gyrotrack.io._scratch import scratch_folder
+from gyrotrack.io.readers._reading import units_of_file
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
 from gyrotrack.plotting._charts import AFTER, Dashboard, Picture, chart_picture, themed
@@ -114,7 +118,7 @@ def report_parts(
         "view": view,
         "title": ", ".join(v.label for v in view.cases),
         "verdict": _headline(view),
-        "facts": _facts(view),
+        "facts": [*_owner_facts(view, recordings), *_facts(view)],
         "rms": [f"{short(x, 2)}" for x in view.residual_rms],
         "sentence": typeset(view.sentence),
         "outcome": history_finding(view) + (f" {_FINAL[view.final.verdict]}" if view.improved else ""),
@@ -152,7 +156,7 @@ def _section(
     overview = (
         (charts.speed_chart(v, "casing"), _WIDE),
         (charts.normalised_chart(v), _WIDE),
-        (charts.torque_speed_chart(v, alternatives=not view.improved), _TALL),
+        (charts.torque_law_chart(v, alternatives=not view.improved), _TALL),
     )
     return Section(
         heading=v.label if len(view.cases) > 1 else "",
@@ -222,6 +226,22 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
         if view.verdict == "adequate":
             text = f"{tested} accepted; most significant: {best.effect.name}, {p}"
     return [*rows, ("Significance", text)] if text else rows
+
+
+def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
+    """Return the strengths of the laws of a single body and what they mean, and its speed in the unit of the file."""
+    rows = [
+        (law.parameter, typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"))
+        for law in laws_of_body(view.final)
+    ]
+    readings = [r for case in recordings for r in case.extra.get("reading", [])]
+    own = next((found for r in readings if (found := units_of_file(r))), {})
+    if rows and "omega" in own:
+        unit, scale = own["omega"]
+        speed = np.abs(view.cases[0].casing.value)
+        largest = f"{short(float(speed.max()))} rad/s, {short(float(speed.max()) / scale)} {unit}"
+        rows.insert(0, ("Largest speed", largest))
+    return rows
 
 
 def _interval(f: Failure, *, named: bool) -> str:

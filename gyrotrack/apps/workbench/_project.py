@@ -30,12 +30,13 @@ from gyrotrack.apps.workbench._processes import Job, Jobs
 from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special, remove_remains
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
 from gyrotrack.io._records import Inertia, Recording
+from gyrotrack.io.readers._format_names import SUFFIXES
 from gyrotrack.tracking._profile import parse, to_toml
 from gyrotrack.video._container import probe
 
 STATE_FILE = "workbench.json"
-TABLES = {".csv", ".tsv", ".txt", ".dat", ".xlsx", ".xls", ".mat", ".parquet", ".json", ".nc", ".trk", ".npz"}
 _DATASETS = {".h5", ".hdf5"}
+TABLES = {suffix for suffixes in SUFFIXES.values() for suffix in suffixes} - _DATASETS
 LARGEST_UPLOAD = 16 * 2**30  # largest file that a page may upload [bytes]
 _MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._films"
@@ -152,7 +153,8 @@ class Project:
             }
 
     def _source_document(self, x: Source) -> dict[str, Any]:
-        jobs = {k: self.jobs.get(f"{k}:{x.key}") for k in ("track", "preview", "profile")}
+        jobs = {k: self.jobs.get(f"{k}:{x.key}") for k in ("track", "preview", "profile", "read")}
+        read = jobs["read"]
         return {
             **x.model_dump(exclude={"file", "words"}),
             "name": Path(x.file).name,
@@ -160,6 +162,7 @@ class Project:
             "is_current": self._is_current(x),
             "can_continue": x.output != "" and (self.folder / f"{x.output}.unfinished").exists(),
             "jobs": {k: j.summary() for k, j in jobs.items() if j is not None},
+            "reading": _reading_document(read.document) if read is not None and read.state == "done" else {},
             "command": _command(self.track_words(x)) if x.kind == "film" and x.body else "",
         }
 
@@ -284,7 +287,7 @@ class Project:
         """Remove a source; its files are kept."""
         with self._changing():
             x = self.source(key)
-            for step in ("track", "preview", "profile"):
+            for step in ("track", "preview", "profile", "read"):
                 self.jobs.cancel(f"{step}:{key}")
             self.state.sources.remove(x)
             self._infos.pop(key, None)
@@ -405,6 +408,15 @@ class Project:
         """Return the result of the preview; empty if there is none yet."""
         job = self.jobs.get(f"preview:{key}")
         return job.document if job is not None and job.state == "done" else {}
+
+    def read(self, key: str) -> None:
+        """Read a table in a separate process, without a case: what each column is taken for, and the speeds."""
+        with self._lock:
+            x = self.source(key)
+            if x.kind != "table":
+                raise UsageError(f"{Path(x.file).name} is not a table.", "Reload the page.")
+            words = ["import", "--dry-run", "--body", _argument(x.file)]
+            self.jobs.start(f"read:{key}", words, lambda _: None, replace=True)
 
     def find_markers(self, key: str) -> None:
         """Find the markers automatically and write a profile (`gyrotrack profile`)."""
@@ -710,6 +722,11 @@ class Project:
 
 
 _FIELDS = ("label", "surface", "inertia_rotor", "inertia_casing", "inertia")
+
+
+def _reading_document(document: dict[str, Any]) -> dict[str, Any]:
+    """Return what the page shows of a dry run of `import`."""
+    return {k: document.get(k, []) for k in ("reading", "plot", "warnings")}
 
 
 def _argument(name: str) -> str:

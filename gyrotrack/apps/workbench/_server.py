@@ -398,6 +398,7 @@ class Workbench:
             "mark": then(lambda a: p.mark(text(a, "key"), a.get("hub"), a.get("picks"), text(a, "disc"))),
             "follow": then(lambda a: p.preview(text(a, "key"))),
             "find": then(lambda a: p.find_markers(text(a, "key"))),
+            "read": then(lambda a: p.read(text(a, "key"))),
             "correct": then(
                 lambda a: p.correct(text(a, "key"), text(a, "marker"), whole(a, "index"), a.get("place"))
             ),

@@ -8,7 +8,7 @@
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
   const SHOWN = { casing: "casing", rotor: "rotor", single: "single body" };
   let project = null, chosen = null, size = [1, 1], index = 0, picture = null, mode = "hub", hub = null, disc = "", picks = [],
-    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, cross = null, latest = 0, sending = 0, ended = false;
+    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, asked = new Set(), cross = null, latest = 0, sending = 0, ended = false;
 
   const source = () => project?.sources.find((x) => x.key === chosen) || null;
   const active = (job) => Boolean(job) && (job.state === "waiting" || job.state === "running");
@@ -78,6 +78,10 @@
       }
       get("facts").textContent = facts(x);
       get("facts").classList.toggle("fault", Boolean(x.info.error));
+      if (x.kind === "table") {
+        same(get("reading"), JSON.stringify([x.reading, x.jobs.read?.state]), () => reading(x));
+        if (!x.jobs.read && !asked.has(x.key)) { asked.add(x.key); act("read", { key: x.key }); }
+      }
     }
   }
 
@@ -86,6 +90,32 @@
     if (i.error) return sentence(i.error);
     if (x.kind !== "film") return x.kind === "table" ? "table of angles, rates or points" : "recording";
     return [`${i.width} \u00d7 ${i.height} px`, i.frames ? `${i.frames} frames` : "", i.container_fps ? `stored at ${Number(i.container_fps.toPrecision(5))} fps` : ""].filter(Boolean).join(", ");
+  }
+
+  /* what each column of a table is taken for, and the speeds */
+  function reading(x) {
+    const job = x.jobs.read;
+    if (active(job)) return [element("p", { class: "soft" }, "reading \u2026")];
+    if (job && job.state === "failed") return [element("p", { class: "fault" }, sentence(job.message))];
+    const head = element("tr", {}, ...["column", "taken for", "unit", "because"].map((t) => element("th", { scope: "col" }, t)));
+    return (x.reading.reading || []).flatMap((r) => [
+      element("table", { "aria-label": `reading of ${x.name}` }, element("thead", {}, head.cloneNode(true)), element("tbody", {},
+        ...r.columns.map((c) => element("tr", {}, element("th", { scope: "row" }, c.column), ...[c.quantity, c.unit, c.why].map((t) => element("td", {}, t)))),
+        ...r.left_out.map((n) => element("tr", { class: "soft" }, element("th", { scope: "row" }, n), element("td", {}, "left out"), element("td"), element("td"))))),
+      element("p", { class: "soft" }, `${r.format}, ${r.rows} rows`),
+    ]).concat((x.reading.plot || []).map(sketch));
+  }
+
+  /* a small plot of a speed */
+  function sketch(p) {
+    const make = (name, values) => { const e = document.createElementNS("http://www.w3.org/2000/svg", name); for (const [k, v] of Object.entries(values)) e.setAttribute(k, v); return e; };
+    const [t0, t1] = [p.time[0], p.time[p.time.length - 1]], low = Math.min(0, ...p.omega), high = Math.max(0, ...p.omega);
+    const at_ = (t, w) => `${(300 * (t - t0) / (t1 - t0 || 1)).toFixed(1)},${(60 - 60 * (w - low) / (high - low || 1)).toFixed(1)}`;
+    const text = `speed of the ${p.body}, ${Math.min(...p.omega).toPrecision(4)} to ${Math.max(...p.omega).toPrecision(4)} rad/s, ${t0.toPrecision(4)} to ${t1.toPrecision(4)} s`;
+    const svg = make("svg", { viewBox: "-2 -2 304 64", width: 304, height: 64, role: "img", "aria-label": text });
+    svg.append(make("polyline", { points: `${at_(t0, 0)} ${at_(t1, 0)}`, fill: "none", stroke: "currentColor", "stroke-opacity": 0.3 }),
+      make("polyline", { points: p.time.map((t, i) => at_(t, p.omega[i])).join(" "), fill: "none", stroke: "currentColor", "stroke-width": 1.5 }));
+    return element("figure", { class: "sketch" }, svg, element("figcaption", { class: "soft" }, text));
   }
 
   function build(x) {
@@ -107,6 +137,7 @@
       for (const r of RATES) if (r !== stored) rates.append(button(String(r), `${x.name}: capture rate ${r} fps`, () => set(r)));
       card.append(element("span", { class: "entry" }, element("label", { for: `${id}-rate` }, "capture rate [fps]"), rate, element("span", { class: "soft", "data-name": "from" })), rates);
     }
+    if (x.kind === "table") card.append(element("div", { class: "reading", "data-name": "reading" }));
     at("sources").append(card);
     return card;
   }

@@ -30,6 +30,7 @@ _BESIDE = 15  # number of rows on each side of a step whose values are continued
 _CONTRADICTION = (
     4.0  # smallest difference of the two estimates of a step for a contradiction [standard errors]
 )
+_SLOWEST = 0.4  # interval of samples from which on times without a unit may be milliseconds [s]
 _MOST_STEPS = 5  # largest number of gaps that are tested for a clock that was set ahead
 
 
@@ -180,6 +181,21 @@ def _without_forward_steps(
             )
             made = moved
     return made
+
+
+def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
+    """Ask for the unit of times of samples, about which nothing is stated, if they would be far apart in seconds.
+
+    `where` is the file and line of the header, `column` the name or number of the column.
+    """
+    step = np.diff(time[np.isfinite(time)])
+    usual = float(np.median(np.abs(step))) if len(step) else 0.0
+    if usual >= _SLOWEST:
+        raise DatasetError(
+            f"{where}: the unit of the time in '{column}' is not stated, and its steps of {usual:.4g} would be long "
+            "in seconds.",
+            f"State it: --column 't={column} [s]' or --column 't={column} [ms]'.",
+        )
 
 
 def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:

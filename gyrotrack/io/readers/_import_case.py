@@ -24,6 +24,7 @@ from gyrotrack.io.readers._motion_table import (
     scatter,
 )
 from gyrotrack.io.readers._number_range import within_number_range
+from gyrotrack.io.readers._plausibility import wraps_at_no_turn
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
@@ -53,6 +54,9 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
 
 
 _JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
+_CLEAR_JUMP, _UNSTEADY = 3.0, 40.0  # the same of one that is no continuation of the motion [changes, noise]
+# change of a wrapped angle whose sense is in doubt [rad], and largest share of them in either sense
+_HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
 _MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow
 _SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
 # times above this limit [s] (three years) are seconds since 1970, not since the start of a record
@@ -78,6 +82,7 @@ def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
     if not is_wrapped(table.value):
         _refuse_jumps(table)
         return table.value
+    _refuse_half_turns(table)
     value, uncertain = unwrap(table.time, table.value)
     notes += [
         f"{table.path.name}: the number of turns is uncertain in the gap after {t:.3f} s" for t in uncertain
@@ -85,16 +90,45 @@ def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
     return value
 
 
+def _refuse_half_turns(table: MotionTable) -> None:
+    """Refuse a wrapped angle whose changes between two samples pass through half a turn: their sense is unknown."""
+    interval = np.diff(table.time)
+    turned = np.angle(np.exp(1j * np.diff(table.value)))[interval < 1.5 * np.median(interval)]
+    share = min(float((sign * turned > _HALF_TURN).mean()) for sign in (1, -1))
+    if share > _MOST_HALF_TURNS:
+        raise DatasetError(
+            f"{table.path}: the body turns by about half a turn between two samples; the number of turns is unknown.",
+            "Give a recording with more samples per turn, or the part in which the body is slower.",
+        )
+
+
 def _refuse_jumps(table: MotionTable) -> None:
-    """Refuse an angle that changes between two samples by far more than before, after, and usually."""
-    interval, step = np.diff(table.time), np.abs(np.diff(table.value))
+    """Refuse an angle that changes between two samples by far more than before, after, and usually.
+
+    A jump is `_JUMP` times as large as other changes, or clearly larger and no continuation of the motion beyond noise.
+    """
+    if wraps_at_no_turn(table.value):
+        raise DatasetError(
+            f"{table.path}: the angle jumps again and again by its whole range of {np.ptp(table.value):.5g} rad, which "
+            "is no whole turn.",
+            "State the unit of the angle; counts of an encoder are read with --pulses-per-turn N, which continues a "
+            "counter that overflows.",
+        )
+    interval, step = np.diff(table.time), np.diff(table.value)
     step[interval > 1.5 * np.median(interval)] = 0.0
+    padded = np.pad(step, 2, mode="edge")
+    around = np.stack([padded[k : len(step) + k] for k in (0, 1, 3, 4)])
+    off = np.abs(step - np.median(around, axis=0))
+    noise = max(1.4826 * float(np.median(off)), resolution(table.value))
+    step = np.abs(step)
     usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
     beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
     # a step of whole turns is a slip, which the fit finds and corrects
     turns = (step - beside) / TURN
     slipped = (np.rint(turns) > 0) & (turns < _MOST_SLIPPED) & (np.abs(turns - np.rint(turns)) < _SLIP)
-    jumps = np.flatnonzero((step > _JUMP * np.maximum(beside, usual)) & ~slipped)
+    far = step > _JUMP * np.maximum(beside, usual)
+    far |= (step > _CLEAR_JUMP * np.maximum(beside, usual)) & (off > _UNSTEADY * noise)
+    jumps = np.flatnonzero(far & ~slipped)
     if len(jumps) and usual:
         first = jumps[0]
         raise DatasetError(

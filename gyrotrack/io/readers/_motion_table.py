@@ -18,10 +18,11 @@ from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
-from gyrotrack.io.readers._clock import MIN_SAMPLES, ordered
+from gyrotrack.io.readers._clock import MIN_SAMPLES, ordered, refuse_slow_clock
 from gyrotrack.io.readers._plausibility import (
     are_exchanged,
     counts_rows,
+    doubt_of_rad,
     ratio_of_units,
     row_numbers,
     wrapping_unit,
@@ -45,6 +46,7 @@ _ORDER = 3
 _NEIGHBOURS = 41
 _FLOOR = 1e-6
 _MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
+_MOST_REPEATED = 0.7  # largest share of rows with the time of the row before
 _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
 # share, and number, of the changes between neighbours that are not usual; the greater applies
 _RARE = (0.01, 4.0)
@@ -356,10 +358,17 @@ def _without_header(raw: RawTable) -> DatasetError:
     if indices:
         which = " and ".join(str(i + 1) for i in indices)
         what += f", and {which} {'number' if len(indices) > 1 else 'numbers'} the rows"
+    if len(raw.names) == 1:
+        return DatasetError(
+            f"{raw.header_place}: the only column has no header.",
+            "Give --pulses-per-turn N for times of pulses or intervals between them, or --casing-fps N --column "
+            "'angle=1 [deg]' for samples.",
+        )
     time = "--casing-fps N" if 0 in indices else "--column t=1"
+    angle = next((i + 1 for i in range(1, len(raw.names)) if i not in indices), 2)
     return DatasetError(
         f"{what}.",
-        f"Give them by number: {time} --column 'angle=2 [deg]'; or give --pulses-per-turn for pulses or counts.",
+        f"Give them by number: {time} --column 'angle={angle} [deg]'; or give --pulses-per-turn for pulses or counts.",
     )
 
 
@@ -465,7 +474,20 @@ def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> M
     )
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
     made = checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma, inputs=inputs)
+    _refuse_unusual(raw, columns, made)
     return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, left_out))
+
+
+def _refuse_unusual(raw: RawTable, columns: Columns, made: MotionTable) -> None:
+    """Ask for a unit that nothing states if the motion would be unusual in s and rad."""
+    asked = [r for r in columns.place if not columns.unit[r] and columns.why[r] != "by --column"]
+    names = {r: raw.names[columns.place[r]] or str(columns.place[r] + 1) for r in asked}
+    if "t" in asked and raw.numeric(columns.place["t"]) is not None:  # no time of day
+        refuse_slow_clock(raw.header_place, names["t"], made.time)
+    if "angle" in asked and (doubt := doubt_of_rad(made.value)):
+        stated = (f"--column 'angle={names['angle']} [{unit}]'" for unit in _CHOICES["angle"])
+        what = f"{raw.header_place}: the unit of '{names['angle']}' is not stated, and in rad {doubt}."
+        raise DatasetError(what, f"State it: {' or '.join(stated)}.")
 
 
 # units of a signal that may be proportional to an angle or a speed
@@ -655,6 +677,12 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
     time, order = ordered(table.path, table.time, table.line, value, notes)
     table = replace(table, time=time).only(order)
     repeated = np.flatnonzero(np.diff(table.time) == 0)
+    if len(repeated) > _MOST_REPEATED * len(table.time):
+        raise DatasetError(
+            f"{table.path}: {len(repeated)} of {len(table.time)} rows repeat a time.",
+            "Check the column of the time, give the times with more digits, or the rate of the rows with "
+            "--casing-fps N.",
+        )
     if len(repeated):
         notes.append(
             f"{name}: {len(repeated)} repeated times (first: line {table.line[repeated[0] + 1]}); "

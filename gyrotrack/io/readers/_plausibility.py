@@ -42,6 +42,10 @@ _RATIOS = (
     (1e3, "the time is in ms"),
     (1e6, "the time is in us"),
 )
+# passages of the middle of its range by a body that swings, clear of it by this share of the range
+_PASSAGES, _CLEAR = 4, 0.1
+# of an angle that wraps at no whole turn: smallest jumps, their smallest number, largest other steps [range]
+_WHOLE_RANGE, _JUMPS, _SMALL_STEP = 0.8, 3, 0.25
 _LEAST_RATIO_R2 = 0.9  # share of the variance of a speed that the slopes of the angle must explain
 
 
@@ -131,6 +135,38 @@ def wrapping_unit(angle: Floats) -> str:
     if span > period * (1 + _NEAR):
         return ""
     return next((unit for unit, size in _PERIODS.items() if abs(period / size - 1) < _NEAR), "")
+
+
+def doubt_of_rad(angle: Floats) -> str:
+    """Return what would be unusual about an angle of which no unit is stated if it were in rad; "" if nothing.
+
+    Pendulums and spiral springs oscillate by less than half a turn to either side, and a sampled body turns by less
+    than half a turn between two samples; in degrees most numbers are larger than that.
+    """
+    known = angle[np.isfinite(angle)]
+    if len(known) < _FEWEST:
+        return ""
+    step = float(np.median(np.abs(np.diff(known))))
+    if step > TURN / 2:
+        return f"it would turn by {step / TURN:.3g} turns between two samples"
+    middle, span = 0.5 * float(known.max() + known.min()), float(np.ptp(known))
+    clear = np.sign(known - middle)[np.abs(known - middle) > _CLEAR * span]
+    swings = np.count_nonzero(np.diff(clear)) >= _PASSAGES
+    return (
+        f"it would oscillate by {0.5 * span / TURN:.3g} turns to either side"
+        if swings and span > TURN
+        else ""
+    )
+
+
+def wraps_at_no_turn(angle: Floats) -> bool:
+    """Return whether an angle jumps back and forth by its whole range again and again, and else changes little."""
+    known = angle[np.isfinite(angle)]
+    if len(known) < _FEWEST or not float(np.ptp(known)):
+        return False
+    step = np.abs(np.diff(known)) / float(np.ptp(known))
+    jumps = step > _WHOLE_RANGE
+    return _JUMPS <= int(jumps.sum()) <= len(step) / 3 and float(step[~jumps].max()) < _SMALL_STEP
 
 
 def ratio_of_units(time: Floats, angle: Floats, omega: Floats) -> tuple[float, str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
+from gyrotrack.io.readers._clock import refuse_slow_clock
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, factor, header_of, is_number, number_of, role_of
 from gyrotrack.io.readers._text_table import Lines, delimiter_of, split
@@ -89,6 +90,8 @@ def _tracker(path: Path, lines: Lines) -> Points | None:
     )
     places = {name: np.stack([table[x], table[y]], axis=1) for name, (x, y) in columns.items()}
     counted = roles[time[0]] == "frame"
+    if not counted and not unit:
+        refuse_slow_clock(f"{path}, line {lines[above][0]}", names[time[0]], table[time[0]])
     return Points(path, scale * table[time[0]], places, {}, y_down=False, counted=counted)
 
 

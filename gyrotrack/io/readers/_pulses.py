@@ -59,6 +59,9 @@ _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
 _MOST_RISES = 1  # a motor at the start of a record
+# quantile of the periods of a pendulum that none of the longer ones exceeds by this factor, where no passage is missing
+_SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
+_SAME_SPEED = 0.3  # logarithm of the ratio of speeds before and after a time without pulses
 _LEAST_SINGLE = 0.5  # smallest share of times that are not repeated
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
@@ -77,6 +80,7 @@ _ALTERNATING = 0.9
 _DURATION_CHANGE = 0.1
 _SIGNIFICANT_CHANGE = 5.0  # the same in standard errors
 _FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration]
+_LARGEST_TICKS = 5e6  # largest steps of whole numbers that are taken for microseconds
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -187,7 +191,7 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         time = times_of(raw, {"t": place}, {"t": unit}, replace(options, start=0.0))
     else:
         place, time, intervals = 0, raw.numbers(0, "t", times=True), False
-        scale = clock_scale(np.cumsum(time) if are_intervals(time) else time)
+        scale = clock_scale(raw, np.cumsum(time) if are_intervals(time) else time)
         unit, why = _TICK_UNITS.get(scale, "s"), "the first column"
         if scale != 1.0:
             notes.append(f"{raw.path.name}: times are integers and are assumed to be in {unit}")
@@ -346,8 +350,10 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
         return None
     if len(blocked) == 1:
         begin, end = blocked[0].T
-        found = Passages(raw.path, 0.5 * (begin + end), end - begin, (*raw.notes, *notes))
-        return found if _slows_down(*blocked) else None
+        if not _slows_down(*blocked):
+            return None
+        _refuse_lost_passages(raw, 0.5 * (begin + end))
+        return Passages(raw.path, 0.5 * (begin + end), end - begin, (*raw.notes, *notes))
     both = np.concatenate([np.column_stack([b, np.full(len(b), k)]) for k, b in enumerate(blocked)])
     both = both[np.argsort(both[:, 0] + both[:, 1])]
     # intervals of the two gates that follow each other more closely than the next passage
@@ -359,7 +365,21 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
     if not alternates and not all(_slows_down(b) for b in blocked):
         return None
     begin, end = (both[first, k] + both[first + 1, k] for k in (0, 1))
+    _refuse_lost_passages(raw, 0.25 * (begin + end))
     return Passages(raw.path, 0.25 * (begin + end), end - begin, (*raw.notes, *notes))
+
+
+def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
+    """Refuse passages between which so many are missing that the shortest period is not the usual one."""
+    pair = time[2:] - time[:-2]
+    usual = float(np.quantile(pair, _SHORT_PERIODS))
+    longer = float((pair > _LONGER * usual).mean())
+    if longer > _MOST_LOST:
+        raise DatasetError(
+            f"{raw.path}: {longer:.0%} of the times between passages of the same sense are longer than {usual:.4g} s "
+            f"by a quarter or more: passages are missing.",
+            "Give a recording with all passages.",
+        )
 
 
 def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
@@ -472,6 +492,7 @@ def _with_missed_pulses(
     ratio[-_END:] = _ratios_at_end(step)[-_END:]
     ratio[:_END] = _ratios_at_end(step[::-1])[::-1][:_END]
     whole = np.round(ratio)
+    _refuse_gap(raw, step, ratio, np.diff(count), line)
     missed = (whole >= 2) & (whole <= _MAX_MISSED) & (np.abs(ratio - whole) < 0.12 * whole)
     if not missed.any():
         return count
@@ -481,6 +502,23 @@ def _with_missed_pulses(
         f"(first: before line {line[np.argmax(missed) + 1]})"
     )
     return np.asarray(count + np.concatenate([[0.0], np.cumsum(added)]))
+
+
+def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, line: Integers) -> None:
+    """Refuse a long time without pulses before and after which the body turns at the same speed: it did not rest."""
+    inner = np.arange(_END, len(step) - _END)
+    if not len(inner):
+        return
+    before, after = step[inner - 1], step[inner + 1]
+    same = np.abs(np.log(before / after)) < _SAME_SPEED
+    gaps = inner[same & (ratio[inner] > _MAX_MISSED) & (counted[inner] == 1)]
+    if len(gaps):
+        k = int(gaps[0])
+        raise DatasetError(
+            f"{raw.path}, line {line[k + 1]}: {step[k]:.4g} s pass without a pulse, and the speed is the same before "
+            "and after: the clock was set, or pulses are lost.",
+            "Give the part before or after this line as a file of its own.",
+        )
 
 
 def _steps_of_jittering_counts(time: Floats) -> Integers | None:
@@ -662,7 +700,7 @@ def read_counter(
     ticks, count, line = ticks[known], count[known], raw.line[known]
     scale = scale_of(raw, "t", unit)
     if not unit and not raw.headed:
-        scale = clock_scale(ticks)
+        scale = clock_scale(raw, ticks)
         if scale != 1.0:
             notes.append(f"{raw.path.name}: times are integers and are assumed to be in {_TICK_UNITS[scale]}")
     time = continued_clock(raw.path, ticks * scale, line, notes) + options.start
@@ -742,12 +780,18 @@ def _roughness(time: Floats, count: Floats) -> float:
     return float(np.mean(np.minimum(change, 1.0)))
 
 
-def clock_scale(ticks: Floats) -> float:
-    """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10."""
+def clock_scale(raw: RawTable, ticks: Floats) -> float:
+    """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10.
+
+    Steps of more than five seconds in us are in doubt, and a DatasetError asks for the unit.
+    """
     known = ticks[np.isfinite(ticks)]
     if not len(known) or (known != np.round(known)).any():
         return 1.0
     typical = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
+    if typical > _LARGEST_TICKS:
+        what = f"{raw.path}: the times are whole numbers in steps of {typical:.4g}, and their unit is not stated."
+        raise DatasetError(what, "State it, for example --column 't=1 [us]' or --column 't=1 [ns]'.")
     return 1e-6 if typical >= 1000 else 1e-3 if typical > 10 else 1.0
 
 
@@ -810,7 +854,7 @@ def _counted_angles(
     """Return the table of times and angles of sampled counts."""
     time = raw.numbers(time_column, "t", times=True)
     note: tuple[str, ...] = ()
-    if not unit and not raw.headed and (scale := clock_scale(time)) != 1.0:
+    if not unit and not raw.headed and (scale := clock_scale(raw, time)) != 1.0:
         unit = _TICK_UNITS[scale]
         note = (f"{raw.path.name}: times are integers and are assumed to be in {unit}",)
     per_turn = options.pulses_per_turn or 1.0

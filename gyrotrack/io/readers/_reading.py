@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from gyrotrack.io.readers._raw_table import factor
+
+_SAME_UNIT = 1e-9  # relative difference of two units of the same size
 _MOST_NAMES = 12  # number of unused columns that are named
 
 
@@ -50,6 +53,23 @@ class Reading:
             "columns": [vars(t) for t in self.taken],
             "left_out": list(self.left_out),
         }
+
+
+def units_of_file(document: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
+    """Return the units in which a file states angles and speeds, with their factors to SI, where they are others.
+
+    `document` is that of a reading. An angle in degrees has a speed in degrees per second; a speed in turns per minute
+    has no unit of an angle.
+    """
+    for column in document["columns"]:
+        quantity, unit = column["quantity"], column["unit"]
+        scale = factor(quantity, unit) if quantity in {"angle", "omega"} and unit else None
+        if scale is None or abs(scale - 1) < _SAME_UNIT:
+            continue
+        if quantity == "omega":
+            return {"omega": (unit, scale), "alpha": (f"{unit}/s", scale)}
+        return {"angle": (unit, scale), "omega": (f"{unit}/s", scale), "alpha": (f"{unit}/s2", scale)}
+    return {}
 
 
 def reading_of(document: Mapping[str, Any]) -> Reading:

@@ -123,6 +123,17 @@ def test_level_of_white_noise_is_found(motion, factor, seed):
     assert compressed.rest / compressed.rest_dof == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("noise", "scale"), [(0.0, 30e-10), (1e-9, 30e-10), (1e-7, 1e-7)])
+def test_the_noise_of_a_computed_table_is_the_error_of_the_integration(noise, scale):
+    """Angles up to 30 rad without noise differ from a model by rounding, which is no white noise."""
+    t = np.arange(480) / 120
+    angle = 48 * (1 - np.exp(-t / 4))
+    angle *= 30 / angle.max()
+    angle += noise * np.random.default_rng(0).standard_normal(len(t))
+    compressed = compress(Samples(t, angle, np.full(len(t), 1e-6)), degree=CASING_DEGREE, angle=angle)
+    assert compressed.scale * 1e-6 == pytest.approx(scale, rel=0.1)
+
+
 # rho = 0.9 is slow enough to fall off within the rows that measure the noise: a fifth of it is missed
 @pytest.mark.parametrize(("rho", "share"), [(0.5, 0.1), (0.7, 0.1), (0.9, 0.25)])
 @pytest.mark.parametrize("seed", range(3))

@@ -11,9 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from fitting.discovery import _oscillator
+from fitting.dynamics._model import Model
 from gyrotrack._errors import TrackingError
-from gyrotrack.apps import _spindown
-from gyrotrack.apps._motion import motion_of, start_of_motion
+from gyrotrack.apps import _motion, _spindown
+from gyrotrack.apps._motion import Value, motion_of, start_of_motion
 from gyrotrack.apps._spindown import _with_view_errors
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
@@ -482,8 +483,6 @@ def test_at_most_three_alternative_sets_of_laws_are_listed():
 
 
 def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
-    from fitting.dynamics._model import Model
-
     spring, cubic = ("casing.spring.linear",), ("casing.spring.linear", "casing.spring.cubic")
     strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
     laws = _oscillator.OscillatorLaws(
@@ -497,14 +496,45 @@ def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
     assert same.parameters == {
         "casing.spring.linear.k": _oscillator.Strength(12.01, 0.002, "rad/s2", approximate=False)
     }
-    # the averaged equations have an error of their own: their value is shown without an uncertainty
     assert _tracking._oscillator_lines(laws)[0].startswith(
-        "restoring  casing.spring.linear.k about 12 rad/s2 (or"
+        "restoring  casing.spring.linear.k about 12.00 +- 0.10 rad/s2 (or"
     )
     assert "k = 12.0100 +- 0.0020 rad/s2" in _tracking._oscillator_lines(same)[0]
     kept, sentence = laws.with_fit(SimpleNamespace(model=Model.of(["casing.gravity"]), estimates={}))
     assert kept == laws
     assert "restores by casing.gravity" in sentence
+
+
+def _exact(value, stderr):
+    return SimpleNamespace(
+        model=Model.of(["casing.spring.linear"]),
+        estimates={"casing.spring.linear.k": SimpleNamespace(value=value, stderr=stderr, unit="rad/s2")},
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "kept"),
+    [
+        (14.3, 0.01, False),  # 19 %: the error of averaged equations
+        (14.5, 0.01, True),  # 21 %, and 25 standard uncertainties
+        (14.5, 0.6, False),  # 4 standard uncertainties
+        (0.0, np.nan, True),  # at its bound
+    ],
+)
+def test_a_strength_that_contradicts_amplitude_and_phase_does_not_replace_theirs(value, stderr, kept):
+    spring = ("casing.spring.linear",)
+    strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
+    laws = _oscillator.OscillatorLaws(spring, (), (spring,), ((),), {"casing.spring.linear.k": strength})
+    found, sentence = laws.with_fit(_exact(value, stderr))
+    assert (found == laws) is kept
+    assert ("which are shown" in sentence) is kept
+
+
+def test_a_period_that_drifts_has_the_difference_of_the_models_in_its_uncertainty():
+    same = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(10.5, 0.3)])
+    assert same.stderr == pytest.approx(0.1)
+    other = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(12.0, 0.3)])
+    assert other.stderr == pytest.approx(np.hypot(0.1, 1.4))
 
 
 @pytest.mark.slow
@@ -522,3 +552,92 @@ def test_the_uncertainty_of_a_period_is_true_where_the_damping_is_not_that_of_th
         pulls.append((found.period.value - 2 * np.pi / np.sqrt(12)) / found.period.stderr)
         assert found.period.stderr < 3e-4
     assert np.sqrt(np.mean(np.square(pulls))) < 1.6
+
+
+CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
+
+
+def _said(capsys, *arguments):
+    code = app.run(["spindown", *map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def _pendulum(tmp_path, law):
+    """Write 20 periods of a pendulum released at 1.4 rad, with dry friction of 0.07 rad/s2 and noise of 2 mrad."""
+    t = np.arange(0, 22, 1 / 60)
+    run = solve_ivp(
+        lambda t, y: [y[1], law(*y) - 0.07 * np.tanh(y[1] / 1e-3)],
+        (0, 22), [1.4, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, method="LSODA",
+    )  # fmt: skip
+    angle = noisy(t, run.y[0], 2e-3, 3)[0]
+    path = tmp_path / "pendulum.csv"
+    np.savetxt(path, np.c_[t, angle], delimiter=",", header="t [s],theta [rad]", comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("quadratic", "viscous", "damping"),
+    [
+        (0.01, 0.0, {"touchpoint.constant", "casing.air.quadratic"}),
+        (0.0, 0.05, {"touchpoint.constant", "casing.air.linear"}),
+    ],
+)
+def test_gravity_and_two_kinds_of_friction_are_named_together(
+    tmp_path, capsys, monkeypatch, quadratic, viscous, damping
+):
+    monkeypatch.chdir(tmp_path)
+    path = _pendulum(tmp_path, lambda x, v: -37.2 * np.sin(x) - (quadratic * abs(v) + viscous) * v)
+    code, found = _said(capsys, path)
+    assert code == 0
+    assert found["oscillator"]["restoring"] == ["casing.gravity"]
+    assert set(found["oscillator"]["damping"]) == damping
+    assert [step["added"] for step in found["ladder"]] == [""]
+    assert found["diagnosis"]["verdict"] == "adequate"
+    strength = found["oscillator"]["parameters"]["casing.gravity.k"]
+    assert strength["value"] == pytest.approx(37.2, abs=4 * strength["stderr"])
+
+
+@pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
+def test_a_computed_table_is_described(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, exact = _said(capsys, CASES / "exact.csv")
+    assert (code, exact["diagnosis"]["verdict"], len(exact["ladder"])) == (0, "adequate", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
+def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, found = _said(capsys, CASES / "pendulum_94deg.csv")
+    values = {k: v["value"] for k, v in found["oscillator"]["parameters"].items()}
+    assert values == pytest.approx(
+        {"casing.gravity.k": 37.2, "touchpoint.constant.b1": 0.067, "casing.air.quadratic.k": 0.0033},
+        rel=0.01,
+    )
+    # a kink after 9 s, and a period that shortens from 15.5 to 14 s
+    code, found = _said(capsys, CASES / "title_line.txt", "--column", "angle=2")
+    period = found["motion"]["period"]
+    assert code == 3
+    assert abs(period["value"] - 15) < 2 * period["stderr"]
+    assert all(v["approximate"] for v in found["oscillator"]["parameters"].values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("periods", "searched"), [(30, True), (130, False)])
+def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_laws(
+    tmp_path, capsys, monkeypatch, periods, searched
+):
+    """A dry friction that begins halfway is no law of the list; 30 periods are searched for it."""
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0, periods * 2 * np.pi / 5, 0.05)
+    later = 0.5 * t[-1]
+    run = solve_ivp(
+        lambda t, y: [y[1], -25 * y[0] - 0.6 / t_end * y[1] - 0.02 * (t > later) * np.tanh(y[1] / 1e-3)],
+        (0, t_end := float(t[-1])), [1.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.05, method="LSODA",
+    )  # fmt: skip
+    angle = noisy(t, run.y[0], 2e-3, 5)[0]
+    np.savetxt("s.csv", np.c_[t, angle], delimiter=",", header="t [s],theta [rad]", comments="")
+    _, found = _said(capsys, "s.csv")
+    assert found["oscillator"]["restoring"] == ["casing.spring.linear"]
+    assert (len(found["ladder"]) > 1) is searched
+    assert any("no law beyond" in w for w in found["warnings"]) is not searched

@@ -15,7 +15,7 @@ def table(header, row):
 
 
 def angles(scale):
-    return table("t,angle", lambda k: f"{0.01 * k},{scale * (0.1 * k - 1e-4 * k * k)}")
+    return table("t,angle [rad]", lambda k: f"{0.01 * k},{scale * (0.1 * k - 1e-4 * k * k)}")
 
 
 def times(scale):
@@ -71,7 +71,10 @@ def test_large_numbers_are_read(gyrotrack, tmp_path, name):
 def test_angles_without_any_acceleration_are_fitted(gyrotrack, tmp_path, sigma):
     path, case = tmp_path / "steady.csv", tmp_path / "steady.h5"
     path.write_text(
-        table("t,angle,sigma" if sigma else "t,angle", lambda k: f"{k / 128},{1000 * k / 128}{sigma}")
+        table(
+            "t,angle [rad],sigma" if sigma else "t,angle [rad]",
+            lambda k: f"{k / 128},{1000 * k / 128}{sigma}",
+        )
     )
     assert gyrotrack("import", "--body", path, "-o", case, *BODY).code == 0
     for command in ("fit", "diagnose"):

@@ -213,6 +213,41 @@ def test_tables_become_a_case_in_a_process_of_their_own(project, tmp_path):
     assert not project.document()["is_matched"]
 
 
+def test_a_table_is_read_for_the_page_before_it_becomes_a_case(project, tmp_path):
+    rows = "".join(f"{0.01 * k},{5 * (0.01 * k - 0.01 * (0.01 * k) ** 2)},7\n" for k in range(300))
+    (tmp_path / "wheel.csv").write_text("t [s],angle [rad],note\n" + rows)
+    (tmp_path / "other.csv").write_text("a,b\n" + rows.replace(",7\n", "\n"))
+    before = set(tmp_path.iterdir())
+    for name in ("wheel.csv", "other.csv"):
+        project.add_named(name)
+    good, bad = (x.key for x in project.state.sources)
+    assert project.document()["sources"][0]["reading"] == {}
+    for key in (good, bad):
+        project.read(key)
+        _wait(project, f"read:{key}")
+    wheel, other = project.document()["sources"]
+    (reading,) = wheel["reading"]["reading"]
+    assert [c["quantity"] for c in reading["columns"]] == ["time", "angle"]
+    assert reading["left_out"] == ["'note'"]
+    (plot,) = wheel["reading"]["plot"]
+    assert 100 <= len(plot["time"]) == len(plot["omega"]) <= 400
+    assert other["jobs"]["read"]["state"] == "failed"
+    assert "there is no column for the time" in other["jobs"]["read"]["message"]
+    assert set(tmp_path.iterdir()) - before == {tmp_path / STATE_FILE}
+    with pytest.raises(UsageError, match="no such film or table"):
+        project.read("99")
+
+
+def test_every_format_that_import_reads_can_be_added(project, tmp_path):
+    from gyrotrack.io.readers._format_names import ALL, SUFFIXES
+
+    assert set(SUFFIXES) == set(ALL)
+    for suffix in (".trz", ".wav", ".parquet", ".mat", ".xls"):
+        (tmp_path / f"a{suffix}").write_bytes(b"x")
+        project.add_named(f"a{suffix}")
+    assert {x.kind for x in project.state.sources} == {"table"}
+
+
 def _wait(project, key):
     for thread in list(project.jobs._threads):
         thread.join(60)

@@ -42,11 +42,16 @@ def test_spoiled_copies(tmp_path, spoil, kind):
     text, options = coasting(kind)
     (tmp_path / "whole.csv").write_text(text)
     whole = spoil.read(tmp_path / "whole.csv", options)
-    found = {
-        how: spoil.judge(whole, change(text, random.Random(seed)), options, tmp_path / "copy")  # noqa: S311
+    spoiled = {
+        how: change(text, random.Random(seed))  # noqa: S311
         for seed, (how, change) in enumerate(spoil.SPOILERS.items())
     }
-    assert len(found) == 40
+    found = {
+        how: spoil.judge(whole, copy, options, tmp_path / "copy")
+        for how, copy in spoiled.items()
+        if copy is not None
+    }
+    assert len(found) >= 40
     outcomes = {how: outcome for how, (outcome, _) in found.items()}
     if kind == "counter":  # coarse times: only that nothing ends in a fault
         assert "fault" not in outcomes.values(), found

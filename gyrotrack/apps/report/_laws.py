@@ -1,0 +1,54 @@
+"""The fitted laws of a single body in words that its owner can check: what each strength does to the motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fitting.inference._result import Fit
+
+
+@dataclass(frozen=True)
+class LawOfBody:
+    """A strength or shape constant of a fitted law, in `unit`, and what it means."""
+
+    parameter: str
+    value: float
+    stderr: float
+    unit: str
+    meaning: str
+
+
+_SIGNIFICANT = 3.0  # strength from which on its effect is stated [standard uncertainties]
+# what a strength per unit of inertia does to the motion
+_IN_MOTION: dict[str, Callable[[float], str]] = {
+    "touchpoint.constant.b1": lambda a: f"it slows the body by {a:.4g} rad/s2 at any speed",
+    "casing.air.linear.b2": lambda a: f"alone, the speed falls to 1/e in {1 / a:.4g} s",
+    "casing.air.quadratic.k": lambda a: (
+        f"alone, the speed halves in {math.log(2) / a / (2 * math.pi):.4g} turns"
+    ),
+    "casing.spring.linear.k": lambda a: f"a period of {2 * math.pi / math.sqrt(a):.4g} s",
+    "casing.gravity.k": lambda a: f"a period of {2 * math.pi / math.sqrt(a):.4g} s at small amplitude",
+}
+
+
+def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
+    """Return the parameters of the laws of a single body; none for a rotor in its casing."""
+    record = fit.problem.data[0].record
+    if not record.single:
+        return ()
+    found = []
+    parameters = fit.model.parameters
+    for name, e in fit.estimates.items():
+        key = name.partition("@")[0]
+        if key not in parameters or not key.rpartition(".")[0] or key.startswith("initial."):
+            continue
+        words = parameters[key].meaning.replace("the casing", "the body").replace(" at the touch point", "")
+        in_motion = _IN_MOTION.get(key)
+        if in_motion is not None and e.value > _SIGNIFICANT * e.stderr:
+            words = f"{words}; {in_motion(e.value / record.I_casing)}"
+        found.append(LawOfBody(key, e.value, e.stderr, e.unit, words))
+    return tuple(found)
