@@ -232,6 +232,15 @@ def _report(error: Exception, *, as_json: bool) -> int:
     if (shortage := _exhausted_resource(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
+    if type(error).__name__ == "LinAlgError":  # of numpy, which is imported only where it is needed
+        what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
+        report_error(
+            "numerical",
+            what,
+            "Check the data for outliers, their units and their uncertainties.",
+            as_json=as_json,
+        )
+        return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
     message = f"Internal error in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
