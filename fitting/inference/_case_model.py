@@ -308,7 +308,10 @@ class CaseModel:
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
         """Return the mesh with an edge at each measured reversal, their indices, and the sense of each interval."""
         oscillation = self.data.oscillation
-        times = () if oscillation is None or self.dynamics.free_starts < 3 else tuple(oscillation.reversals)
+        times: tuple[float, ...] = ()
+        if oscillation is not None and self.dynamics.free_starts > 2:
+            turns = oscillation.reversals
+            times = tuple(turns[(turns > mesh.edges[0]) & (turns < mesh.edges[-1])])
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")

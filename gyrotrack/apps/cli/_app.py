@@ -13,8 +13,8 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
@@ -99,8 +99,11 @@ def root(
     """From films of a spinning gyroscope to the physics that its model is missing."""
 
 
-def main() -> None:
-    """Run the program on the command line's arguments and exit with its code."""
+def main(last: list[Callable[[], None]]) -> None:
+    """Run the program on the command line's arguments and exit with its code.
+
+    What is put into `last` runs when the process ends, after everything else.
+    """
     with suppress(OSError):
         while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file gets the number of a stream that is closed
             pass
@@ -110,7 +113,20 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # the terminal may not support every character
-    sys.exit(run(sys.argv[1:]))
+    code, marks = FAULT, ExitStack()
+
+    def end() -> None:
+        """Remove the marks of the outputs and end at once: a kill before it is repeated, one after it is impossible."""
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        marks.close()
+        os._exit(code)  # otherwise Python takes some tenths of a second to clear its modules
+
+    last.append(end)
+    marks.enter_context(marking())
+    code = run(sys.argv[1:])
+    sys.exit(code)
 
 
 _STDERR = 2
@@ -232,6 +248,11 @@ def _report(error: Exception, *, as_json: bool) -> int:
     if (shortage := _exhausted_resource(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
+        what = f"{name[:_LONGEST_NAME]} cannot be used: {error.strerror[0].lower()}{error.strerror[1:]}."
+        report_error("file", what, "Check the name, its folder and the permissions.", as_json=as_json)
+        return FAULT
     if type(error).__name__ == "LinAlgError":  # of numpy, which is imported only where it is needed
         what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
         report_error(
@@ -248,6 +269,8 @@ def _report(error: Exception, *, as_json: bool) -> int:
     report_error("bug", message, hint, as_json=as_json)
     return FAULT
 
+
+_LONGEST_NAME = 200  # shown characters of the name of a file
 
 # code, message, hint
 _LIMIT = "Raise the limit (`ulimit -{}`), or close other programs."
