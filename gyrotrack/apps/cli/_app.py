@@ -248,10 +248,8 @@ def _report(error: Exception, *, as_json: bool) -> int:
     if (shortage := _exhausted_resource(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
-        what = f"{name[:_LONGEST_NAME]} cannot be used: {error.strerror[0].lower()}{error.strerror[1:]}."
-        report_error("file", what, "Check the name, its folder and the permissions.", as_json=as_json)
+    if (refused := _refused_file(error)) is not None:
+        report_error("file", refused, "Check the name, its folder and the permissions.", as_json=as_json)
         return FAULT
     if type(error).__name__ == "LinAlgError":  # of numpy, which is imported only where it is needed
         what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
@@ -268,6 +266,19 @@ def _report(error: Exception, *, as_json: bool) -> int:
     hint = "This is a bug: run the command with --debug and report the traceback."
     report_error("bug", message, hint, as_json=as_json)
     return FAULT
+
+
+def _refused_file(error: Exception) -> str | None:
+    """Return the reason why the system refuses a file, as a sentence; None for another error."""
+    if isinstance(error, RuntimeError) and str(error).startswith(
+        "Symlink loop"
+    ):  # of pathlib before Python 3.13
+        return f"{str(error)[:_LONGEST_NAME].rstrip('.')}."
+    if not isinstance(error, OSError) or not error.strerror:
+        return None
+    name = error.filename
+    what = os.fsdecode(name) if isinstance(name, str | bytes) else "A file" if name is None else str(name)
+    return f"{what[:_LONGEST_NAME]} cannot be used: {error.strerror[0].lower()}{error.strerror[1:]}."
 
 
 _LONGEST_NAME = 200  # shown characters of the name of a file
