@@ -178,7 +178,7 @@ _INTERVALS = 12
 _PER_REVERSAL = 5
 # largest number of intervals: a motion with several changes between two samples is not measured, and the solution of
 # equations that are this stiff takes minutes to fail
-_LEAST_INTERVALS, _PER_SAMPLE = 2000, 8
+_LEAST_INTERVALS, _PER_SAMPLE = 600, 2
 # number of reversals from which on all of them are solved at once
 _MANY_REVERSALS = 3
 # stretches between reversals that may be integrated one by one: each takes as long as all of them at once
