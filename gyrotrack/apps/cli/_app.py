@@ -116,7 +116,7 @@ def main(last: list[Callable[[], None]]) -> None:
     code, marks = FAULT, ExitStack()
 
     def end() -> None:
-        """Remove the marks of the outputs and end at once: a kill before it is repeated, one after it is impossible."""
+        """Remove the marks of the outputs, with which the command could run again after a kill, and end at once."""
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
@@ -270,9 +270,8 @@ def _report(error: Exception, *, as_json: bool) -> int:
 
 def _refused_file(error: Exception) -> str | None:
     """Return the reason why the system refuses a file, as a sentence; None for another error."""
-    if isinstance(error, RuntimeError) and str(error).startswith(
-        "Symlink loop"
-    ):  # of pathlib before Python 3.13
+    # of pathlib before Python 3.13
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):
         return f"{str(error)[:_LONGEST_NAME].rstrip('.')}."
     if not isinstance(error, OSError) or not error.strerror:
         return None
