@@ -75,6 +75,19 @@ def test_a_program_that_was_killed_while_it_ends_runs_again(tmp_path):
     assert run("-m", "gyrotrack").returncode == 1
 
 
+@pytest.mark.parametrize(("content", "left"), [("", []), ("foreign", [".c.h5.outputs.unfinished.lock"])])
+def test_the_lock_of_a_mark_that_is_gone_is_removed(gyrotrack, tmp_path, content, left):
+    """A kill after the mark was removed and before its lock was."""
+    (tmp_path / "t.csv").write_text(ANGLES)
+    (tmp_path / "c.h5").write_text("complete")
+    (tmp_path / ".c.h5.outputs.unfinished.lock").write_text(content)
+    said = gyrotrack(
+        "import", "--body", tmp_path / "t.csv", "--inertia", "1e-5", "-o", tmp_path / "c.h5", "--json"
+    )
+    assert said.error["message"] == f"{tmp_path / 'c.h5'} already exists."
+    assert names(tmp_path) == [*left, "c.h5", "t.csv"]
+
+
 @pytest.mark.parametrize("name", ["case.h5", "case.fits.json", "casing.h5", "report.html", "story.png"])
 def test_the_demo_replaces_nothing(gyrotrack, tmp_path, name):
     content = '{"format": "gyrotrack ledger", "version": 1, "fits": []}' if "fits" in name else "precious"
