@@ -129,9 +129,11 @@ def test_the_noise_of_a_computed_table_is_the_error_of_the_integration(noise, sc
     t = np.arange(480) / 120
     angle = 48 * (1 - np.exp(-t / 4))
     angle *= 30 / angle.max()
-    angle += noise * np.random.default_rng(0).standard_normal(len(t))
-    compressed = compress(Samples(t, angle, np.full(len(t), 1e-6)), degree=CASING_DEGREE, angle=angle)
-    assert compressed.scale * 1e-6 == pytest.approx(scale, rel=0.1)
+    sigma, found = np.full(len(t), 1e-6), []
+    for seed in range(8):  # the scale of one has a standard deviation of 9 %
+        noisy = angle + noise * np.random.default_rng(seed).standard_normal(len(t))
+        found.append(compress(Samples(t, noisy, sigma), degree=CASING_DEGREE, angle=noisy).scale)
+    assert 1e-6 * np.mean(found) == pytest.approx(scale, rel=0.1)
 
 
 # rho = 0.9 is slow enough to fall off within the rows that measure the noise: a fifth of it is missed
