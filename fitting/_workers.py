@@ -81,10 +81,14 @@ class WorkerPool:
             self._submit(int)  # so that the first worker imports its modules in the meantime
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, fault: type[BaseException] | None, *_: object) -> None:
         executor, self._executor = self._executor, None
-        if executor is not None:
-            executor.shutdown(cancel_futures=True)
+        if executor is None:
+            return
+        if fault is not None:  # an interrupt does not wait for work that nobody needs
+            for process in list((getattr(executor, "_processes", None) or {}).values()):
+                process.terminate()
+        executor.shutdown(cancel_futures=True)
 
     def submit(self, work: Callable[..., T], *args: Any) -> Task[T]:
         """Start ``work(*args)``, a module-level function with arguments that can be pickled."""

@@ -32,6 +32,24 @@ def test_exceptions_of_workers_are_raised_in_the_caller():
         workers.submit(_wrong, "seven").result()
 
 
+def test_an_interrupt_does_not_wait_for_running_tasks():
+    where = 0
+
+    def interrupted():
+        nonlocal where
+        with WorkerPool(1) as workers:
+            where = workers.submit(os.getpid).result()
+            workers.submit(time.sleep, 60)
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.monotonic() - began < 30
+    with pytest.raises(ProcessLookupError):
+        os.kill(where, 0)
+
+
 def test_on_one_core_tasks_run_in_the_caller():
     with WorkerPool(0) as workers:
         assert workers.submit(_where, 3).result() == (3, os.getpid())
@@ -79,6 +97,7 @@ def test_without_processes_tasks_run_in_the_caller(monkeypatch):
 
 
 def test_blas_threads_are_limited_within_the_context_only():
+    pytest.importorskip("numpy")  # loads the library whose threads are limited
     from threadpoolctl import threadpool_info, threadpool_limits
 
     def threads():
