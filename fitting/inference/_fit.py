@@ -37,8 +37,8 @@ from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
 from fitting.inference._problem import (
-    GIVEN_UP,
     Problem,
+    common_level,
     first_noise,
     measure_noise,
     raised_noise,
@@ -189,13 +189,18 @@ def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | N
             yield begin
 
 
+# random torque of a case, relative to that of its recording, from which a model does not describe it
+_GIVEN_UP = 30.0
+
+
 def _from_separate_fits(
     problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution of a joint fit and its noise, searched again from fits of each case alone.
 
-    From values that describe one case and not another, random torque in the latter accounts for the difference, and its
-    data lose their weight. The better description of both has the lower deviance.
+    A case that the model does not describe alone has random torque in place of what it lacks, and does not bias the
+    others. Where the model describes each case alone, their shared parameters differ: with a level of its own one of
+    them would lose its weight and be given up for the others, so all have a common level.
     """
     alone = []
     for d in problem.data:
@@ -204,14 +209,13 @@ def _from_separate_fits(
         except FittingError:
             return found, noise
     start = {name: _of_separate_fits(name, alone) for name in problem.layout.names}
-    try:
-        ends = [
-            (found, noise),
-            search_with_noise(problem, initial_values(problem, start), start, quick=quick),
-        ]
-    except FittingError:
-        return found, noise
-    return min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
+    ends = [(found, noise)]
+    with suppress(FittingError):
+        ends.append(search_with_noise(problem, initial_values(problem, start), start, quick=quick))
+    found, noise = min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
+    given_up = any(n.level > _GIVEN_UP * n.pure for n in noise)
+    described = all(n.level <= _GIVEN_UP * n.pure for f in alone for n in f.noise)
+    return found, common_level(noise) if given_up and described else noise
 
 
 def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
@@ -259,7 +263,7 @@ def fit(
     active: ActiveBounds | None = None
     if noise is None:
         found, noise = search_with_noise(problem, theta, start, quick=quick)
-        if any(n.level > GIVEN_UP * n.pure for n in noise) and len(data) > 1:
+        if any(n.level > _GIVEN_UP * n.pure for n in noise) and len(data) > 1:
             found, noise = _from_separate_fits(problem, found, noise, quick=quick)
         theta, active = found.theta, found.active
     elif not _free_names(problem) <= set(start or ()):

@@ -93,6 +93,8 @@ class Noise:
     # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0
+    # whether all cases of a joint fit have the same level: each is described alone, and none is given up for the others
+    common: bool = False
 
     def at(self, level: float) -> Noise:
         """Return the noise at another level of the random torque [N m]."""

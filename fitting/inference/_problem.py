@@ -307,10 +307,6 @@ def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
     return np.eye(len(data.z))[:, np.flatnonzero(np.repeat(rests, k))]
 
 
-# random torque of a case, relative to that of its recording, from which a joint fit may give up the case
-GIVEN_UP = 30.0
-
-
 def refine_level(
     problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
@@ -326,8 +322,7 @@ def refine_level(
     Where the model comes to rest, its rows hardly respond to a torque, and their residuals would be explained by
     torques without limit: they are left out. A random torque is never larger than the largest torque of the recording.
 
-    Cases of a joint fit have a common level where one needs far more random torque than its recording shows: with a
-    level of its own that case would lose its weight, and be given up for the others.
+    Cases whose noise is `common` have the largest level of all.
     """
     found = []
     moving = ~problem.layout.at_bound(theta) & (not fixed)
@@ -341,7 +336,10 @@ def refine_level(
         level = min(level, data.largest_torque or np.inf)
         grossly = restoring and fails_grossly(data, p, n)
         found.append(replace(n.at(n.pure if grossly else level), excess=excess))
-    if len(found) > 1 and any(n.level > GIVEN_UP * n.pure for n in found):
-        largest = max(n.level for n in found)
-        return tuple(n.at(largest) for n in found)
-    return tuple(found)
+    return common_level(found) if any(n.common for n in found) else tuple(found)
+
+
+def common_level(noise: Sequence[Noise]) -> tuple[Noise, ...]:
+    """Return the noise of each case at the largest level of all, which later estimates keep common."""
+    largest = max(n.level for n in noise)
+    return tuple(replace(n.at(largest), common=True) for n in noise)

@@ -386,16 +386,19 @@ class Fit(FitSummary):
     def needs_random_torque(self, criteria: Criteria = DEFAULT) -> bool:
         """Return whether only a random torque describes the data that the recording does not show without the model.
 
+        Of a joint fit, whose levels depend on what the recordings share, the lack-of-fit test alone decides.
+
         Parameters
         ----------
         criteria : Criteria
             Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level, its
             `random_torque_evidence` the fall of the deviance by the random torque.
         """
-        return any(
-            n.level > n.pure + criteria.excess_noise * n.pure_u and n.excess > criteria.random_torque_evidence
-            for n in self.noise
-        )
+        if len(self.noise) > 1:
+            return False
+        (n,) = self.noise
+        excess = n.level > n.pure + criteria.excess_noise * n.pure_u
+        return excess and n.excess > criteria.random_torque_evidence
 
     @property
     def undetermined(self) -> list[str]:

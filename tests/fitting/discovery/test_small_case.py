@@ -358,6 +358,7 @@ class TestAnswer:
         assert noisy.needs_random_torque() == needs
         assert noisy.verdict == ("lack_of_fit" if needs else found.verdict)
         assert not noisy.needs_random_torque(Criteria(random_torque_evidence=1e9))
+        assert not replace(noisy, noise=noisy.noise * 2).needs_random_torque()  # of a joint fit
 
     @pytest.mark.parametrize(("describes", "verdict"), [(True, "undecided"), (False, "unexplained")])
     def test_such_a_model_is_not_adequate(self, monkeypatch, describes, verdict):

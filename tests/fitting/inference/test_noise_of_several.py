@@ -42,18 +42,14 @@ def test_a_recording_that_excludes_process_noise_has_a_low_level(quiet_camera):
     assert found.noise[1].pure < 0.3 * LEVEL
 
 
-@pytest.mark.parametrize(
-    ("ratios", "common"), [((31.0, 2.0), True), ((29.0, 2.0), False), ((40.0, 35.0), True), ((31.0,), False)]
-)
-def test_no_case_is_given_up_for_the_others(monkeypatch, ratios, common):
-    """A level of 31 times the process noise of one recording is that of all recordings of a joint fit."""
-
+@pytest.mark.parametrize("common", [True, False])
+def test_recordings_with_a_common_level_keep_it(monkeypatch, common):
     class Level(SimpleNamespace):
         def at(self, level):
             return Level(**(vars(self) | {"level": level}))
 
-    noise = [Level(pure=1e-9, level=0.0, whitener=None, excess=0.0) for _ in ratios]
-    levels = iter([(r * 1e-9, 5.0) for r in ratios])
+    noise = [Level(pure=1e-9, level=0.0, whitener=None, excess=0.0, common=common) for _ in range(2)]
+    levels = iter([(3e-8, 5.0), (1e-8, 6.0)])
     monkeypatch.setattr(_problem, "remaining_level", lambda *_: next(levels))
     monkeypatch.setattr(_problem, "_rows_at_rest", lambda *_: np.zeros((3, 0)))
     monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
@@ -63,10 +59,44 @@ def test_no_case_is_given_up_for_the_others(monkeypatch, ratios, common):
     layout = SimpleNamespace(
         at_bound=lambda _: np.zeros(0, dtype=bool), model=SimpleNamespace(restoring=False)
     )
-    problem = SimpleNamespace(
-        data=[data] * len(ratios), layout=layout, predict=lambda _: [prediction] * len(ratios)
-    )
+    problem = SimpleNamespace(data=[data] * 2, layout=layout, predict=lambda _: [prediction] * 2)
     found = _problem.refine_level(problem, np.zeros(0), noise)
-    expected = [max(ratios)] * len(ratios) if common else list(ratios)
-    assert [n.level for n in found] == pytest.approx([1e-9 * r for r in expected])
-    assert [n.excess for n in found] == [5.0] * len(ratios)
+    assert [n.level for n in found] == [3e-8, 3e-8 if common else 1e-8]
+    assert [n.excess for n in found] == [5.0, 6.0]
+    assert [n.common for n in found] == [common] * 2
+
+
+@pytest.mark.parametrize(
+    ("alone", "joint", "common"),
+    [
+        ((29, 1), (31, 1), True),
+        ((31, 1), (31, 1), False),
+        ((29, 1), (29, 1), False),
+        ((1, 31), (31, 1), False),
+    ],
+)
+def test_a_recording_is_given_up_only_if_the_model_does_not_describe_it_alone(
+    monkeypatch, alone, joint, common
+):
+    """Ratios of the random torque to that of the recording: of each fit alone, and in the joint fit."""
+    from fitting.inference import _fit
+
+    class Level(SimpleNamespace):
+        def at(self, level):
+            return Level(**(vars(self) | {"level": level}))
+
+    def of(ratio):
+        return Level(pure=1.0, level=float(ratio), common=False)
+
+    fits = iter([SimpleNamespace(noise=[of(r)], labels=("a",), estimates={}) for r in alone])
+    solution = SimpleNamespace(theta=np.zeros(1))
+    noise = tuple(of(r) for r in joint)
+    monkeypatch.setattr(_fit, "fit", lambda *_, **__: next(fits))
+    monkeypatch.setattr(_fit, "search_with_noise", lambda *_, **__: (solution, noise))
+    monkeypatch.setattr(_fit, "initial_values", lambda *_: np.zeros(1))
+    monkeypatch.setattr(_fit, "_deviance", lambda *_: 0.0)
+    monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
+    problem = SimpleNamespace(data=[None, None], layout=SimpleNamespace(model=None, names=()))
+    _, found = _fit._from_separate_fits(problem, solution, noise, quick=False)
+    assert [n.common for n in found] == [common] * 2
+    assert [n.level for n in found] == ([31.0, 31.0] if common else [float(r) for r in joint])
