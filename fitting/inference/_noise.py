@@ -15,7 +15,7 @@ worst interval.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -93,6 +93,8 @@ class Noise:
     # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0
+    # variables of the motion about which the response of the rows is linearised, by their names in the fit
+    about: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def at(self, level: float) -> Noise:
         """Return the noise at another level of the random torque [N m]."""
