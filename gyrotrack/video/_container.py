@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import VideoError
-from gyrotrack.video._film_formats import ALL, SUFFIXES
+from gyrotrack.io.readers._format_names import FILMS
 from gyrotrack.video._photron import SUFFIX as PHOTRON
 from gyrotrack.video._photron import GreyFrames, raw_file, read_header
 
@@ -136,6 +136,7 @@ _CONTAINER_OPTIONS = {
 # streams without a container have no timestamps, and numbered pictures no rate
 _WITHOUT_RATE = {"h264", "hevc", "mpegvideo", "mjpeg", "image2"}
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_FILM_SUFFIXES = {suffix for suffixes in FILMS.values() for suffix in suffixes}
 _RATE_TAGS = ("com.android.capture.fps", "capture_fps", "CAPTURE_FPS")
 
 # The locks of the library's logging can deadlock with decoding threads.
@@ -185,7 +186,7 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise VideoError(
             f"{path} is not a film that can be read ({_reason(error)}).",
-            f"Films: {', '.join(ALL)}. A truncated copy has no index; copy it again.",
+            f"Films: {', '.join(FILMS)}. A truncated copy has no index; copy it again.",
         ) from error
     frames = contextlib.closing(source) if isinstance(source, GreyFrames) else contextlib.nullcontext()
     with frames, container:
@@ -241,7 +242,7 @@ def _nominal_rate(stream: Any) -> Any:
 
 def is_film(path: Path) -> bool:
     """Return whether a path is that of a film by its suffix, or a folder of numbered pictures."""
-    return path.suffix.lower() in SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
+    return path.suffix.lower() in _FILM_SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
 
 
 def _pictures_in(folder: Path) -> list[Path]:
