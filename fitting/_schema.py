@@ -4,8 +4,9 @@ Numbers are in SI units. JSON has neither nan nor infinity: nan is written as nu
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 
-A file is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target; its
-lock is ``.<name>.lock`` in the same folder (as in `gyrotrack.io._atomic`, which this package does not import).
+A file is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target. Its
+lock is ``.<name>.lock`` in the same folder, and names the temporary file, which the next writer removes if this one is
+killed (as in `gyrotrack.io._atomic`, which this package does not import).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import errno
 import json
 import math
 import os
+import re
 import secrets
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -41,6 +43,7 @@ def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda:
     """
     refuse_special(path)
     part = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
+    _name_in_lock(part, _lock_file(path))
     try:
         with part.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -84,10 +87,10 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
     no locks.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    own = path.with_name(f".{path.name}.lock")
+    own = _lock_file(path)
     if not own.parent.is_dir():  # filelock would make it
         raise _refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    _refuse_foreign(own)
+    remains = _remains(own, path)
     lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
     try:
         _acquire(lock, own.parent, timeout)
@@ -102,6 +105,9 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
         what = f"{path} cannot be locked: the file system has no locks"
         raise LedgerError(what, "choose a file on another disk with --ledger") from None
     try:
+        with suppress(OSError):
+            for part in remains:
+                part.unlink()
         yield
     finally:
         with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
@@ -129,16 +135,36 @@ _POLL = 0.02  # s
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
-def _refuse_foreign(own: Path) -> None:
-    """Raise `LedgerError` if a file that is not a lock has the name of one."""
+_LOCK_LINE = b"gyrotrack lock\n"
+
+
+def _lock_file(path: Path) -> Path:
+    return path.with_name(f".{path.name}.lock")
+
+
+def _name_in_lock(part: Path, own: Path) -> None:
+    """Write the name of a temporary file into the lock that is held; after a kill the next writer removes the file."""
+    # there may be no lock, the disk may be full, and Windows does not write to a locked file
+    with suppress(OSError):
+        handle = os.open(own, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0))
+        try:
+            os.write(handle, _LOCK_LINE + os.fsencode(part.name))
+        finally:
+            os.close(handle)
+
+
+def _remains(own: Path, path: Path) -> list[Path]:
+    """Return the temporary file of `path` that its lock names; a LedgerError if its lock is a file of another kind."""
     try:
         found = own.lstat()
         ours = stat.S_ISREG(found.st_mode) and found.st_nlink == 1
-        ours = ours and (not found.st_size or own.read_bytes().startswith(b"gyrotrack lock\n"))
+        content = own.read_bytes() if ours and found.st_size else b""
     except OSError:
-        return
-    if not ours:
+        return []
+    if not ours or (content and not content.startswith(_LOCK_LINE)):
         raise LedgerError(f"{own} was not made by gyrotrack", "move it away")
+    name = os.fsdecode(content.removeprefix(_LOCK_LINE))
+    return [path.with_name(name)] if re.fullmatch(re.escape(path.name) + r"\.[0-9a-f]{8}\.part", name) else []
 
 
 # fields of an effect that files of older versions do not contain

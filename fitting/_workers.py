@@ -6,6 +6,7 @@ import io
 import os
 import pickle
 import signal
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -164,6 +165,7 @@ def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
 
 
 def _start_worker() -> None:
+    warnings.simplefilter("ignore")  # as in the program, which this process does not inherit
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the calling process, which ends the workers
     Thread(target=_end_with_parent, daemon=True).start()
 

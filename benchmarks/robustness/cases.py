@@ -55,7 +55,7 @@ class Case:
 
 def program(words):
     """Return the command line that an installed script would run."""
-    return [PYTHON, "-P", "-c", "from gyrotrack.apps.cli._app import main; main()", *map(str, words)]
+    return [PYTHON, "-P", "-c", "from gyrotrack.apps.cli._start import main; main()", *map(str, words)]
 
 
 def state(folder):

@@ -331,6 +331,7 @@ def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
     if kind == "pulse":
         return made("s", [v * span for v in (0.02, 0.05, 0.12)], 0.003 * span, span)
     lowest = 2 * math.pi * _FEWEST_PERIODS / span
-    highest = _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest)
+    # in a short record the slowest frequency may be above the highest one
+    highest = max(lowest, _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest))
     count = int(min(_MOST_FREQUENCIES, 1 + (highest - lowest) * span / _PHASE_STEP))
     return made("s-1", np.linspace(lowest, highest, count).tolist(), 0.5 * lowest, 2 * highest)

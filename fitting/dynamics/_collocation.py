@@ -43,7 +43,7 @@ NODES = 10
 _MANY_PER_INTERVAL = 12
 TOLERANCE = 1e-10
 _MAX_NEWTON = 25
-_MAX_INTERVALS = 40_000
+MAX_INTERVALS = 40_000
 _CASING = 1
 # step after which the error is rounding
 _SMALL = 1e-9
@@ -57,6 +57,7 @@ _FEWEST = 12
 # relaxation time so long that a slip is constant [s]
 _CONSTANT_SLIP = 1e12
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
+TOO_SHARP = "the equations of motion change too sharply to be integrated"
 # fewer edges than this are chained one by one
 _FEW = 24
 
@@ -371,39 +372,36 @@ def _fill(out: Array, step: Array, gain: Array) -> None:
         out[1::2] = step[0::2] @ out[0 : len(step) : 2] + gain[0::2]
 
 
-def collocate(
-    dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
-) -> Path:
-    """Solve the equations of motion for one sense of the casing's motion, from a sufficiently close initial solution.
-
-    The first edge of `first` is the start, its mesh the initial mesh. Edges after the edge `pivot` are stretched so
-    that the mesh ends when the casing comes to rest. SimulationError: Newton's method does not converge, or no finite
-    states.
-    """
-    return refine(dynamics, numbers, newton(dynamics, numbers, first, pivot=pivot), pivot=pivot)
-
-
 def refine(
-    dynamics: Dynamics, numbers: Mapping[str, float], path: Path, *, pivot: float | None = None
+    dynamics: Dynamics,
+    numbers: Mapping[str, float],
+    path: Path,
+    *,
+    pivot: float | None = None,
+    most: int = MAX_INTERVALS,
 ) -> Path:
-    """Halve the intervals of a solution until it is resolved."""
+    """Halve the intervals of a solution until it is resolved; a SimulationError if this takes more than `most`."""
     for _ in range(40):
         rough = truncation_error(path) > TOLERANCE
         if not rough.any():
             return path
         edges = path.mesh.edges
-        if len(edges) + rough.sum() > _MAX_INTERVALS:
+        if len(edges) + rough.sum() > most:
             break
         middle = 0.5 * (edges[1:] + edges[:-1])[rough]
         mesh = Mesh(np.sort(np.concatenate([edges, middle])))
         path = newton(dynamics, numbers, transfer(path, mesh, path.edges[0], path.sense[0]), pivot=pivot)
-    raise SimulationError("the equations of motion change too sharply to be integrated")
+    raise SimulationError(TOO_SHARP)
 
 
 def newton(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
-    """Solve the collocation equations on the mesh of an initial solution, by Newton's method."""
+    """Solve the collocation equations for one sense of the casing's motion, by Newton's method.
+
+    The first edge of `first`, a sufficiently close initial solution, is the start. Edges after the edge `pivot` are
+    stretched so that the mesh ends when the casing comes to rest. SimulationError: no convergence, or no finite states.
+    """
     mesh, sense = first.mesh, first.sense[:, None]
     y, edges = first.y.copy(), first.edges.copy()
     gauss, ratio, before = rule(), first.newton_ratio, np.inf

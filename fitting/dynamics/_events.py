@@ -27,14 +27,15 @@ from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import (
+    MAX_INTERVALS,
     TOLERANCE,
+    TOO_SHARP,
     UNBOUNDED,
     Mesh,
     Path,
     Propagator,
     Sampler,
     coarsened,
-    collocate,
     newton,
     refine,
     rule,
@@ -59,6 +60,7 @@ class Segments:
     dynamics: Dynamics
     numbers: Mapping[str, float]
     breaks: Sequence[float]
+    intervals: int = MAX_INTERVALS  # largest number of them in one stretch
     least_scale: float = 0.0
 
     def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
@@ -81,6 +83,12 @@ class Segments:
     def released(self, time: float, y: Array) -> float:
         """Return the sense in which a casing starts that friction no longer holds."""
         return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
+
+    def _solved(self, first: Path, pivot: float | None = None) -> Path:
+        return self._refined(newton(self.dynamics, self.numbers, first, pivot=pivot), pivot)
+
+    def _refined(self, path: Path, pivot: float | None = None) -> Path:
+        return refine(self.dynamics, self.numbers, path, pivot=pivot, most=self.intervals)
 
     def saltation(self, time: float, y: Array, before: float, after: float) -> Array:
         """Return the saltation matrix of a deviation of the state."""
@@ -134,7 +142,7 @@ class Segments:
         first.edges[0] = start
         pivot = places[-2] if stops else None
         try:
-            path = collocate(self.dynamics, self.numbers, first, pivot=pivot)
+            path = self._solved(first, pivot)
         except SimulationError:
             return None
         if sense == 0:
@@ -227,7 +235,7 @@ class Segments:
             rough = truncation_error(path) > TOLERANCE
             if not rough.any():
                 return path
-            path = halved(path, rough)
+            path = halved(path, rough, self.intervals)
         raise SimulationError(UNBOUNDED)
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
@@ -316,7 +324,7 @@ class Segments:
             path = self._rough(start, part, sense, guess)
             stop = _first_crossing(path) if self.dynamics.dry else None
             if stop is None:
-                path = refine(self.dynamics, self.numbers, path)
+                path = self._refined(path)
                 stop = _first_crossing(path) if self.dynamics.dry else None
             if stop is not None:
                 path = self._until_rest(path, part, stop)
@@ -340,14 +348,14 @@ class Segments:
         try:
             part = Mesh(path.mesh.edges[:-1]).between(first, stop).with_breakpoints(breaks)
             guess = transfer(path, part, path.edges[0], sense)
-            found = collocate(self.dynamics, self.numbers, guess, pivot=max([first, *breaks]))
+            found = self._solved(guess, max([first, *breaks]))
             if self._rests(found, float(mesh.edges[-1])) and _first_crossing(found) is None:
                 return found
         except SimulationError:
             pass
         for _ in range(40):
             part = Mesh(path.mesh.edges[:-1]).between(first, stop)
-            path = collocate(self.dynamics, self.numbers, transfer(path, part, path.edges[0], sense))
+            path = self._solved(transfer(path, part, path.edges[0], sense))
             y = path.edges[-1]
             earlier = _first_crossing(path)
             if earlier is not None and earlier < stop - 1e-6 * (stop - first):
@@ -361,7 +369,7 @@ class Segments:
                 return path
             if stop + move > mesh.edges[-1]:
                 # the casing does not come to rest within the record
-                return collocate(self.dynamics, self.numbers, transfer(path, mesh, path.edges[0], sense))
+                return self._solved(transfer(path, mesh, path.edges[0], sense))
             stop = max(stop + move, first + 0.5 * (stop - first))
         raise SimulationError(UNBOUNDED)
 
@@ -375,12 +383,12 @@ class Segments:
             np.zeros(len(mesh.edges) - 1),
         )
         path = self._rough(start, mesh, 0.0, _at_rest(still))
-        path = refine(self.dynamics, self.numbers, path)
+        path = self._refined(path)
         time = self._release(path)
         if time is None:
             return path
         part = path.mesh.between(float(mesh.edges[0]), time)
-        return collocate(self.dynamics, self.numbers, transfer(path, part, path.edges[0], 0.0))
+        return self._solved(transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
         """Return the time at which the other torques first exceed friction; None if they do not."""
@@ -421,14 +429,14 @@ def _until(path: Path, edge: int) -> Path:
     )
 
 
-def halved(path: Path, rough: NDArray[np.bool_]) -> Path:
-    """Return a path with some of its intervals cut in two; senses and jumps stay at their times."""
+def halved(path: Path, rough: NDArray[np.bool_], most: int) -> Path:
+    """Return a path with some of its at `most` intervals cut in two; senses and jumps stay at their times."""
     edges = path.mesh.edges
     parent = np.repeat(np.arange(len(rough)), 1 + rough)
     middle = 0.5 * (edges[1:] + edges[:-1])[rough]
     mesh = Mesh(np.sort(np.concatenate([edges, middle])))
-    if len(mesh.edges) > _MOST_INTERVALS:
-        raise SimulationError("the equations of motion change too sharply to be integrated")
+    if len(mesh.edges) > most:
+        raise SimulationError(TOO_SHARP)
     y = Sampler(path.mesh, mesh.times.ravel()).value(path.y).reshape(*mesh.times.shape, -1)
     states = np.empty((len(mesh.edges), path.edges.shape[1]))
     old = np.searchsorted(mesh.edges, edges)
@@ -475,7 +483,6 @@ _EXACT = 1e-13
 _SLOW = 1e-3
 # largest change of the time of a reversal in a step, as a share of the time to its neighbours
 _LONGEST_DELAY = 0.45
-_MOST_INTERVALS = 40_000
 
 
 def solve(
@@ -486,17 +493,18 @@ def solve(
     guess: Path | None = None,
     *,
     most: int = _MAX_EVENTS,
+    intervals: int = MAX_INTERVALS,
 ) -> Path:
     """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
     The intervals of `mesh` are halved where necessary, and divided at the model's changepoints and where the casing
     stops, reverses or starts. `guess` is a solution for similar numbers, or the measured motion; where the sequence
-    of events has changed, at most `most` stretches are integrated one by one. SimulationError: these are not enough,
-    Newton's method does not converge, or the states leave the finite numbers.
+    of events has changed, at most `most` stretches are integrated one by one, each in at most `intervals`.
+    SimulationError: these are not enough, Newton's method does not converge, or the states leave the finite numbers.
     """
     breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
     mesh = mesh.with_breakpoints(breaks)
-    run = Segments(dynamics, numbers, breaks)
+    run = Segments(dynamics, numbers, breaks, intervals)
     pieces: list[Path] = []
     jumps: list[Array] = []
     y, time, end = np.asarray(start, dtype=np.float64), float(mesh.edges[0]), float(mesh.edges[-1])

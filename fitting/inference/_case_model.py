@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
-from fitting.dynamics._collocation import Mesh, Path, Sampler, rule
+from fitting.dynamics._collocation import MAX_INTERVALS, Mesh, Path, Sampler, rule
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
@@ -176,6 +176,9 @@ _INTERVALS = 12
 # intervals of the first mesh between two reversals of an oscillation: ten nodes resolve a sinusoid over a fifth of the
 # half period to 1e-11 (Bessel function J_8 of pi / 10), so that few intervals have to be halved
 _PER_REVERSAL = 5
+# largest number of intervals: a motion with several changes between two samples is not measured, and the solution of
+# equations that are this stiff takes minutes to fail
+_LEAST_INTERVALS, _PER_SAMPLE = 600, 2
 # number of reversals from which on all of them are solved at once
 _MANY_REVERSALS = 3
 # stops and reversals of a trial beyond twice those of the measured motion
@@ -252,7 +255,7 @@ class CaseModel:
         numbers = self.layout.numbers(theta, self.case)
         limits = {"most": _FEW_SINGLE + len(known.jumps) // 25 if many else self._most_events}
         try:
-            path = solve(self.dynamics, numbers, first, self._mesh, known, **limits)
+            path = solve(self.dynamics, numbers, first, self._mesh, known, intervals=self._most, **limits)
         except SimulationError:
             if last is None or not many or not halvings:
                 raise
@@ -272,6 +275,12 @@ class CaseModel:
         turned = int((sense[1:] != sense[:-1]).sum())
         oscillation = self.data.oscillation
         return _SPARE_EVENTS + 2 * max(turned, 0 if oscillation is None else len(oscillation.reversals))
+
+    @cached_property
+    def _most(self) -> int:
+        record = self.data.record
+        samples = sum(map(len, (record.casing, *record.rotor)))
+        return min(MAX_INTERVALS, max(_LEAST_INTERVALS, _PER_SAMPLE * samples))
 
     @cached_property
     def _mesh(self) -> Mesh:
@@ -309,7 +318,10 @@ class CaseModel:
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
         """Return the mesh with an edge at each measured reversal, their indices, and the sense of each interval."""
         oscillation = self.data.oscillation
-        times = () if oscillation is None or self.dynamics.free_starts < 3 else tuple(oscillation.reversals)
+        times: tuple[float, ...] = ()
+        if oscillation is not None and self.dynamics.free_starts > 2:
+            turns = oscillation.reversals
+            times = tuple(turns[(turns > mesh.edges[0]) & (turns < mesh.edges[-1])])
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 HARMONICS = 4
 _MIN_INDEPENDENCE = 0.2
-# largest step of the integrals of harmonics of the angle [rad]
-_HARMONIC_STEP = 0.2
+# change of an angle [rad] below which the integrals of its harmonics are series: the fourth power is 1e-12
+_SMALL_CHANGE = 1e-3
 # share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than rounding
 _MIN_RESPONSE = 1e-6
 
@@ -55,18 +55,28 @@ def integrated(time: Array, values: Array) -> Array:
 def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
     """Return speeds and angles by accelerations cos(m psi) and sin(m psi), m = 1 and 2, (samples, 4) each.
 
-    Between samples the angle is interpolated, in steps that resolve the second harmonic. The initial state is that of
-    no drift, up to an error of the order of an amplitude over the number of turns.
+    Between samples the angle is interpolated linearly: over a step h with the change x of m psi the speed gains
+    h Re or Im of exp(i m psi) (exp(i x) - 1) / (i x), and the angle h^2 exp(i m psi) (1 + i x - exp(i x)) / x^2 beyond
+    h times the speed. The initial state is that of no drift, up to an error of the order of an amplitude over the
+    number of turns.
     """
-    steps = np.maximum(1, np.ceil(np.abs(np.diff(psi)) / _HARMONIC_STEP)).astype(int)
-    at = np.concatenate([[0], np.cumsum(steps)])
-    t, angle = (np.interp(np.arange(at[-1] + 1), at, x) for x in (time, psi))
-    waves = np.stack([wave(m * angle) for m in (1, 2) for wave in (np.cos, np.sin)], axis=1)
-    speeds = integrated(t, waves)
-    speeds, angles = speeds[at], integrated(t, speeds)[at]
+    step = np.diff(time)[:, None]
+    phase = psi[:, None] * [1, 2]
+    x = np.diff(phase, axis=0)
+    small = np.abs(x) < _SMALL_CHANGE
+    safe = np.where(small, 1.0, x)
+    turned = np.exp(1j * safe)
+    series = 1 + 1j * x / 2 - x**2 / 6 - 1j * x**3 / 24, 1 / 2 + 1j * x / 6 - x**2 / 24 - 1j * x**3 / 120
+    gain = np.where(small, series[0], (turned - 1) / (1j * safe))
+    onward = np.where(small, series[1], (1 + 1j * safe - turned) / safe**2)
+    wave, start = np.exp(1j * phase[:-1]), np.zeros((1, 2))
+    speed = np.concatenate([start, np.cumsum(step * wave * gain, axis=0)])
+    angle = np.concatenate([start, np.cumsum(step * speed[:-1] + step**2 * wave * onward, axis=0)])
+    speeds, angles = (
+        np.stack([y[:, 0].real, y[:, 0].imag, y[:, 1].real, y[:, 1].imag], axis=1) for y in (speed, angle)
+    )
     drift = np.stack([np.ones_like(time), time - time.mean()], axis=1)
-    speeds = speeds - speeds.mean(axis=0)
-    return speeds, angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
+    return speeds - speeds.mean(axis=0), angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
 
 
 def harmonic_scatter(rows: Array) -> Array:

@@ -435,6 +435,6 @@ def predicted_samples(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
             yield sampler.value(path.y[..., path.states.index(state)])
             continue
         angle = sampler.integral(*path.angle(state)) + coefficients[i]
-        if i == 0:
+        if i == 0 and fitted.has_camera_prior:
             angle = angle + fitted.camera_columns @ coefficients[1 + len(record.rotor) :]
         yield angle

@@ -140,7 +140,7 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
     wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
     """
     layout = problem.layout
-    longest = max(d.oscillation.periods for d in problem.data if d.oscillation is not None)
+    longest = max((d.oscillation.periods for d in problem.data if d.oscillation is not None), default=0.0)
     count = _FIRST_PERIODS
     while count < longest:
         data = [CaseData.of(_first_periods(d, count)) for d in problem.data]

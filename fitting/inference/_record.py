@@ -34,6 +34,9 @@ _FEWEST_OF_BODY = 24
 _PIECES, _MIN_PIECE, _CUBIC = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1), 12, 4
 # samples of a rotor window: a speed follows from several angles, or from one measured speed
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
+# largest time [s], angle [rad] or rate [rad/s], so that products of several are finite; least one of a body that is not
+# at rest; largest ratio of a value to its uncertainty (floating-point numbers have 1e16)
+LARGEST, SMALLEST, PRECISION = 1e20, 1e-20, 1e18
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,9 @@ def make_record(
     )  # fmt: skip
 
 
+_UNITS = "check the units of the data"
+
+
 def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     time, value, sigma = (np.asarray(a, dtype=float) for a in (time, value, sigma))
     keep = np.isfinite(time) & np.isfinite(value)
@@ -222,6 +228,14 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     if len(time) > 1 and not (np.diff(time) > 0).all():
         raise RecordError(f"the times of the {what} do not grow from sample to sample")
     good = np.isfinite(sigma) & (sigma > 0)
+    size = np.abs(value)
+    for numbers in (np.abs(time), size, sigma[good]):
+        if numbers.max(initial=0.0) >= LARGEST:
+            raise RecordError(f"a number of the {what} exceeds {LARGEST:g} in SI units", _UNITS)
+    if 0 < size.max(initial=0.0) < SMALLEST:
+        raise RecordError(f"no value of the {what} exceeds {SMALLEST:g} in SI units", _UNITS)
+    if not (np.maximum(size[good], SMALLEST) < PRECISION * sigma[good]).all():
+        raise RecordError(f"an uncertainty of the {what} is less than {1 / PRECISION:g} of its value", _UNITS)
     # where no uncertainty is known all samples have the same weight; the noise level is estimated from the data
     typical = float(np.median(sigma[good])) if good.any() else 1e-3
     return Samples(time, value, np.where(good, sigma, typical))

@@ -55,7 +55,7 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
     An OutputError is raised after `timeout` [s], and if the file system has no locks.
     """
     timeout = LOCK_TIMEOUT if timeout is None else timeout
-    own = path.with_name(f".{path.name}.lock")
+    own = _lock_file(path)
     if not own.parent.is_dir():  # filelock would make it
         raise refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
     remains = _remains(own, path)
@@ -78,6 +78,10 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
         with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
             own.unlink()
         lock.release()
+
+
+def _lock_file(path: Path) -> Path:
+    return path.with_name(f".{path.name}.lock")
 
 
 def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
@@ -279,7 +283,12 @@ def mark_new(path: Path, content: Path) -> None:
 def is_left(path: Path) -> bool:
     """Whether `path` is an output, unchanged since, of a command that was killed before its end."""
     held = marks()
-    if (held is not None and path.absolute() in held) or not _mark_path(path).exists():
+    if held is not None and path.absolute() in held:
+        return False
+    if not _mark_path(path).exists():
+        if _lock_file(_mark_path(path)).exists():  # a kill between the last two steps of the command
+            with suppress(OutputError, OSError), locked(_mark_path(path), 0.0):
+                pass
         return False
     with (
         suppress(OutputError, OSError),

@@ -13,8 +13,8 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
@@ -100,8 +100,11 @@ def root(
     """From films of a spinning gyroscope to the physics that its model is missing."""
 
 
-def main() -> None:
-    """Run the program on the command line's arguments and exit with its code."""
+def main(last: list[Callable[[], None]]) -> None:
+    """Run the program on the command line's arguments and exit with its code.
+
+    What is put into `last` runs when the process ends, after everything else.
+    """
     with suppress(OSError):
         while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file gets the number of a stream that is closed
             pass
@@ -111,7 +114,20 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # the terminal may not support every character
-    sys.exit(run(sys.argv[1:]))
+    code, marks = FAULT, ExitStack()
+
+    def end() -> None:
+        """Remove the marks of the outputs, with which the command could run again after a kill, and end at once."""
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        marks.close()
+        os._exit(code)  # otherwise Python takes some tenths of a second to clear its modules
+
+    last.append(end)
+    marks.enter_context(marking())
+    code = run(sys.argv[1:])
+    sys.exit(code)
 
 
 _STDERR = 2
@@ -233,6 +249,18 @@ def _report(error: Exception, *, as_json: bool) -> int:
     if (shortage := _exhausted_resource(error)) is not None:
         report_error(*shortage, as_json=as_json)
         return FAULT
+    if (refused := _refused_file(error)) is not None:
+        report_error("file", refused, "Check the name, its folder and the permissions.", as_json=as_json)
+        return FAULT
+    if type(error).__name__ == "LinAlgError":  # of numpy, which is imported only where it is needed
+        what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
+        report_error(
+            "numerical",
+            what,
+            "Check the data for outliers, their units and their uncertainties.",
+            as_json=as_json,
+        )
+        return FAULT
     place = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(".")
     message = f"Internal error in {os.path.basename(place.filename)} line {place.lineno}: {what}."  # noqa: PTH119
@@ -240,6 +268,20 @@ def _report(error: Exception, *, as_json: bool) -> int:
     report_error("bug", message, hint, as_json=as_json)
     return FAULT
 
+
+def _refused_file(error: Exception) -> str | None:
+    """Return the reason why the system refuses a file, as a sentence; None for another error."""
+    # of pathlib before Python 3.13
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):
+        return f"{str(error)[:_LONGEST_NAME].rstrip('.')}."
+    if not isinstance(error, OSError) or not error.strerror:
+        return None
+    name = error.filename
+    what = os.fsdecode(name) if isinstance(name, str | bytes) else "A file" if name is None else str(name)
+    return f"{what[:_LONGEST_NAME]} cannot be used: {error.strerror[0].lower()}{error.strerror[1:]}."
+
+
+_LONGEST_NAME = 200  # shown characters of the name of a file
 
 # code, message, hint
 _LIMIT = "Raise the limit (`ulimit -{}`), or close other programs."

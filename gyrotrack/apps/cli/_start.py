@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import sys
+from collections.abc import Callable
 
 LEAST_MEMORY = 192  # MiB of address space (`ulimit -v`)
 
@@ -17,9 +19,12 @@ def main() -> None:
         else:
             sys.stderr.write(f"error: {message}\n hint: {hint}\n")
         sys.exit(1)
+    last: list[Callable[[], None]] = []
+    # registered before all libraries, so it runs after theirs
+    atexit.register(lambda: [end() for end in last])
     from gyrotrack.apps.cli._app import main as run
 
-    run()
+    run(last)
 
 
 def _address_space() -> float:

@@ -20,6 +20,7 @@ from pathlib import Path
 from threading import RLock
 from typing import Annotated, Any, Literal
 
+from filelock import Timeout
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
@@ -116,7 +117,13 @@ class Project:
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
         self._holds = ExitStack()
-        self._holds.enter_context(locked(self.folder / "workbench", 0.0))
+        try:
+            self._holds.enter_context(locked(self.folder / "workbench", 0.0))
+        except OutputError as error:
+            if not isinstance(error.__cause__, Timeout | RuntimeError):
+                raise
+            what = f"Another workbench is open in {self.folder}."
+            raise ConfigurationError(what, "Use that one, or close it.") from error
         remove_remains(self.folder)
         self.notes: list[str] = []
         self.state = self._read_state()

@@ -12,9 +12,12 @@ from typing import ParamSpec
 import numpy as np
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.io._records import Case, Series
+from gyrotrack.io._records import Case, Floats, Series
 
-LARGEST = 1e100  # of an angle, a rate, a time or an uncertainty in SI units: squares and products are finite
+# the same as in `fitting.inference._record`, so that each case that is written can be fitted
+LARGEST = 1e20  # largest angle [rad], rate [rad/s], time [s] and uncertainty: products of several are finite
+SMALLEST = 1e-20  # of the largest angle or rate of a body that is not at rest
+PRECISION = 1e18  # of a value over its uncertainty; floating-point numbers have 1e16
 SHORTEST = 1e-12  # sampling step [s]
 _HINT = "Check the units and the columns."
 
@@ -50,15 +53,26 @@ def check_numbers(case: Case) -> None:
         _check(name, series)
 
 
-def _check(name: str, series: Series) -> None:
-    for quantity in ("time", "angle", "sigma", "omega", "omega_sigma"):
-        values = getattr(series, quantity)
+def check_motion(name: str, quantity: str, time: Floats, value: Floats, sigma: Floats | None) -> None:
+    """Raise a `DatasetError` if times [s] or values and their uncertainties cannot be computed with."""
+    numbers = {"time": time, quantity: value} | (
+        {} if sigma is None else {f"uncertainty of {quantity}": sigma}
+    )
+    for what, values in numbers.items():
         if not (np.abs(values[~np.isnan(values)]) < LARGEST).all():
-            what = f"The {quantity.replace('_', ' ')} of the {name} exceeds {LARGEST:g} in SI units."
-            raise DatasetError(what, _HINT)
-    known = ~np.isnan(series.sigma)
-    if not (np.abs(series.angle[known]) < LARGEST * series.sigma[known]).all():
-        what = f"The sigma of the {name} is less than {1 / LARGEST:g} of an angle."
+            raise DatasetError(f"The {what} of the {name} exceeds {LARGEST:g} in SI units.", _HINT)
+    if 0 < np.nanmax(np.abs(value), initial=0.0) < SMALLEST:
+        what = f"The {quantity} of the {name} is at most {np.nanmax(np.abs(value)):.2g} in SI units."
         raise DatasetError(what, _HINT)
-    if len(series.time) > 1 and not np.median(np.abs(np.diff(series.time))) > SHORTEST:
+    if sigma is not None:
+        known = sigma > 0
+        if not (np.maximum(np.abs(value[known]), SMALLEST) < PRECISION * sigma[known]).all():
+            what = f"The uncertainty of {quantity} of the {name} is less than {1 / PRECISION:g} of it."
+            raise DatasetError(what, _HINT)
+    if len(time) > 1 and not np.median(np.abs(np.diff(time))) > SHORTEST:
         raise DatasetError(f"The times of the {name} are less than {SHORTEST:g} s apart.", _HINT)
+
+
+def _check(name: str, series: Series) -> None:
+    check_motion(name, "angle", series.time, series.angle, series.sigma)
+    check_motion(name, "speed", series.time, series.omega, series.omega_sigma)

@@ -28,6 +28,7 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
     without_spikes,
 )
+from gyrotrack.io.readers._number_range import check_motion
 from gyrotrack.io.readers._point_files import read_hdf5, read_project
 from gyrotrack.io.readers._point_tables import particles_of, read_point_table
 from gyrotrack.io.readers._points import Points, angle_of
@@ -101,6 +102,8 @@ def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
     options = options or ReadOptions()
     name, found = _content(Path(path), options)
     made = _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
+    quantity = {"omega": "speed"}.get(made.quantity, made.quantity)
+    check_motion(f"body in {made.path.name}", quantity, made.time, made.value, made.sigma)
     return made if made.reading is None else replace(made, reading=replace(made.reading, format=name))
 
 

@@ -76,3 +76,16 @@ def test_the_unit_of_a_power_of_time_is_consistent(tmp_path):
     file.write_text(file.read_text().replace("s^-n", "s^n"))
     with pytest.raises(EffectError, match="has the unit N m s"):
         read_effects(file)
+
+
+@pytest.mark.parametrize("span", [0.01, 0.6, 1.0, 30.0])
+def test_a_record_of_any_length_has_periodic_laws_within_their_bounds(span):
+    laws = grammar(RANGES, span, single=False, angles=True)
+    frequencies = [
+        p
+        for x in laws
+        for p in x.effect.parameters
+        if p.role == "shape" and p.unit == "s-1" and "t" in x.variables
+    ]
+    assert frequencies
+    assert all(p.lower <= min(p.grid) <= max(p.grid) <= p.upper for p in frequencies)

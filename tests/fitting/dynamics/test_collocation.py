@@ -160,3 +160,16 @@ def test_a_mesh_that_had_to_be_fine_becomes_coarse_again():
         path = solve(dynamics, {**smooth, **INERTIA}, first, mesh, path)
     assert len(path.y) <= 1 + len(path_of(PAPER).y) < fine
     check(PAPER, path, TIMES)
+
+
+@pytest.mark.parametrize(("intervals", "solved"), [(14, False), (200, True)])
+def test_a_solution_has_at_most_the_stated_number_of_intervals(intervals, solved):
+    """A speed that decays within two seconds of two hundred needs more than the twelve intervals of the mesh."""
+    p = {"casing.air.linear.b2": 0.5 * INERTIA["inertia.casing"]}
+    dynamics, mesh = Dynamics(model_of(p)), Mesh.uniform(0.0, 200.0, 12)
+    if solved:
+        path = solve(dynamics, {**p, **INERTIA}, np.array([900.0, 5.0]), mesh, intervals=intervals)
+        assert 14 < len(path.y) <= intervals
+    else:
+        with pytest.raises(SimulationError, match="too sharply"):
+            solve(dynamics, {**p, **INERTIA}, np.array([900.0, 5.0]), mesh, intervals=intervals)

@@ -1,6 +1,8 @@
 """Predicted rows of a case and their derivatives, against the oracle and against differences."""
 
+from contextlib import suppress
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 import oscillators
@@ -11,11 +13,13 @@ from cases import data, fitted
 from fitting._errors import SimulationError
 from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
+from fitting.inference import _case_model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
+from fitting.inference._record import make_record
 
 EXTRA = {
     "touchpoint.step": {"k": 2e-6, "t0": 88.37},
@@ -191,3 +195,46 @@ def test_a_trial_that_reverses_much_more_often_than_the_body_is_given_up(reversa
     else:
         with pytest.raises(SimulationError):
             problem.predict(theta)
+
+
+def slowing(samples):
+    """A body that slows down evenly, in ten seconds."""
+    t = np.linspace(0.0, 10.0, samples)
+    return make_record(
+        casing=(t, 5.0 - 0.1 * t, np.full(samples, 1e-3)),
+        rotor=[],
+        I_rotor=1.0,
+        I_casing=1.0,
+        label="x",
+        quantity="omega",
+        single=True,
+    )
+
+
+@pytest.mark.parametrize(("samples", "most"), [(100, 600), (1000, 2000), (30_000, 40_000)])
+def test_a_solution_has_as_many_intervals_as_the_samples_resolve(samples, most, monkeypatch):
+    record = slowing(samples)
+    layout = ParameterLayout.of(Model.of(("casing.air.linear",)), [record])
+    given = []
+
+    def noted(*_, intervals, **__):
+        given.append(intervals)
+        raise SimulationError("enough")
+
+    monkeypatch.setattr(_case_model, "solve", noted)
+    with pytest.raises(SimulationError):
+        CaseModel(CaseData.of(record), layout, 0).solve(np.ones(len(layout.names)))
+    assert given == [most]
+
+
+def test_a_trial_that_is_too_stiff_for_its_samples_fails_soon():
+    """A hundred samples do not show a decay within 1e-18 s."""
+    record = slowing(100)
+    layout = ParameterLayout.of(Model.of(("casing.air.linear", "touchpoint.constant")), [record])
+    model = CaseModel(CaseData.of(record), layout, 0)
+    values = {"casing.air.linear.b2": 5e17, "touchpoint.constant.b1": 5e21}
+    theta = np.array([values.get(n, 5.0) for n in layout.names])
+    begin = perf_counter()
+    with suppress(SimulationError):
+        model.solve(theta)
+    assert perf_counter() - begin < 2.0

@@ -17,8 +17,10 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Mod
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
+from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
 from fitting.inference._oscillation import find_oscillation, turning_points
+from fitting.inference._parameters import ParameterLayout
 
 SPRING, DRAG = "casing.spring.linear", "casing.air.linear"
 
@@ -298,3 +300,22 @@ def test_95_percent_intervals_contain_the_truth(model, law, dry):
     assert np.mean(inside) > 0.88
     scatter = [abs(found[k].value - v) / found[k].stderr for k, v in truth.items()]
     assert max(scatter) < 5
+
+
+@pytest.mark.parametrize("frequency", [2.0, 3.0])
+def test_a_record_may_end_with_a_reversal(frequency):
+    """Sampled about twice a period: with 3 rad/s the last sample is a turning point."""
+    t = np.arange(60.0)
+    body = oscillators.record(t, np.sin(frequency * t), 1e-3, 1, "omega")
+    assert (CaseData.of(body).oscillation.reversals[-1] == t[-1]) == (frequency == 3.0)
+    model = Model.of((DRAG, SPRING, "touchpoint.constant"))
+    layout = ParameterLayout.of(model, [body])
+    path = CaseModel(CaseData.of(body), layout, 0)._measured(np.ones(len(layout.names)))
+    assert 0 < min(path.jumps) < max(path.jumps) < len(path.y)
+
+
+def test_a_spring_on_a_body_that_turns_in_one_sense_is_fitted():
+    t = np.arange(0.0, 20.0, 0.05)
+    body = oscillators.record(t, 30.0 * t - 0.2 * t**2, 1e-3, 1)
+    found = fit(Model.of((DRAG, SPRING, "touchpoint.constant")), [body])
+    assert np.isfinite(found.theta).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import twobody
 from cases import pulls
+from oscillators import motion
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
@@ -113,3 +114,19 @@ def test_unsupported_robust_fits_are_refused():
         robust_fit(Model.of(LINEAR), [make_record(**raw)], "l1")
     with pytest.raises(EstimationError, match="follow an angle"):
         robust_fit(Model.of((*LINEAR, "casing.unbalance")), [make_record(**raw)], "huber")
+
+
+def test_a_robust_fit_of_an_angle_that_oscillates_resists_outliers():
+    """An imported angle has no nuisance functions of a camera."""
+    t, angle, _ = motion(lambda _, x, v: -4.0 * x - 0.05 * v, (1.0, 0.0), 30.0, rate=20.0)
+    chance = np.random.default_rng(3)
+    noisy = angle + 1e-3 * chance.standard_normal(len(t)) + 0.05 * (chance.random(len(t)) < 0.05)
+    samples = t, noisy, np.full(len(t), 1e-3)
+    body = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=1.0, label="x", single=True)
+    model = Model.of(("casing.air.linear", "casing.spring.linear"))
+    linear, robust = (
+        robust_fit(model, [body], loss).estimates["casing.air.linear.b2"].value - 0.05
+        for loss in ("linear", "huber")
+    )
+    assert abs(robust) < abs(linear)
+    assert abs(robust) < 2e-4

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -164,3 +165,40 @@ def test_two_users_with_folders_for_temporary_files_of_their_own_lose_no_fit(tmp
         sum(e.stored.name == "1001" for e in fits) == sum(e.stored.name == "1002" for e in fits) == 2 * each
     )
     assert sorted(p.name for p in folder.iterdir() if p.is_file()) == ["x.fits.json"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from fitting._schema import locked, write_text
+path = Path(sys.argv[1])
+with locked(path):
+    write_text(path, "new", unchanged=lambda: os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+def test_the_next_writer_removes_what_a_killed_one_has_left_and_nothing_else(tmp_path):
+    path, foreign = tmp_path / "x.fits.json", tmp_path / "x.fits.json.0123abcd.part"
+    path.write_text("old")
+    foreign.write_text("precious")
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, cwd=ROOT)
+    assert killed.returncode == -signal.SIGKILL
+    assert path.read_text() == "old"
+    assert len(list(tmp_path.glob("*.part"))) == 2
+    with _schema.locked(path):
+        _schema.write_text(path, "new")
+    assert path.read_text() == "new"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, foreign.name]
+
+
+@pytest.mark.parametrize("name", ["../x.fits.json.0123abcd.part", "y.fits.json.0123abcd.part", "x.fits.json"])
+def test_a_lock_names_no_file_but_a_temporary_one_of_its_own(tmp_path, name):
+    folder = tmp_path / "case"
+    folder.mkdir()
+    path, other = folder / "x.fits.json", folder / name
+    path.write_text("old")
+    other.write_text("precious")
+    (folder / f".{path.name}.lock").write_bytes(b"gyrotrack lock\n" + name.encode())
+    with _schema.locked(path):
+        assert other.read_text() == "precious"

@@ -158,7 +158,7 @@ def test_out_of_memory(failing, capsys):
 
 
 def test_a_reader_that_leaves_early_is_no_error():
-    code = "from gyrotrack.apps.cli._app import main; main()"
+    code = "from gyrotrack.apps.cli._start import main; main()"
     command = [sys.executable, "-c", code, "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()

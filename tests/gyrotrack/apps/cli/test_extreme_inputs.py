@@ -1,10 +1,14 @@
 """Numbers and files at the edge of what a computer represents end in one sentence, within it in a result."""
 
 import json
+import os
 import re
 
 import h5py
+import numpy as np
 import pytest
+
+from gyrotrack.apps.cli import _app
 
 ROWS = 200
 BODY = ["--inertia", "1e-5", "--json"]
@@ -137,3 +141,45 @@ def test_a_folder_is_no_film(gyrotrack, tmp_path, monkeypatch, command):
         r"film\.mp4 (is a folder, not a regular file|contains no numbered pictures)\.", said.error["message"]
     )
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize(
+    "words", [["fit", "@"], ["ladder", "@"], ["laws", "@"], ["info", "@"], ["spindown", "@"]]
+)
+def test_a_name_that_is_too_long_is_no_bug(gyrotrack, words):
+    said = gyrotrack(*(w.replace("@", 5000 * "x" + ".h5") for w in words), "--json")
+    assert said.code in {1, 2}
+    assert said.error["code"] != "bug"
+    assert len(said.error["message"]) < 6000
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs links")
+def test_an_output_that_is_a_link_to_itself_is_no_bug(gyrotrack, tmp_path):
+    (tmp_path / "t.csv").write_text(angles(1.0))
+    (tmp_path / "c.h5").symlink_to("c.h5")
+    for force in ([], ["--force"]):
+        said = gyrotrack("spindown", tmp_path / "t.csv", "-o", tmp_path / "c.h5", *force, "--json")
+        assert said.code == 1
+        assert said.error["code"] != "bug"
+
+
+@pytest.mark.parametrize(
+    ("raised", "code"),
+    [
+        (np.linalg.LinAlgError("Singular matrix"), "numerical"),
+        (FileNotFoundError(2, "No such file or directory"), "file"),
+        (PermissionError(13, "Permission denied", "x"), "file"),
+        (RuntimeError("Symlink loop from 'x'"), "file"),
+        (RuntimeError("Something else"), "bug"),
+        (KeyError("x"), "bug"),
+        (OSError("no number"), "bug"),
+    ],
+)
+def test_an_error_of_the_data_or_of_a_file_is_told_from_a_bug(gyrotrack, monkeypatch, raised, code):
+    def fails(_):
+        raise raised
+
+    monkeypatch.setattr(_app, "_with_settings", fails)
+    said = gyrotrack("effects", "--json")
+    assert said.code == 1
+    assert said.error["code"] == code

@@ -25,7 +25,7 @@ def here(tmp_path, monkeypatch):
 
 def program(*words, **options):
     """Start the program as the installed script does, in a process of its own."""
-    code = "import sys; from gyrotrack.apps.cli._app import main; main()"
+    code = "import sys; from gyrotrack.apps.cli._start import main; main()"
     return subprocess.Popen(
         [sys.executable, "-P", "-c", code, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -142,7 +142,7 @@ def test_no_home_is_needed(here, simulated):
         "import os, pwd, sys\n"
         "def unknown(uid): raise KeyError(uid)\n"
         "pwd.getpwuid = unknown\n"
-        "from gyrotrack.apps.cli._app import main; main()"
+        "from gyrotrack.apps.cli._start import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", code, "config", "--json"],

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import GyrotrackError, OutputError, UsageError
+from gyrotrack._errors import ConfigurationError, GyrotrackError, UsageError
 from gyrotrack.apps.workbench._processes import Jobs
 from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
 
@@ -154,7 +154,7 @@ def test_names_that_are_not_text_are_not_listed(project, tmp_path):
 
 
 def test_a_second_workbench_on_one_folder_is_refused(project, tmp_path):
-    with pytest.raises(OutputError, match="locked by another program"):
+    with pytest.raises(ConfigurationError, match="Another workbench is open in"):
         Project(tmp_path)
     project.close()
     Project(tmp_path).close()
