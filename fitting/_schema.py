@@ -545,10 +545,11 @@ class NoiseDocument(Document):
 
 
 class StoredNoise(NoiseDocument):
-    """The same with the correlation time [s] and the excess."""
+    """The same with the correlation time [s], the excess, and the variables about which it is linearised."""
 
     time: Number
     excess: Number
+    about: dict[str, Number]
 
 
 class StoredFit(Document):

@@ -8,6 +8,7 @@ import pytest
 
 from fitting.effects._library import LIBRARY
 from gyrotrack.apps.cli import _app as app
+from gyrotrack.io.readers import _format_names as names
 
 DOCS = Path(__file__).parents[1] / "docs"
 FORMS = [*sorted((DOCS.parent / ".github").rglob("*.yml")), DOCS.parent / "CITATION.cff"]
@@ -20,7 +21,7 @@ def maker(name):
     return module
 
 
-@pytest.mark.parametrize("name", ["make_command_line", "make_effects", "make_format"])
+@pytest.mark.parametrize("name", ["make_command_line", "make_effects", "make_format", "make_import"])
 def test_a_made_page_is_up_to_date(name):
     module = maker(name)
     assert module.TARGET.read_text(encoding="utf-8") == module.page(), f"run python docs/{name}.py"
@@ -30,6 +31,10 @@ def test_no_effect_is_left_out():
     rows = (DOCS / "reference/effects.md").read_text(encoding="utf-8").splitlines()
     for name in LIBRARY:
         assert sum(row.startswith(f"| {name} | `") for row in rows) == 1, name
+
+
+def test_the_manual_says_how_each_format_is_imported():
+    assert {name for use in names.USES for name in use.formats} == set(names.ALL)
 
 
 def test_the_tables_of_the_format_are_those_of_a_real_file(tmp_path):

@@ -605,11 +605,12 @@ def _unexplained(
     criteria: Criteria,
 ) -> list[str]:
     chosen = selection.chosen
+    nothing = _nothing_explains(selection)
     if isinstance(doubt, PeriodogramPeak):
         after = "" if chosen is None else f" after {chosen.effect.name}"
         return [
             f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g}).",
-            f'No effect of the library explains it: add "{doubt.law}" as a hypothesis and diagnose again.',
+            f'{nothing}: add "{doubt.law}" as a hypothesis and diagnose again.',
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None and size.unknown:
         share = f"{percentage(max(size.explained, 0.0))} of the mean square unmodelled torque"
@@ -638,18 +639,30 @@ def _unexplained(
     if doubt is not None:
         return [
             f"The residual torque {doubt.words} (p = {doubt.p_value:.1g}).",
-            "No effect of the library explains it.",
+            f"{nothing}.",
         ]
     level = max((n.level for n in selection.final.noise), default=0.0)
     if not level > 0:
         return [
-            "No effect of the library explains it, and no random torque describes it.",
+            f"{nothing}, and no random torque describes it.",
             "Check the tracking and the noise of the angle.",
         ]
     unit = selection.final.torque_unit
-    return [
-        f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; no effect of the library explains it."
-    ]
+    rest = f"{nothing[0].lower()}{nothing[1:]}"
+    return [f"An unexplained torque of {format_torque(level, unit=unit)} rms remains; {rest}."]
+
+
+def _nothing_explains(selection: Selection) -> str:
+    """Return that no effect of the library explains the data, or that none with a significant score was fitted.
+
+    Through hundreds of reversals of an oscillation candidates are screened, and not refitted.
+    """
+    waiting = max((c for c in selection.candidates if c.significant), key=lambda c: c.score, default=None)
+    if waiting is None or any(c.fit is not None for c in selection.candidates):
+        return "No effect of the library explains it"
+    return (
+        f"No effect of the library was fitted to it (`gyrotrack improve` begins with {waiting.effect.name})"
+    )
 
 
 def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]:

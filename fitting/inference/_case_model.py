@@ -181,6 +181,8 @@ _PER_REVERSAL = 5
 _LEAST_INTERVALS, _PER_SAMPLE = 600, 2
 # number of reversals from which on all of them are solved at once
 _MANY_REVERSALS = 3
+# stops and reversals of a trial beyond twice those of the measured motion
+_SPARE_EVENTS = 20
 # stretches between reversals that may be integrated one by one: each takes as long as all of them at once
 _FEW_SINGLE = 40
 # largest number of bisections of the step between two solutions
@@ -251,7 +253,7 @@ class CaseModel:
         many = last is not None and len(known.jumps) >= _MANY_REVERSALS
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
         numbers = self.layout.numbers(theta, self.case)
-        limits = {"most": _FEW_SINGLE + len(known.jumps) // 25} if many else {}
+        limits = {"most": _FEW_SINGLE + len(known.jumps) // 25 if many else self._most_events}
         try:
             path = solve(self.dynamics, numbers, first, self._mesh, known, intervals=self._most, **limits)
         except SimulationError:
@@ -265,6 +267,14 @@ class CaseModel:
                 raise
         self._last = theta.copy(), path
         return path
+
+    @cached_property
+    def _most_events(self) -> int:
+        """Number of stops and reversals beyond which a trial has nothing in common with the measured motion."""
+        sense = np.sign(self.data.initial_speeds[1][:, 1])
+        turned = int((sense[1:] != sense[:-1]).sum())
+        oscillation = self.data.oscillation
+        return _SPARE_EVENTS + 2 * max(turned, 0 if oscillation is None else len(oscillation.reversals))
 
     @cached_property
     def _most(self) -> int:

@@ -15,7 +15,7 @@ worst interval.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -95,6 +95,8 @@ class Noise:
     unresolved: float = 0.0
     # whether all cases of a joint fit have the same level: each is described alone, and none is given up for the others
     common: bool = False
+    # variables of the motion about which the response of the rows is linearised, by their names in the fit
+    about: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def at(self, level: float) -> Noise:
         """Return the noise at another level of the random torque [N m]."""

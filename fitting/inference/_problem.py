@@ -267,7 +267,11 @@ def _first_levels(problem: Problem, theta: Array) -> list[float]:
 
 def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
     """Return the noise of each case about a fitted model, with the level of its residuals."""
-    found = [recording_noise(d, p) for d, p in zip(problem.data, problem.predict(theta), strict=True)]
+    about = dict(zip(problem.layout.names, theta.tolist(), strict=True))
+    predictions = problem.predict(theta)
+    found = [
+        replace(recording_noise(d, p), about=about) for d, p in zip(problem.data, predictions, strict=True)
+    ]
     return refine_level(problem, theta, found)
 
 

@@ -598,8 +598,9 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a stored fit; None if it was made by another version of the code.
 
-    The noise is linearised about the optimum instead of the start of the last optimisation: figures of merit agree with
-    those of the original to far better than their uncertainty.
+    The noise is linearised where that of the original is, at the start of its last optimisation: where a model fails
+    grossly, the optimum may be far from there. The noise of a candidate is that of the fit without
+    it, where its strengths are zero.
     """
     if stored.code != fingerprint():
         return None
@@ -607,9 +608,13 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
     layout = ParameterLayout(model, tuple(d.record for d in data), tuple(stored.per_case), stored.ranges)
     problem = Problem.of(layout, data)
     theta = np.array(stored.theta, dtype=float)
+    strengths = {f"{e.name}.{p.symbol}" for e in model.effects for p in e.parameters if p.role == "amplitude"}
     noise = []
-    for d, p, n in zip(data, problem.predict(theta), stored.noise, strict=True):
-        whitener = TorqueResponse(d, p.motion).whitener(TorqueNoise(n.level, n.time))
+    for case, d, n in zip(problem.cases, data, stored.noise, strict=True):
+        optimum = zip(layout.names, theta, strict=True)
+        about = [n.about.get(k, 0.0 if k.partition("@")[0] in strengths else x) for k, x in optimum]
+        motion = case.predict(np.array(about)).motion
+        whitener = TorqueResponse(d, motion).whitener(TorqueNoise(n.level, n.time))
         noise.append(Noise(**n.model_dump(), process=d.process_noise, whitener=whitener))
     return outcome(problem.with_noise(noise), theta, tuple(noise), converged=stored.converged)
 

@@ -22,6 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import VideoError
+from gyrotrack.io.readers._format_names import FILMS
+from gyrotrack.video._photron import SUFFIX as PHOTRON
+from gyrotrack.video._photron import GreyFrames, raw_file, read_header
 
 Plane = npt.NDArray[np.uint8]
 
@@ -127,44 +130,13 @@ MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguishe
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,gif,mpeg,mpegts,asf,flv,ogg,image2,"
-    "h264,hevc,mpegvideo,mjpeg",
+    "h264,hevc,mpegvideo,mjpeg,rawvideo",
     "protocol_whitelist": "file",
 }
 # streams without a container have no timestamps, and numbered pictures no rate
 _WITHOUT_RATE = {"h264", "hevc", "mpegvideo", "mjpeg", "image2"}
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-SUFFIXES = (
-    *(
-        ".mp4",
-        ".mov",
-        ".mkv",
-        ".webm",
-        ".avi",
-        ".m4v",
-        ".3gp",
-        ".mjpeg",
-        ".mjpg",
-        ".mpg",
-        ".mpeg",
-        ".wmv",
-        ".asf",
-    ),
-    *(
-        ".ts",
-        ".mts",
-        ".m2ts",
-        ".m2v",
-        ".vob",
-        ".ogv",
-        ".flv",
-        ".gif",
-        ".h264",
-        ".264",
-        ".h265",
-        ".265",
-        ".hevc",
-    ),
-)
+_FILM_SUFFIXES = {suffix for suffixes in FILMS.values() for suffix in suffixes}
 _RATE_TAGS = ("com.android.capture.fps", "capture_fps", "CAPTURE_FPS")
 
 # The locks of the library's logging can deadlock with decoding threads.
@@ -193,28 +165,31 @@ class ClipInfo:
 @contextlib.contextmanager
 def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
     """Open a film and yield (container, video stream); raise `VideoError` if it cannot be read."""
-    name, form = str(path.resolve()), None
-    picture_options: dict[str, str] = {}
+    source: str | GreyFrames = str(path.resolve())
+    form, own_options = None, dict[str, str]()
     if path.is_dir():
-        name, picture_options = _numbered_pictures(path)
+        source, own_options = _numbered_pictures(path)
         form = "image2"
     else:
         _check_file(path)
+    if _is_photron(path):
+        source, own_options = _raw_frames(path)
+        form = "rawvideo"
     try:
         container = av.open(
-            name,
+            source,
             format=form,
-            options={**_CONTAINER_OPTIONS, **picture_options},
+            options={**_CONTAINER_OPTIONS, **own_options},
             metadata_errors="replace",
             timeout=(10.0, 60.0),
         )
     except (av.error.FFmpegError, ValueError, OSError) as error:
         raise VideoError(
             f"{path} is not a film that can be read ({_reason(error)}).",
-            "Give an MP4, MOV, MKV, WebM, AVI, MPEG, TS, WMV, FLV or GIF file, or a folder of numbered pictures. A "
-            "truncated copy has no index; copy it again.",
+            f"Films: {', '.join(FILMS)}. A truncated copy has no index; copy it again.",
         ) from error
-    with container:
+    frames = contextlib.closing(source) if isinstance(source, GreyFrames) else contextlib.nullcontext()
+    with frames, container:
         if not container.streams.video:
             raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
         stream = container.streams.video[0]
@@ -235,13 +210,14 @@ def probe(path: Path) -> ClipInfo:
         without = _WITHOUT_RATE & set(str(container.format.name).split(","))
         rate = None if without else _nominal_rate(stream)
         width, height = Orientation(aspect=_pixel_aspect(stream)).size(context.width, context.height)
+        header = read_header(path) if _is_photron(path) else None
         return ClipInfo(
             path=path,
             width=width,
             height=height,
             container_fps=float(rate) if rate else float("nan"),
-            frames_declared=int(stream.frames),
-            tag_fps=_tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path),
+            frames_declared=header.frames if header else int(stream.frames),
+            tag_fps=header.fps if header else _stated_rate(path, container, stream),
             codec=str(context.name),
             pixel_format=str(context.pix_fmt),
             time_base=Fraction(stream.time_base),
@@ -266,7 +242,7 @@ def _nominal_rate(stream: Any) -> Any:
 
 def is_film(path: Path) -> bool:
     """Return whether a path is that of a film by its suffix, or a folder of numbered pictures."""
-    return path.suffix.lower() in SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
+    return path.suffix.lower() in _FILM_SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
 
 
 def _pictures_in(folder: Path) -> list[Path]:
@@ -301,12 +277,30 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
     return f"{escaped}{digits}{suffix}", {"start_number": str(numbers[0])}
 
 
+def _is_photron(path: Path) -> bool:
+    return path.suffix.lower() == PHOTRON and path.is_file()
+
+
+def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:
+    """Return the frames beside a header of a Photron camera, and how they are to be read."""
+    header = read_header(path)
+    _check_sides(path, header.width, header.height)
+    size, rate = f"{header.width}x{header.height}", Fraction(header.fps).limit_denominator(1000)
+    return GreyFrames(header), {"video_size": size, "pixel_format": "gray", "framerate": str(rate)}
+
+
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, or of the digests of the pictures in a folder, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes in hexadecimal.
+
+    Of a film in several files (pictures in a folder, frames beside a header) it is that of their digests.
+    """
     if path.is_dir():
         return hashlib.sha256("".join(map(file_sha256, _pictures_in(path))).encode()).hexdigest()
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if _is_photron(path) and (frames := raw_file(path)).is_file():
+        return hashlib.sha256((digest + file_sha256(frames)).encode()).hexdigest()
+    return digest
 
 
 def _check_file(path: Path) -> None:
@@ -325,13 +319,20 @@ def _check_file(path: Path) -> None:
 
 
 def _check_size(path: Path, stream: Any) -> None:
-    width, height = int(stream.codec_context.width), int(stream.codec_context.height)
+    _check_sides(path, int(stream.codec_context.width), int(stream.codec_context.height))
+
+
+def _check_sides(path: Path, width: int, height: int) -> None:
     if width * height > MAX_PIXELS:
         what = f"{path} declares frames of {width}x{height} px, too large to decode."
         raise VideoError(what, "Scale the film down.")
     if min(width, height) < MIN_SIDE:
         what = f"{path} has frames of {width}x{height} px, too small to show markers."
         raise VideoError(what, f"Give a film with at least {MIN_SIDE} px on each side.")
+
+
+def _stated_rate(path: Path, container: Any, stream: Any) -> float | None:
+    return _tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path)
 
 
 def _tagged_rate(metadata: Any) -> float | None:

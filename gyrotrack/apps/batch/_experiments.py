@@ -23,7 +23,7 @@ from gyrotrack.io._records import Inertia
 
 Body = Literal["casing", "rotor", ""]
 
-FILMS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
+FILMS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".cih"}
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10))}
 
 

@@ -613,3 +613,19 @@ def test_a_second_effect_of_the_library_completes_an_answer(
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == expected
     named.undetermined = ("a.k",)
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == "unexplained"
+
+
+@pytest.mark.parametrize(
+    ("fitted", "significant", "words"),
+    [
+        (False, True, f"was fitted to it (`gyrotrack improve` begins with {NAME})"),
+        (False, False, "explains it"),
+        (True, True, "explains it"),
+    ],
+)
+def test_an_effect_that_was_not_fitted_is_not_said_to_explain_nothing(fitted, significant, words):
+    first = next(c for c in ranked() if c.effect.name == NAME)
+    candidate = replace(first, significant=significant, fit=first.fit if fitted else None)
+    selection = Selection([candidate], None, base(), base())
+    said = " ".join(verdict._unexplained(selection, None, Grade(None, None, None, ()), DEFAULT))
+    assert f"o effect of the library {words}" in said

@@ -5,6 +5,7 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
+import oscillators
 import pytest
 import twobody
 from cases import data, fitted
@@ -17,6 +18,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._problem import Problem
 from fitting.inference._record import make_record
 
 EXTRA = {
@@ -171,6 +173,28 @@ def test_parameters_of_a_harmonic_law_may_be_held():
         np.testing.assert_allclose(found.rows, free.rows, atol=1e-6)
         kept = free.jacobian[:, [layout.index[n] for n in smaller.names]]
         assert (np.abs(found.jacobian - kept).max(axis=0) < 1e-5 * np.abs(kept).max(axis=0)).all()
+
+
+@pytest.mark.parametrize(("reversals", "integrated"), [(4, True), (200, False)])
+def test_a_trial_that_reverses_much_more_often_than_the_body_is_given_up(reversals, integrated):
+    """A coasting body is tried with a spring; each of its reversals would be integrated by itself."""
+    t = np.linspace(0.0, 20.0, 200)
+    data = CaseData.of(oscillators.record(t, 2.0 * t - 0.03 * t**2, 1e-3, 0))
+    assert data.oscillation is None
+    model = Model.of(["touchpoint.constant", "casing.spring.linear"])
+    problem = Problem.of(ParameterLayout.of(model, [data.record]), [data])
+    values = {
+        "touchpoint.constant.b1": 1e-4,
+        "casing.spring.linear.k": (np.pi * reversals / t[-1]) ** 2,
+        "initial.omega_c@body": 2.0,
+    }
+    theta = np.array([values.get(n, 0.0) for n in problem.layout.names])
+    if integrated:
+        (found,) = problem.predict(theta)
+        assert len(found.path.jumps) == pytest.approx(reversals, abs=1)
+    else:
+        with pytest.raises(SimulationError):
+            problem.predict(theta)
 
 
 def slowing(samples):
