@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack._correlated_noise import correlated_least_squares
+from gyrotrack._correlated_noise import Estimate, correlated_least_squares
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._pulses import Passages
 from gyrotrack.io.readers._run import start_of_oscillation, upward_crossings
@@ -64,6 +64,8 @@ class BodyMotion:
     period: Value | None = None
     amplitude: Value | None = None
     decay: Value | None = None
+    # standard uncertainty of `omega` [rad/s]; nan for an oscillation
+    omega_u: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("first", "last"), math.nan))
     # of a decaying oscillation: pi / (decay rate x period) [1]
     quality_factor: Value | None = field(init=False, default=None)
 
@@ -93,7 +95,8 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         raise DatasetError(what, "Give a longer record.")
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
-    omega, mean, alpha = _rotation(t, angle, sigma)
+    first, last, mean, alpha = _rotation(t, angle, sigma)
+    omega, omega_u = _ends(first, last)
     oscillation = _oscillation(t, angle, sigma)
     if oscillation is not None:
         period, amplitude, decay, ends, curve = oscillation
@@ -105,7 +108,12 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
             return BodyMotion("oscillation", turns, omega, mean, alpha)
     change = abs(omega["last"] - omega["first"])
     steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
-    return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha)
+    return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha, omega_u=omega_u)
+
+
+def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the angular velocities at the ends of a record, and their standard uncertainties."""
+    return {"first": first.value, "last": last.value}, {"first": first.stderr, "last": last.stderr}
 
 
 def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
@@ -125,14 +133,13 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     design = x[:, None] ** np.arange(most + 1)
     models = [list(range(order + 1)) for order in range(_SPEED_ORDERS[0], most + 1)]
     fits = correlated_least_squares(x * half, design, omega, sigma, models, np.full(most + 1, np.inf))
-    order, fit = min(enumerate(fits, _SPEED_ORDERS[0]), key=lambda pair: pair[1].criterion)
-    powers = np.arange(order + 1)
-    first, last = (fit.of(np.power(float(e), powers).astype(float))[0] for e in (-1, 1))
-    mean = Value(*fit.of(np.where(powers % 2 == 0, 1.0 / (powers + 1), 0.0).astype(float)))
-    alpha = Value(*fit.of(np.where(powers == 1, 1.0 / half, 0.0)))
-    steady = abs(alpha.value) < 3 * alpha.stderr or abs(last - first) < 0.01 * abs(mean.value)
-    ends = {"first": first, "last": last}
-    return BodyMotion("steady" if steady else "spin-down", whole.turns, ends, mean, alpha)
+    orders = [np.arange(order + 1) for order in range(_SPEED_ORDERS[0], most + 1)]
+    first, last = (_averaged(fits, [np.power(float(e), k).astype(float) for k in orders]) for e in (-1, 1))
+    mean = _averaged(fits, [np.where(k % 2 == 0, 1.0 / (k + 1), 0.0).astype(float) for k in orders])
+    alpha = _averaged(fits, [np.where(k == 1, 1.0 / half, 0.0) for k in orders])
+    steady = abs(alpha.value) < 3 * alpha.stderr or abs(last.value - first.value) < 0.01 * abs(mean.value)
+    ends, ends_u = _ends(first, last)
+    return BodyMotion("steady" if steady else "spin-down", whole.turns, ends, mean, alpha, omega_u=ends_u)
 
 
 def motion_of_passages(passages: Passages) -> BodyMotion:
@@ -185,7 +192,8 @@ def _reverses(t: Floats, curve: Floats, period: float) -> bool:
     return bool(np.ptp(t) > 1.2 * period and net < 0.6 * path)
 
 
-def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float], Value, Value]:
+def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Value, Value]:
+    """Return the angular velocity at both ends, its mean, and the angular acceleration at the middle."""
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
     psi = angle - angle[len(angle) // 2]
@@ -198,20 +206,40 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[dict[str, float]
     prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
     models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
     fits = correlated_least_squares(t, design, psi, sigma, models, prior, smooth)
-    order, fit = min(enumerate(fits, _ORDERS[0]), key=lambda pair: pair[1].criterion)
 
-    def row(values: list[float]) -> Floats:
-        return np.concatenate([np.zeros(view), values])
+    def averaged(row: Callable[[int], list[float]]) -> Value:
+        return _averaged(
+            fits, [np.concatenate([np.zeros(view), row(o)]) for o in range(_ORDERS[0], most + 1)]
+        )
 
-    ends = [fit.of(row([k * e ** max(k - 1, 0) / half for k in range(order + 1)]))[0] for e in (x[0], x[-1])]
+    def speed(place: float) -> Value:
+        return averaged(lambda order: [k * place ** max(k - 1, 0) / half for k in range(order + 1)])
+
+    ends = [speed(x[0]), speed(x[-1])]
     for i, place in enumerate((0, -1)):
         local = _speed_at(t, angle, place)
         # a polynomial through the whole record may swing at its ends
-        if abs(local.value - ends[i]) > 3 * local.stderr:
-            ends[i] = local.value
-    mean = Value(*fit.of(row([(x[-1] ** k - x[0] ** k) / (t[-1] - t[0]) for k in range(order + 1)])))
-    alpha = Value(*fit.of(row([0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])))
-    return {"first": ends[0], "last": ends[1]}, mean, alpha
+        if abs(local.value - ends[i].value) > 3 * local.stderr:
+            # which of both is wrong is not known: harmonics of the angle are in the local one alone
+            ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
+    length = t[-1] - t[0]
+    mean = averaged(lambda order: [(x[-1] ** k - x[0] ** k) / length for k in range(order + 1)])
+    alpha = averaged(lambda order: [0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])
+    return *ends, mean, alpha  # type: ignore[return-value]  # two ends
+
+
+def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
+    """Return a combination of coefficients, averaged over models with weights exp(-BIC / 2).
+
+    Its variance is the mean variance plus that of the values: the degree of a polynomial is not known (J. Hoeting et
+    al., Stat. Sci. 14, 382 (1999)).
+    """
+    criterion = np.array([fit.criterion for fit in fits])
+    weight = np.exp(-0.5 * (criterion - criterion.min()))
+    weight /= weight.sum()
+    value, u = np.array([fit.of(row) for fit, row in zip(fits, rows, strict=True)]).T
+    mean = float(weight @ value)
+    return Value(mean, math.sqrt(float(weight @ (u**2 + (value - mean) ** 2))))
 
 
 def _speed_at(t: Floats, angle: Floats, place: int) -> Value:

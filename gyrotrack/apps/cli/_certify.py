@@ -108,7 +108,7 @@ def certify_command(
         earlier = study.ledger.find(fit_id).certificate(found, seed, film=film)
         known = earlier.outcomes if earlier is not None else ()
         empty = Certificate.of_answer(found, (), n, seed, film=film)
-        keep = _Keeper(out, progress, study.ledger, fit_id, empty, len(known))
+        keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
         if scheduler is None and not film:
             done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
         else:
@@ -174,7 +174,7 @@ class _Keeper:
         ledger: Any,
         fit_id: str,
         empty: Certificate,
-        known: int,
+        known: Sequence[Outcome],
     ) -> None:
         self._out, self._progress, self._ledger, self._fit_id = out, progress, ledger, fit_id
         self._empty, self._known, self._told = empty, known, False
@@ -184,7 +184,7 @@ class _Keeper:
         """Take note of the outcomes so far, of `total`."""
         self._progress(len(outcomes), total)
         now = monotonic()
-        new = len(outcomes) - self._known
+        new = len(outcomes) - len(self._known)
         if not self._told and new > 0 and len(outcomes) < total:
             left = (total - len(outcomes)) * (now - self._begun) / new
             self._out.note(f"{total} recordings are simulated and analysed; about {duration(left)} left.")
@@ -194,8 +194,11 @@ class _Keeper:
             self._stored = now
 
     def store(self, done: Certificate) -> None:
-        """Store a test, complete or not, with its fit."""
-        self._ledger.keep_certificate(self._fit_id, done)
+        """Store a test, complete or not, with its fit; outcomes of a longer one remain."""
+        made = {(o.kind, o.effect, o.number) for o in done.outcomes}
+        longer = [o for o in self._known if (o.kind, o.effect, o.number) not in made]
+        n = max([done.n, *(o.number + 1 for o in longer if o.kind == "null")])
+        self._ledger.keep_certificate(self._fit_id, replace(done, n=n, outcomes=(*done.outcomes, *longer)))
 
 
 def _item(text: str) -> Item:

@@ -592,6 +592,12 @@ def _law_lines(document: dict[str, Any]) -> list[str]:
     ]
 
 
+def _with_u(value: float, u: float) -> str:
+    from fitting._numbers import rounded
+
+    return rounded(value, u, "").rstrip() if math.isfinite(u) and u > 0 else f"{value:.6g}"
+
+
 def _lines(document: dict[str, Any]) -> list[str]:
     from fitting._numbers import rounded
     from gyrotrack.io.readers._reading import units_of_file
@@ -609,7 +615,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
             ("Q", motion.quality_factor, "", ""),
         ]
     else:
-        lines.append(f"omega      {motion.omega['first']:.6g} to {motion.omega['last']:.6g} rad/s")
+        ends = (_with_u(motion.omega[end], motion.omega_u[end]) for end in ("first", "last"))
+        lines.append(f"omega      {' to '.join(ends)} rad/s")
         if "omega" in own:
             unit, scale = own["omega"]
             first, last = (motion.omega[end] / scale for end in ("first", "last"))

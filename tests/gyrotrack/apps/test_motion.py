@@ -1,8 +1,10 @@
 """The kind of a motion, and its end: a body that comes to rest, turns on, or swings."""
 
 import numpy as np
+import pytest
 
-from gyrotrack.apps._motion import end_of_motion, motion_of
+from gyrotrack._correlated_noise import Estimate
+from gyrotrack.apps._motion import _averaged, end_of_motion, motion_of, motion_of_speeds
 
 SIGMA = 1e-3
 
@@ -52,3 +54,55 @@ def test_a_steady_rotation_is_one_also_with_noise_and_a_displaced_hub():
         motion = motion_of(t, angle, sigma)
         assert motion.kind == "steady"
         assert abs(motion.omega_mean.value - rate) < 4 * motion.omega_mean.stderr
+
+
+def _spin_down(seed, *, speeds):
+    """Return true values, and the motion of one of many exponential and dry spin-downs, with white noise."""
+    rng = np.random.default_rng([17, seed])
+    duration, n, start = rng.uniform(5, 60), int(rng.integers(200, 1500)), rng.uniform(5, 60)
+    t = np.linspace(0, duration, n)
+    tau, dry = rng.uniform(0.5, 3) * duration, rng.uniform(0, 0.3) * start / duration
+    a = start + dry * tau
+    omega, angle = a * np.exp(-t / tau) - dry * tau, a * tau * (1 - np.exp(-t / tau)) - dry * tau * t
+    true = (omega[0], omega[-1], (angle[-1] - angle[0]) / duration, -a / tau * np.exp(-0.5 * duration / tau))
+    if not speeds:
+        sigma = 10 ** rng.uniform(-3.5, -2)
+        return true, motion_of(t, angle + sigma * rng.standard_normal(n), np.full(n, sigma))
+    sigma = 10 ** rng.uniform(-3, -1)
+    return true, motion_of_speeds(t, omega + sigma * rng.standard_normal(n), np.full(n, sigma), angle)
+
+
+@pytest.mark.parametrize("speeds", [False, True])
+def test_uncertainties_of_ends_mean_and_acceleration_are_those_of_the_errors(speeds):
+    pulls = []
+    for seed in range(40):
+        true, found = _spin_down(seed, speeds=speeds)
+        values = (found.omega["first"], found.omega["last"], found.omega_mean.value, found.alpha.value)
+        errors = (
+            found.omega_u["first"],
+            found.omega_u["last"],
+            found.omega_mean.stderr,
+            found.alpha.stderr,
+        )
+        pulls.append([(v - x) / u for v, x, u in zip(values, true, errors, strict=True)])
+    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+    # the mean of speeds allows for correlated noise, of which there is none
+    assert ((rms > 0.45) & (rms < 1.6)).all(), rms
+
+
+def test_models_are_averaged_by_their_criterion():
+    """Two models 2 ln 3 apart in BIC have the weights 3/4 and 1/4; their difference is part of the uncertainty."""
+    fits = [
+        Estimate(np.array([v]), np.array([[u**2]]), c)
+        for v, u, c in ((1.0, 0.1, 0.0), (2.0, 0.2, 2 * np.log(3)))
+    ]
+    found = _averaged(fits, [np.ones(1)] * 2)
+    assert found.value == pytest.approx(1.25)
+    assert found.stderr**2 == pytest.approx(0.75 * (0.01 + 0.0625) + 0.25 * (0.04 + 0.5625))
+
+
+def test_an_oscillation_states_no_uncertainty_of_its_end_speeds():
+    t = np.linspace(0, 20, 2000)
+    found = motion_of(t, 0.3 * np.cos(2 * np.pi * t / 1.7), np.full(len(t), 1e-3))
+    assert found.kind == "oscillation"
+    assert np.isnan(list(found.omega_u.values())).all()

@@ -65,6 +65,15 @@ def test_a_run_continues_where_it_was_interrupted(gyrotrack, wheel, monkeypatch)
     assert simulated[-1] == ("null", "", 0)
 
 
+def test_a_shorter_test_leaves_the_outcomes_of_a_longer_one(gyrotrack, wheel):
+    long = gyrotrack("certify", wheel, "-n", "5", "--seed", "2", "--workers", "1", "--json").json
+    short = gyrotrack("certify", wheel, "-n", "2", "--seed", "2", "--workers", "1", "--json").json
+    assert (long["null"]["n"], short["null"]["n"]) == (5, 2)
+    stored = json.loads(wheel.with_suffix(".fits.json").read_text())["fits"][0]["certificate"]
+    assert (stored["n"], len(stored["outcomes"])) == (5, 5)
+    assert [o["number"] for o in stored["outcomes"]] == [0, 1, 2, 3, 4]
+
+
 def test_diagnose_says_what_the_test_takes(gyrotrack, wheel):
     assert re.search(
         r"`gyrotrack certify \S+wheel.h5` tests this answer .*\(about .* (s|min|h)\)",
@@ -118,7 +127,7 @@ def test_duration_is_told_once_and_outcomes_are_stored_from_time_to_time(monkeyp
     clock = iter([0.0, 10.0, 21.0, 25.0, 45.0])
     monkeypatch.setattr(_certify, "monotonic", lambda: next(clock))
     ledger, notes = Kept(), Notes()
-    keep = _Keeper(notes, lambda *_: None, ledger, "f1", Certificate(20, "adequate", (), 0.0, ()), 0)
+    keep = _Keeper(notes, lambda *_: None, ledger, "f1", Certificate(20, "adequate", (), 0.0, ()), ())
     outcomes = [Outcome("null", "", k, "adequate", (), 0.0, {}) for k in range(4)]
     for k in range(1, 5):
         keep(outcomes[:k], 20)
