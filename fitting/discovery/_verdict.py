@@ -437,7 +437,7 @@ def _random_alternative(
     if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
         return None
     chosen = selection.chosen
-    if chosen is not None and (not chosen.physical or chosen.effect.periodic):
+    if chosen is not None and not chosen.physical:
         return None
     random = with_random_torque(fit, criteria)
     if not describes(random, criteria):

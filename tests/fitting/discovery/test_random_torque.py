@@ -90,3 +90,22 @@ def test_drag_is_named_beside_a_random_torque():
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "casing.air.quadratic"
     assert data(ou=1e-7, hidden="drag").findings == ()
+
+
+@pytest.mark.parametrize("name", ["casing.precession", "bearing.drift"])
+@pytest.mark.parametrize(("established", "alternative"), [(True, False), (False, True)])
+def test_a_periodic_law_must_be_established_beside_a_random_torque_too(
+    monkeypatch, name, established, alternative
+):
+    from fitting.discovery import _verdict
+
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
+    random = SimpleNamespace(fit=fit)
+    monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
+    monkeypatch.setattr(_verdict, "describes", lambda *_: True)
+    monkeypatch.setattr(_verdict, "is_established", lambda *_: established)
+    monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
+    chosen = SimpleNamespace(effect=LIBRARY[name], physical=True)
+    selection = Selection([], chosen, None, None)
+    found = _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT)
+    assert (found is random) == alternative
