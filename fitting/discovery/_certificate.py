@@ -1,6 +1,7 @@
 """An answer tested on itself: recordings simulated from the fit, analysed like the recording.
 
-Three kinds of worlds are simulated (`fitting.inference._replica`) and fitted and diagnosed with the same base model:
+Recordings are simulated under three kinds of hypotheses (`fitting.inference._replica`), then fitted and diagnosed with
+the same base model:
 
 - "null": the base model alone. How often is an effect named, or the model called wrong, although nothing is missing?
   The share of null recordings whose best candidate scores as high as that of the recording is the empirical p-value of
@@ -8,7 +9,7 @@ Three kinds of worlds are simulated (`fitting.inference._replica`) and fitted an
 - "truth": the base model with the named effect. How often is it named first, or in its class, and how often do the
   95 % intervals contain the value that was simulated?
 - "rival": the base model with an effect that could be mistaken for it: a member of its class, or the next candidate.
-  As what is it named?
+  Which effect is named?
 
 The rates have Clopper-Pearson intervals (C. Clopper, E. Pearson, Biometrika 26, 404 (1934)). An empirical p-value of n
 recordings is at least 1 / (n + 1) (A. Davison, D. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4).
@@ -51,8 +52,8 @@ _FAILED = "failed"
 
 
 @dataclass(frozen=True)
-class World:
-    """What is simulated: the motion of a fit, of which `effect` is the part that the base model lacks."""
+class Hypothesis:
+    """What is simulated: the motion of a fit, with an `effect` that the base model does not contain."""
 
     kind: Kind
     effect: str
@@ -66,9 +67,9 @@ class Outcome:
     Attributes
     ----------
     kind, effect : str
-        The world (see `World`).
+        The hypothesis (see `Hypothesis`).
     number : int
-        Number of the recording in its world, from 0; with the seed it determines all random errors.
+        Number of the recording under its hypothesis, from 0; with the seed it determines all random errors.
     verdict : str
         That of `diagnose`, or "failed" where the analysis ended with an error.
     named : tuple of str
@@ -144,7 +145,7 @@ class Certificate:
         return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed)
 
     def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
-        """Return the outcomes of one kind of world, or of one world.
+        """Return the outcomes under one kind of hypothesis, or under a single one.
 
         Parameters
         ----------
@@ -189,7 +190,7 @@ class Certificate:
         Parameters
         ----------
         kind : {"null", "truth", "rival"}
-            The kind of world.
+            The kind of hypothesis.
         """
         inside: dict[str, list[bool]] = {}
         for o in self.of(kind):
@@ -199,13 +200,13 @@ class Certificate:
 
     @property
     def rivals(self) -> dict[str, dict[str, int]]:
-        """Of each simulated rival how often which effect was named first, or which verdict was given."""
+        """Counts of the effect named first, or of the verdict, for each simulated rival."""
         effects = dict.fromkeys(o.effect for o in self.of("rival"))
         return {e: _counted(self.of("rival", e)) for e in effects}
 
     @property
     def names(self) -> dict[str, int]:
-        """Of the null recordings how often which effect was named, or which verdict other than "adequate" was given."""
+        """Counts of the effect named first, or of the verdict, among the null recordings that are not adequate."""
         return {k: n for k, n in _counted(self.of("null")).items() if k != "adequate"}
 
     @property
@@ -228,7 +229,7 @@ class Certificate:
 
     @property
     def rows(self) -> list[tuple[str, str, str]]:
-        """Of each world the simulated effect, the number of recordings and their answers, as texts."""
+        """Simulated effect, number of recordings and counted answers of each hypothesis, as texts."""
         rows = []
         for kind, effect in dict.fromkeys((o.kind, o.effect) for o in self.outcomes):
             found = [o for o in self.outcomes if (o.kind, o.effect) == (kind, effect)]
@@ -262,10 +263,10 @@ def rate_interval(count: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def worlds(found: Diagnosis) -> list[World]:
-    """Return the worlds that test an answer: null, and where an effect is named, truth and its rivals.
+def hypotheses(found: Diagnosis) -> list[Hypothesis]:
+    """Return the hypotheses that test an answer: null and, if an effect is named, truth and rivals.
 
-    Faults of the measurement that are no law (a slipped turn, starts of windows) are tested against the null alone.
+    Faults of the measurement that are not a law (a slipped turn, starts of windows) are tested under the null only.
 
     Parameters
     ----------
@@ -274,21 +275,21 @@ def worlds(found: Diagnosis) -> list[World]:
     """
     base = found.fit
     if found.verdict != "missing_effect" or not found.candidates:
-        return [World("null", "", base)]
+        return [Hypothesis("null", "", base)]
     named, *others = found.candidates
     truth = _with_effect(base, named)
     if truth is None:
-        return [World("null", "", base)]
+        return [Hypothesis("null", "", base)]
     in_class = [c for c in others if c.effect.name in named.indistinguishable_from]
     next_best = [c for c in others if c.significant and c not in in_class]
-    rivals: list[World] = []
+    rivals: list[Hypothesis] = []
     for c in (*in_class, *next_best):
         other = _with_effect(found.fit, c) if len(rivals) < _MOST_RIVALS else None
         if other is not None:
-            # a wrong model has random torque in place of what it lacks
-            rivals.append(World("rival", c.effect.name, replace(other, noise=truth.noise)))
-    null = World("null", "", replace(base, noise=truth.noise))
-    return [null, World("truth", named.effect.name, truth), *rivals]
+            # the random torque in the residuals of a wrong model contains its lack of fit
+            rivals.append(Hypothesis("rival", c.effect.name, replace(other, noise=truth.noise)))
+    null = Hypothesis("null", "", replace(base, noise=truth.noise))
+    return [null, Hypothesis("truth", named.effect.name, truth), *rivals]
 
 
 def _with_effect(base: Fit, candidate: Candidate) -> Fit | None:
@@ -315,22 +316,22 @@ def planned(found: Diagnosis, n: int) -> list[Item]:
     found : Diagnosis
         The answer.
     n : int
-        Number of recordings without the named effect; as many have it, a quarter of it each rival.
+        Number of recordings without the named effect; the same number has it, and a quarter has each rival.
     """
-    return _planned(worlds(found), n)
+    return _planned(hypotheses(found), n)
 
 
-def _planned(simulated: Iterable[World], n: int) -> list[Item]:
+def _planned(simulated: Iterable[Hypothesis], n: int) -> list[Item]:
     items = [(w.kind, w.effect, k) for w in simulated for k in range(_count(w, n))]
-    # an interrupted run has some of every world
+    # an interrupted run has some of every hypothesis
     return sorted(items, key=lambda item: item[2])
 
 
 @dataclass(frozen=True)
 class _Work:
-    """What every worker needs: the worlds, the fit whose analysis is repeated, and its settings."""
+    """The hypotheses, the fit whose analysis is repeated, and its settings, for every worker."""
 
-    worlds: dict[tuple[str, str], World]
+    hypotheses: dict[tuple[str, str], Hypothesis]
     base: Fit
     extra: tuple[Effect, ...]
     criteria: Criteria
@@ -338,7 +339,7 @@ class _Work:
 
     @classmethod
     def of(cls, found: Diagnosis, extra: Sequence[Effect], criteria: Criteria, seed: int) -> Self:
-        simulated: dict[tuple[str, str], World] = {(w.kind, w.effect): w for w in worlds(found)}
+        simulated: dict[tuple[str, str], Hypothesis] = {(w.kind, w.effect): w for w in hypotheses(found)}
         return cls(simulated, found.fit, tuple(extra), criteria, seed)
 
 
@@ -361,7 +362,7 @@ def certify(
     found : Diagnosis
         The answer.
     n : int
-        Number of recordings without the named effect; as many with it, a quarter of it with each rival.
+        Number of recordings without the named effect; the same number has it, and a quarter has each rival.
     seed : int
         Seed of all random errors. The result does not depend on the number of workers.
     extra : sequence of Effect
@@ -386,7 +387,7 @@ def certify(
     """
     workers = workers or WorkerPool(0)
     work = _Work.of(found, extra, criteria, seed)
-    wanted = _planned(work.worlds.values(), n)
+    wanted = _planned(work.hypotheses.values(), n)
     done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
     missing = [item for item in wanted if item not in done]
     several = workers.processes + 1
@@ -424,19 +425,19 @@ def outcomes_of(
         No such recording is planned.
     """
     work = _Work.of(found, extra, criteria, seed)
-    if not {item[:2] for item in items} <= work.worlds.keys():
+    if not {item[:2] for item in items} <= work.hypotheses.keys():
         raise EstimationError("the answer has changed since its test began", "begin the test again")
     return [_outcome(work, item) for item in items]
 
 
-def _count(world: World, n: int) -> int:
-    return max(math.ceil(_RIVAL_SHARE * n), min(n, _FEWEST)) if world.kind == "rival" else n
+def _count(hypothesis: Hypothesis, n: int) -> int:
+    return max(math.ceil(_RIVAL_SHARE * n), min(n, _FEWEST)) if hypothesis.kind == "rival" else n
 
 
 def _outcome(work: _Work, item: Item) -> Outcome:
     """Simulate one recording and analyse it like the original."""
     _, effect, number = item
-    records = replica(work.worlds[item[:2]].fit, (work.seed, *effect.encode(), number))
+    records = replica(work.hypotheses[item[:2]].fit, (work.seed, *effect.encode(), number))
     return _analysed(work, item, records)
 
 
@@ -448,7 +449,7 @@ def outcome_of_records(
     extra: Sequence[Effect] = (),
     criteria: Criteria = DEFAULT,
 ) -> Outcome:
-    """Return the answer to recordings of a world that were made elsewhere, such as from rendered films.
+    """Return the answer to recordings that were simulated elsewhere, such as from rendered films.
 
     Parameters
     ----------
@@ -464,7 +465,7 @@ def outcome_of_records(
 
 
 def _analysed(work: _Work, item: Item, records: Sequence[Record]) -> Outcome:
-    world, layout = work.worlds[item[:2]], work.base.problem.layout
+    hypothesis, layout = work.hypotheses[item[:2]], work.base.problem.layout
     share, per_case = ([k for k in keys if k in work.base.model.free] for keys in layout.choices)
     try:
         data = [CaseData.of(r) for r in records]
@@ -478,8 +479,8 @@ def _analysed(work: _Work, item: Item, records: Sequence[Record]) -> Outcome:
         named = (best.effect.name, *best.indistinguishable_from)
     final = best.fit if best is not None and named else again
     inside = {}
-    if final is not None and set(final.model.names) == set(world.fit.model.names):
-        inside = _inside(final, world.fit)
+    if final is not None and set(final.model.names) == set(hypothesis.fit.model.names):
+        inside = _inside(final, hypothesis.fit)
     return Outcome(*item, found.verdict, named, best.score if best is not None else 0.0, inside)
 
 

@@ -331,8 +331,8 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
 def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candidate | None:
     """Return the candidate to add next: significant, refitted, better in BIC; None if there is none.
 
-    Where its strength is not determined, as that of a law with a shape far beyond the data, it is the first candidate
-    that the data cannot separate from it and whose strength is determined.
+    If the strength of the best candidate is not determined, because its shape constant diverges for example, the first
+    indistinguishable candidate with a determined strength is returned instead.
     """
     fitting = [
         c
@@ -343,12 +343,13 @@ def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candi
         return None
     alike = (c for c in fitting if c is fitting[0] or c.effect.name in fitting[0].indistinguishable_from)
     return next(
-        (c for c in alike if c.fit is not None and not not_determined(c.effect, c.fit, criteria)), fitting[0]
+        (c for c in alike if c.fit is not None and not reason_undetermined(c.effect, c.fit, criteria)),
+        fitting[0],
     )
 
 
-def not_determined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
-    """Return why an effect of a fit is not determined, as a sentence; empty if it is."""
+def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
+    """Return the reason why the strength of an effect is not determined, as a sentence; empty if it is."""
     name, amplitude = effect.name, effect.amplitude
     if not fit.converged:
         return f"The fit with {name} did not converge"

@@ -68,8 +68,8 @@ from fitting.discovery._select import (
     Candidate,
     Selection,
     Step,
-    not_determined,
     rank,
+    reason_undetermined,
     select,
     separate_values,
 )
@@ -370,13 +370,13 @@ def _diagnosis(
         verdict, size = "adequate", Grade(None, None, None)
     hint = _undetermined(selection, criteria) if verdict == "missing_effect" else ""
     random = None if hint else _random_alternative(fit, selection, verdict, doubt, criteria)
-    restless = verdict == "adequate" and not within_uncertainty and fit.needs_random_torque(criteria)
-    if restless:
+    noisy = verdict == "adequate" and not within_uncertainty and fit.needs_random_torque(criteria)
+    if noisy:
         random = with_random_torque(fit, criteria)
         # above its ceiling it is no noise
         random = random if describes(random, criteria) else None
-    if hint or restless or random is not None:
-        unexplained = random is None and (misfit or restless or doubt is not None)
+    if hint or noisy or random is not None:
+        unexplained = random is None and (misfit or noisy or doubt is not None)
         verdict, size = "unexplained" if unexplained else "undecided", Grade(None, None, None)
     if verdict == "missing_effect":
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
@@ -419,7 +419,7 @@ def _undetermined(selection: Selection, criteria: Criteria) -> str:
     chosen = selection.chosen
     if chosen is None or chosen.effect is START:
         return ""
-    why = not_determined(chosen.effect, selection.named, criteria)
+    why = reason_undetermined(chosen.effect, selection.named, criteria)
     return f"{why}, so {chosen.effect.name} is a hint only." if why else ""
 
 

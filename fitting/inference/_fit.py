@@ -198,9 +198,9 @@ def _from_separate_fits(
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution of a joint fit and its noise, searched again from fits of each case alone.
 
-    A case that the model does not describe alone has random torque in place of what it lacks, and does not bias the
-    others. Where the model describes each case alone, their shared parameters differ: with a level of its own one of
-    them would lose its weight and be given up for the others, so all have a common level.
+    If the model does not describe a case alone, the random torque of that case absorbs the lack of fit, and the other
+    cases are not biased. If it describes each case alone, their shared parameters differ. With separate levels one case
+    would then lose its weight, so all cases get a common level.
     """
     alone = []
     for d in problem.data:

@@ -93,7 +93,7 @@ class Noise:
     # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0
-    # whether all cases of a joint fit have the same level: each is described alone, and none is given up for the others
+    # whether all cases of a joint fit have the same level, because the model describes each of them alone
     common: bool = False
     # variables of the motion about which the response of the rows is linearised, by their names in the fit
     about: Mapping[str, float] = field(default_factory=dict, repr=False)

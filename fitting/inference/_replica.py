@@ -39,7 +39,7 @@ _CELLS_PER_TIME, _FEWEST_CELLS, _MOST_CELLS = 5, 400, 40_000
 
 
 def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
-    """Return new recordings of the cases of a fit, as if the same experiment were repeated and filmed again.
+    """Return simulated repetitions of the recordings of a fit, with new random errors.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
 
 
 def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> tuple[Array, Array]:
-    """Return the angles of casing and rotor [rad] of a repetition of a recording, without any error of measurement.
+    """Return the angles of casing and rotor [rad] in a repetition of a recording, without measurement errors.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class _Motion:
     def numbers(self) -> dict[str, float]:
         return self.fit.problem.layout.numbers(self.fit.theta, self.case)
 
-    def expected(self, times: Array, rotor: bool, path: Path | None = None) -> Array:  # noqa: FBT001
+    def expected(self, times: Array, path: Path | None = None, *, rotor: bool) -> Array:
         """Return angles, up to a constant, or speeds of the smooth motion."""
         path = path or self.prediction.path
         sampler, state = Sampler(path.mesh, times), int(not rotor)
@@ -152,7 +152,7 @@ class _Motion:
         return error if self.data.is_angle else np.gradient(error, run.time)
 
     def angle_response(self, effect: Effect, zero: float) -> list[Array]:
-        """Return the response of the casing and of each window to a law of an angle, which is `zero` at the start."""
+        """Return the response of the casing and of each window to a law of the angle, whose initial value is `zero`."""
         record, path, motion = self.data.record, self.prediction.path, self.prediction.motion
         t = record.casing.time
         half = 0.5 * np.diff(t)
@@ -190,7 +190,7 @@ def _recording(motion: _Motion, random: Random) -> Record:
         values[i] += compressed.scale * run.sigma * random.standard_normal(len(run))
         if u > 0:  # NaN where nothing is stated
             values[i] += (
-                u * random.standard_normal() * np.gradient(motion.expected(run.time, i > 0), run.time)
+                u * random.standard_normal() * np.gradient(motion.expected(run.time, rotor=i > 0), run.time)
             )
         if data.is_angle:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
@@ -218,7 +218,7 @@ def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
     model = CaseModel(replace(data, record=other), replace(layout, records=tuple(records)), motion.case)
     path = model.solve(motion.fit.theta)
     return [
-        motion.expected(run.time, i > 0, path) - motion.expected(run.time, i > 0)
+        motion.expected(run.time, path, rotor=i > 0) - motion.expected(run.time, rotor=i > 0)
         for i, run in enumerate(runs)
     ]
 
@@ -262,7 +262,7 @@ def _slow_error(run: Samples, noise: AngleNoise, random: Random) -> Array:
 
 
 def _stated_error(data: CaseData, random: Random) -> Array:
-    """Return the errors that tracking states with the angles of the casing (see `stated_error_rows`)."""
+    """Return the errors of the casing's angles that tracking states (see `stated_error_rows`)."""
     run = data.record.casing
     sigma, time, periodic, harmonic = data.record.correlated
     found = np.zeros(len(run))

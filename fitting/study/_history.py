@@ -308,7 +308,7 @@ class Ledger:
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
     def keep_certificate(self, fit_id: str, found: Certificate) -> None:
-        """Store the test of the answer of a fit, complete or not, in place of an earlier one.
+        """Store the test of the answer of a fit, complete or not, and replace an earlier one.
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
 """Films like those of a case: its scene, as it was tracked, with a motion of a fit.
 
 Size, frame rates, starts, centre and tilt are those of the recordings. The markers have the radii, widths, mount angles
-and colours that `extract` measured. The exposure follows from the smear of the rotor's markers, which are wider in the
-slower film by half of speed times exposure on each side; the noise of the picture is that with which the tracked angles
-scatter as in the recordings. Metal, table, lamps and lens are those of the package's renderer: they are not measured.
+and colours that `extract` measured. The exposure follows from the motion blur of the rotor's markers, which widens them
+by half of speed times exposure on each side. The image noise is chosen so that the tracked angles scatter as in the
+recordings. Metal, table, lamps and lens are those of the package's renderer: they are not measured.
 """
 
 from __future__ import annotations

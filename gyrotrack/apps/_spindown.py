@@ -484,7 +484,7 @@ def _analysed(
             recorder = study.recorder(parent, base)
             oscillation = base.problem.data[0].oscillation
             long = oscillation is not None and DEFAULT.refits_through(len(oscillation.reversals)) == 1
-            # through hundreds of reversals, where an exact fit takes long, the averaged equations tell the laws
+            # an exact fit over hundreds of reversals takes long: the averaged equations are used instead
             first = rank(base, refitting=False) if long and laws is not None else None
             steps = None if not long else int(laws is None)
             history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)

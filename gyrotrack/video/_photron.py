@@ -4,7 +4,7 @@ The header has one entry per line, ``Image Width : 1024``. The frames follow eac
 ``Color Bit`` bits: 8, 10 and 12 are packed with the most significant bit first, 16 are little-endian. Of these
 ``EffectiveBit Depth`` bits are measured, the lower or the higher ones (``EffectiveBit Side``).
 
-Sources: headers written by PFV and by the PDC library of Photron; the packing is that which pyMRAW reads.
+Sources: headers written by PFV and by the PDC library of Photron; the packing is the one that pyMRAW reads.
 """
 
 from __future__ import annotations

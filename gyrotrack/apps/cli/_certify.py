@@ -48,7 +48,7 @@ def certify_command(
         int | None,
         option(
             "-n --recordings N",
-            "Simulated recordings without the named effect; as many have it, and a quarter of it each rival. "
+            "Simulated recordings without the named effect; the same number has it, and a quarter has each rival. "
             "By default 200, or 20 with --film.",
             min=1,
         ),
@@ -134,12 +134,14 @@ def _from_film(
     found: Diagnosis, item: Item, cases: Sequence[Path], seed: int, own: Sequence[Effect]
 ) -> Outcome:
     """Render the films of one simulated experiment, run the whole chain on them, and return its answer."""
-    from fitting.discovery._certificate import outcome_of_records, worlds
+    from fitting.discovery._certificate import hypotheses, outcome_of_records
     from fitting.inference._case_file import read_record
     from fitting.inference._replica import motion_of
 
     kind, effect, number = item
-    (world,) = (w for w in worlds(found) if (w.kind, w.effect) == (kind, effect))
+    (hypothesis,) = (w for w in hypotheses(found) if (w.kind, w.effect) == (kind, effect))
+    # image noise is independent of the random errors of the motion, and of other recordings
+    picture = int(np.random.SeedSequence((seed, *f"{kind}:{effect}".encode(), number)).generate_state(1)[0])
     child, records = Child(), []
     with scratch_folder() as folder, closing(child):
         for i, path in enumerate(cases):
@@ -148,7 +150,7 @@ def _from_film(
             case, data = read_case(path), found.fit.problem.data[i]
             first, last = data.record.casing.time[[0, -1]].tolist()
             times = np.linspace(first, last, int((last - first) * _POINTS_PER_SECOND) + 1)
-            casing, rotor = motion_of(world.fit, i, times, (seed, *effect.encode(), number))
+            casing, rotor = motion_of(hypothesis.fit, i, times, (seed, *effect.encode(), number))
             motion = Motion.from_angles(times, rotor, casing)
             trial = Motion.from_angles(times, *motion_of(found.fit, i, times, seed)[::-1])
             filming = Filming.of(case).with_measured_noise(trial, place, child.run, seed)
@@ -157,7 +159,7 @@ def _from_film(
                 value, u = getattr(case, f"I_{name}"), getattr(case, f"I_{name}_u")
                 stated = f"{value!r} +- {u!r}" if math.isfinite(u) else repr(value)
                 inertias += [f"--inertia-{name}", stated]
-            made = filming.recorded(motion, place, child.run, inertias, seed + 97 * number + 1)
+            made = filming.recorded(motion, place, child.run, inertias, picture)
             if made is None:
                 return outcome_of_records(found, item, (), extra=own)
             records.append(read_record(made))
@@ -165,7 +167,7 @@ def _from_film(
 
 
 class _Keeper:
-    """Shows the progress of a test, tells how long it will take, and stores its outcomes from time to time."""
+    """Shows progress and expected duration of a test, and stores its outcomes from time to time."""
 
     def __init__(
         self,
@@ -194,7 +196,7 @@ class _Keeper:
             self._stored = now
 
     def store(self, done: Certificate) -> None:
-        """Store a test, complete or not, with its fit; outcomes of a longer one remain."""
+        """Store a test, complete or not, with its fit; keep the outcomes of a longer one."""
         made = {(o.kind, o.effect, o.number) for o in done.outcomes}
         longer = [o for o in self._known if (o.kind, o.effect, o.number) not in made]
         n = max([done.n, *(o.number + 1 for o in longer if o.kind == "null")])

@@ -284,7 +284,7 @@ def scan_command(
     return DONE if found.converged else NOT_TRUSTED
 
 
-_CERTIFIED = 200  # recordings that `certify` simulates without the effect if not told otherwise
+_CERTIFIED = 200  # default of `certify -n`
 
 
 def diagnose_command(

@@ -370,7 +370,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
-    """Refuse passages between which so many are missing that the shortest period is not the usual one."""
+    """Refuse passages if many are missing between them, so that the shortest period is not the usual one."""
     pair = time[2:] - time[:-2]
     usual = float(np.quantile(pair, _SHORT_PERIODS))
     longer = float((pair > _LONGER * usual).mean())

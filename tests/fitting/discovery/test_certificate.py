@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from fitting._errors import EstimationError
 from fitting.discovery import _certificate as certificate
-from fitting.discovery._certificate import Certificate, Outcome, certify, outcomes_of, planned, worlds
+from fitting.discovery._certificate import Certificate, Outcome, certify, hypotheses, outcomes_of, planned
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData
@@ -123,10 +123,10 @@ class TestRates:
         assert "named" not in made(outcome(), named=(), verdict="adequate").sentence
 
 
-class TestWorlds:
+class TestHypotheses:
     def test_a_named_effect_is_simulated_without_with_and_as_its_rivals(self, answer):
         assert (answer.verdict, answer.candidates[0].effect.name) == ("missing_effect", NAME)
-        null, truth, *rivals = worlds(answer)
+        null, truth, *rivals = hypotheses(answer)
         assert (null.kind, null.fit.model.names) == ("null", answer.fit.model.names)
         assert (truth.kind, truth.effect) == ("truth", NAME)
         assert truth.fit.model.names == (*answer.fit.model.names, NAME)
@@ -134,14 +134,14 @@ class TestWorlds:
         assert {w.kind for w in rivals} == {"rival"}
         assert NAME not in {w.effect for w in rivals}
 
-    def test_all_worlds_have_the_random_torque_of_the_answer(self, answer):
-        null, truth, *rivals = worlds(answer)
+    def test_all_hypotheses_have_the_random_torque_of_the_answer(self, answer):
+        null, truth, *rivals = hypotheses(answer)
         assert {w.fit.noise[0].level for w in (null, *rivals)} == {truth.fit.noise[0].level}
         assert answer.fit.noise[0].level > truth.fit.noise[0].level
 
     @pytest.mark.parametrize("verdict", ["adequate", "unexplained", "undecided"])
     def test_without_a_named_effect_only_the_model_is_simulated(self, answer, verdict):
-        assert [w.kind for w in worlds(replace(answer, verdict=verdict))] == ["null"]
+        assert [w.kind for w in hypotheses(replace(answer, verdict=verdict))] == ["null"]
 
     def test_a_quarter_for_each_rival_and_at_least_four(self, answer):
         for n, each in ((40, 10), (12, 4), (2, 2)):
@@ -151,8 +151,8 @@ class TestWorlds:
             assert counts["null", ""] == counts["truth", NAME] == n
             assert {c for (kind, _), c in counts.items() if kind == "rival"} == {each}
 
-    def test_an_interrupted_run_has_some_of_every_world(self, answer):
-        first = planned(answer, 10)[: len(worlds(answer))]
+    def test_an_interrupted_run_has_some_of_every_hypothesis(self, answer):
+        first = planned(answer, 10)[: len(hypotheses(answer))]
         assert len({item[:2] for item in first}) == len(first)
 
     def test_recordings_that_are_not_planned_are_refused(self, adequate):

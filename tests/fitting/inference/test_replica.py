@@ -124,23 +124,63 @@ def test_ornstein_uhlenbeck_process(time, step):
     assert np.mean(x[:, 100] * x[:, 100 + lag]) == pytest.approx(np.exp(-lag * step / time), abs=0.2)
 
 
-def test_random_torque_has_the_variance_of_the_whitener(speeds):
+@pytest.mark.parametrize("bodies", ["speeds", "gyroscope"])
+def test_random_torque_has_the_variance_of_the_whitener(request, bodies):
     """Rows of the response to a random torque, whitened with the covariance of the fit, are white."""
-    noise = speeds.noise[0]
-    level = 1e-2
-    loud = replace(speeds, noise=(noise.at(level),))
-    data, moved = speeds.problem.data[0], motion(loud)
+    found = request.getfixturevalue(bodies)
+    noise, level = found.noise[0], 1e-2
+    loud = replace(found, noise=(noise.at(level),))
+    data, moved = found.problem.data[0], motion(loud)
     whitener = noise.whitener.at(level)
     random = np.random.default_rng(0)
+    size = len(whitener.vectors)
+    large = np.argsort(whitener.values[:size])[-5:]
     total = []
     for _ in range(40):
-        (change,) = _replica._random_torque(moved, random)
-        rows = data.sample_rows(change[:, None], [])[:, 0]
-        rotated = whitener.rotated(rows)[: len(whitener.vectors)]
-        large = np.argsort(whitener.values[: len(whitener.vectors)])[-5:]
+        casing, *rotor = _replica._random_torque(moved, random)
+        rows = data.sample_rows(casing[:, None], [r[:, None] for r in rotor])[:, 0]
+        rotated = whitener.rotated(rows)[:size]
         total.append(np.sum(rotated[large] ** 2 / (level**2 * whitener.values[large])))
     assert 0.7 < np.mean(total) / 5 < 1.4
     assert kstest(total, chi2(5).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("body", [0, 1])
+def test_random_torque_acts_on_the_casing_and_between_the_bodies(gyroscope, monkeypatch, body):
+    """A constant torque of 1 uN m: the first accelerates the casing, the second the casing and brakes the rotor."""
+    drawn = iter([float(body == 0), float(body == 1)])
+    monkeypatch.setattr(_replica, "_ornstein_uhlenbeck", lambda t, *_: np.full(len(t), next(drawn)))
+    noise = gyroscope.noise[0].at(1e-6)
+    moved = motion(replace(gyroscope, noise=(replace(noise, unresolved=0.0),)))
+    casing, first, *_ = _replica._random_torque(moved, np.random.default_rng(0))
+    record = gyroscope.problem.data[0].record
+    # the friction of a second changes the angle of the casing by some per cent
+    early = record.casing.time < 1.0
+    expected = 0.5 * 1e-6 / record.I_casing * record.casing.time[early] ** 2
+    assert casing[early][-1] == pytest.approx(expected[-1], rel=0.1)
+    end = record.rotor[0].time[-1]
+    braked = -0.5 * 1e-6 / record.I_rotor * end**2
+    assert first[-1] == pytest.approx(braked, rel=0.2) if body else abs(first[-1]) < 0.2 * abs(braked)
+
+
+def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscope):
+    data = gyroscope.problem.data[0]
+    shifts = []
+    for u in (2e-3, 0.0, np.nan):
+        stated = replace(data, record=replace(data.record, start_sigma=(u,) * 3))
+        found = replace(gyroscope, noise=(replace(gyroscope.noise[0].at(0.0), unresolved=0.0),))
+        moved = _replica._Motion(found, 0, stated)
+        known = moved.values()[1]
+        shifts.append(
+            [
+                np.mean(_replica._recording(moved, np.random.default_rng(s)).rotor[0].value - known)
+                for s in range(30)
+            ]
+        )
+    speed = np.ptp(known) / np.ptp(data.record.rotor[0].time)
+    assert np.std(shifts[0]) == pytest.approx(2e-3 * abs(speed), rel=0.4)
+    assert np.std(shifts[1]) < 1e-3 * abs(speed) * 2e-1
+    assert np.std(shifts[2]) < 1e-3 * abs(speed) * 2e-1
 
 
 def test_no_random_torque_where_the_recording_has_none(speeds):
