@@ -233,7 +233,8 @@ def plausibility_rows(fit: Fit) -> list[Plausibility]:
 
     The torque of an effect is the torque of the model minus that of the model without the effect. The dissipated energy
     is minus the integral of its power; its standard uncertainty follows from the covariance of the parameters of the
-    effect, for a fixed motion. An effect whose law is not friction (it depends on time or angle) may supply energy.
+    effect, for a fixed motion. An effect whose law is not friction (it depends on time or angle) may supply energy. A
+    restoring torque is conservative: its work between the ends of the record is not dissipated.
     """
     several = len(fit.problem.data) > 1
     return [row for i in range(len(fit.problem.data)) for row in _plausibility(fit, i, named=several)]
@@ -280,10 +281,12 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         g = np.array(gradient)
         variance = float(g @ np.nan_to_num(fit.covariance[np.ix_(at, at)], posinf=0.0) @ g) if at else 0.0
         found.append((effect, tau, energy(tau), math.sqrt(max(variance, 0.0))))
-    total = sum(max(e, 0.0) for _, _, e, _ in found) or 1.0
+    total = sum(max(e, 0.0) for effect, _, e, _ in found if not effect.restoring) or 1.0
     rows = []
     for effect, tau, e, u in found:
-        judgement = _judgement(e, u, total, may_supply=_may_supply(effect))
+        judgement = (
+            CONSERVATIVE if effect.restoring else _judgement(e, u, total, may_supply=_may_supply(effect))
+        )
         rows.append(
             Plausibility(
                 effect=effect.name,
@@ -291,7 +294,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
                 rotor=short(float(np.abs(tau[:, 0]).max())),
                 casing=short(float(np.abs(tau[:, 1]).max())),
                 energy=with_uncertainty(e, u, ""),
-                share=f"{100 * e / total:.1f} %".replace("-", "−"),
+                share="–" if effect.restoring else f"{100 * e / total:.1f} %".replace("-", "−"),
                 judgement=judgement,
                 is_unphysical=judgement == UNPHYSICAL,
             )
@@ -307,7 +310,7 @@ def _may_supply(effect: Effect) -> bool:
     return drives or effect.joint == "factor" or "t" in symbols(effect.expression)
 
 
-UNPHYSICAL = "negative dissipation: unphysical"
+UNPHYSICAL, CONSERVATIVE = "negative dissipation: unphysical", "conservative"
 
 
 def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -> str:

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrotrack.apps.report._tables import UNPHYSICAL, plausibility_rows
+from fitting.dynamics._model import Model
+from fitting.inference._fit import fit as fit_model
+from fitting.inference._record import make_record
+from gyrotrack.apps.report._tables import CONSERVATIVE, UNPHYSICAL, plausibility_rows
 
 ADDED = "casing.air.quadratic"
 
@@ -54,3 +57,18 @@ def test_a_negative_friction_is_called_unphysical(story):
         r for r in plausibility_rows(replace(fit, theta=theta, covariance=covariance)) if r.effect == ADDED
     ]
     assert row.judgement == "not distinguished from zero"
+
+
+@pytest.mark.parametrize("quarter", [0.0, 0.25])
+def test_a_spring_stores_energy_and_dissipates_none(quarter):
+    """Damping takes all energy, whether the record ends at the equilibrium or at the largest deflection."""
+    t = np.arange(0, 20.5 + quarter, 0.01)
+    angle = 0.6 * np.exp(-0.02 * t) * np.cos(2 * np.pi * t)
+    noise = np.random.default_rng(1).normal(0, 1e-3, len(t))
+    record = make_record(
+        casing=(t, angle + noise, np.full(len(t), 1e-3)), rotor=[], I_rotor=1, I_casing=1, single=True
+    )
+    found = fit_model(Model.of(["casing.spring.linear", "casing.air.linear"]), [record])
+    spring, drag = plausibility_rows(found)
+    assert (spring.judgement, spring.share, spring.is_unphysical) == (CONSERVATIVE, "–", False)
+    assert (drag.judgement, drag.share) == ("dissipates", "100.0 %")
