@@ -162,3 +162,21 @@ def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     assert (note["marker"], note["frame"], note["by"]) == ("red", 40, "hand")
     assert note["place_px"] == pytest.approx([0.6 * 480, 0.7 * 360], abs=2)
     assert accessibility(page) == []
+
+
+@pytest.mark.slow
+def test_a_table_shows_how_it_is_read_before_it_becomes_a_case(open_page, tmp_path):
+    rows = "".join(f"{i / 50},{90 - 0.5 * i / 50},0.1\n" for i in range(400))
+    (tmp_path / "wheel.csv").write_text("t [s],speed [rpm],temperature\n" + rows, encoding="utf-8")
+    page = open_page()
+    page.get_by_role("button", name="add wheel.csv").click()
+    read = page.get_by_role("table", name="reading of wheel.csv")
+    read.wait_for(timeout=30_000)
+    text = read.inner_text()
+    assert "speed" in text
+    assert "rpm" in text
+    assert "left out" in text
+    plot = page.locator(".reading svg")
+    plot.wait_for()
+    assert "speed of the" in plot.get_attribute("aria-label")
+    assert accessibility(page) == []
