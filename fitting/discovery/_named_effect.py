@@ -228,17 +228,23 @@ class InertiaRival:
         allowed = criteria.inertia_sigma * math.hypot(self.stated, self.share.stderr)
         return self.stated > 0 and abs(self.share.value) <= allowed
 
-    @property
-    def sentence(self) -> str:
-        """The error of the ratio and its stated uncertainty, in words."""
-        error = rounded(100 * self.share.value, 100 * self.share.stderr, "%")
+    def sentence(self, criteria: Criteria) -> str:
+        """Return the error of the ratio and its stated uncertainty in words; empty if it is consistent with zero."""
+        if abs(self.share.value) < criteria.named_sigma * self.share.stderr:
+            return ""
         stated = (
             f"standard uncertainty {100 * self.stated:.2g} %" if self.stated > 0 else "no uncertainty stated"
         )
         return (
-            f"With I_casing/I_rotor larger by {error} than given ({stated}), {self.effect} describes the data "
+            f"With I_casing/I_rotor {_percent_off(self.share)} than given ({stated}), {self.effect} describes the data "
             f"{'better' if self.better else 'as well'}: check the moments of inertia."
         )
+
+
+def _percent_off(share: Estimate) -> str:
+    """Return a relative error in words: ``0.8 +- 0.2 % smaller``."""
+    size = rounded(100 * abs(share.value), 100 * share.stderr, "%")
+    return f"{size} {'smaller' if share.value < 0 else 'larger'}"
 
 
 def with_free_inertia(
@@ -316,7 +322,6 @@ def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Crite
     if abs(share.value) > criteria.inertia_sigma * math.hypot(u, share.stderr):
         return ""
     return (
-        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor larger by "
-        f"{rounded(100 * share.value, 100 * share.stderr, '%')} than given (standard uncertainty {100 * u:.2g} %) "
-        "explains the lack of fit."
+        f"The model is adequate within the uncertainty of the moments of inertia: I_casing/I_rotor "
+        f"{_percent_off(share)} than given (standard uncertainty {100 * u:.2g} %) explains the lack of fit."
     )

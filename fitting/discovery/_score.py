@@ -520,6 +520,11 @@ class NullDistribution:
         single = np.minimum(_tail(max(score, 0.0) / self._scales, max(columns, 1)), 1 - 1e-12)
         return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
+    def at_one_level(self, score: float) -> float:
+        """Return the p-value of a score at a known process noise."""
+        single = min(float(_tail(score, max(self._columns, 1))), 1 - 1e-12)
+        return float(_any_of(self._number_of_trials, np.array(single)))
+
     def of_draws(self) -> Array:
         """Return the p-value of each null data set."""
         single = np.minimum(_tail(self.draws, self._columns), 1 - 1e-12)

@@ -256,6 +256,9 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
     if screened.own_phase:
         other = refit(base, with_common_phase(screened), criteria, thorough=thorough)
         found = other if other is not None and other.bic < found.bic else found
+    if not found.converged:
+        # a quick search is far from the minimum where a parameter of the base was at its bound
+        found = _refined(found, criteria)
     delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
     common = None if screened.own_phase else with_common_values(base, screened, found)
     if common is not None:
@@ -528,6 +531,9 @@ def select(
         now_best = best(separated, criteria)
         if now_best is not None and now_best.effect.name == chosen.effect.name:
             ranked, chosen = separated, now_best
+    if chosen.effect.name in named.model.names:
+        stated = replace(chosen, estimates=_own_estimates(named, chosen.effect))
+        ranked, chosen = [stated if c is chosen else c for c in ranked], stated
     return Selection(ranked, chosen, named, end)
 
 

@@ -374,7 +374,7 @@ def _diagnosis(
     if noisy:
         random = with_random_torque(fit, criteria)
         # above its ceiling it is no noise
-        random = random if describes(random, criteria) else None
+        random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
         verdict, size = "unexplained" if unexplained else "undecided", Grade(None, None, None)
@@ -394,7 +394,7 @@ def _diagnosis(
     return Diagnosis(
         fit=fit,
         verdict=verdict,
-        sentence=(within_uncertainty or sentence) + (f" {rival.sentence}" if rival is not None else ""),
+        sentence=f"{within_uncertainty or sentence} {rival.sentence(criteria) if rival is not None else ''}".strip(),
         failures=tuple(failures),
         candidates=tuple(selection.candidates),
         form=size.form if verdict == "missing_effect" else None,
@@ -437,12 +437,16 @@ def _random_alternative(
     if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
         return None
     chosen = selection.chosen
-    if chosen is not None and not chosen.physical:
+    if chosen is not None and chosen.effect in (START, SLIP):
         return None
     random = with_random_torque(fit, criteria)
     if not describes(random, criteria):
         return None
-    if chosen is not None and is_established(random, selection.named, len(selection.candidates), criteria):
+    if chosen is None and not random.is_raised:
+        return None
+    if chosen is not None and is_established(
+        random, chosen, selection.named, len(selection.candidates), criteria
+    ):
         return None
     # a deterministic law of a speed leaves a structure that a random torque does not have
     return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
@@ -464,9 +468,12 @@ def _undecided(
         names = [] if chosen is None else [chosen.effect.name, *chosen.indistinguishable_from]
         rivals = f" as well as {', '.join(names)}" if names else ""
         words = f"{random.words[0].upper()}{random.words[1:]}"
-        parts.append(
-            f"{words} describes the data{rivals}; without the model the recording does not establish its level."
+        level = (
+            "without the model the recording does not establish its level"
+            if random.is_raised
+            else "the recording shows this level without a model"
         )
+        parts.append(f"{words} describes the data{rivals}; {level}.")
         if chosen is not None:
             parts.append(
                 "Repeat the recording: a law returns with the same strength, a random torque does not."
@@ -594,7 +601,7 @@ def _sentence(
             if verdict == "unexplained"
             else _missing(selection, size, criteria)
         )
-        parts += _active_bounds(fit)
+        parts += _active_bounds(selection.final if verdict == "missing_effect" else fit)
     return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
 
 

@@ -49,6 +49,15 @@ class Whitener:
         rotated[:m] = self.vectors @ rotated[:m]
         return rotated
 
+    def coloured(self, white: Array) -> Array:
+        """Return C^(1/2) times white rows."""
+        m, n = len(self.vectors), len(self.values)
+        rows = self.rotated(white)
+        scale = np.sqrt(1 + self.level**2 * self.values)
+        rows[:n] *= scale if rows.ndim == 1 else scale[:, None]
+        rows[:m] = self.vectors @ rows[:m]
+        return rows
+
     def rotated(self, rows: Array) -> Array:
         """Return rows along the principal axes of K."""
         m = len(self.vectors)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import release_pages
-from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, local_fit, median_of, spread
+from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, median_of, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
 from gyrotrack.tracking._association import SENSE_TURN, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._film_tracker import BATCH, FilmObservations
@@ -55,6 +55,7 @@ from gyrotrack.tracking._orbit import (
 )
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
+from gyrotrack.tracking._template_zeros import TemplateZeros, scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
 from gyrotrack.video._time_base import FrameTimes
 
@@ -684,8 +685,9 @@ def _followed(
         if texture is None:
             continue
         usual = usual_error_by_place(views[name]) / views[name].radius
+        others = [b.angle for n, b in bodies.items() if n != name]
         bodies[name] = by_texture(
-            body, texture, centre, flat, seen.bodies[name].coarse, fps, usual, time_base
+            body, texture, centre, flat, seen.bodies[name].coarse, fps, usual, time_base, others
         )
         bodies[name] = replace(bodies[name], harmonic=harmonic_error(bodies[name].angle))
     return bodies, warnings
@@ -742,11 +744,7 @@ def harmonic_error(angle: Floats) -> float:
     return math.sqrt(largest)
 
 
-# half width of the parabolas by which the slow part of the difference between texture and markers is fitted [frames]:
-# several batches, whose templates have slightly different zeros, and more than the seconds for which a neighbour can
-# pass in step with the frames
-SLOW_PART = 2560
-# number of turns from which errors of the markers that repeat with the turn do not affect such parabolas
+# number of turns from which errors of the markers that repeat with the turn average out
 MANY_TURNS = 10.0
 
 
@@ -759,22 +757,29 @@ def by_texture(
     fps: float,
     usual: float,
     time_base: TimeBase | None = None,
+    others: Sequence[Floats] = (),
 ) -> BodyAngles:
     """Return a body with the angles of its texture if their averages are better than those of its markers.
 
-    The zeros of the templates follow from the markers: the slow part of the difference is that of the markers, the fast
-    one that of the texture. Errors that repeat with the angle are learnt and the uncertainty is calibrated as for a
-    marker (`join`). Errors by place that the zones share are at least `usual` [rad] if they cannot be learnt: an
-    encoder keeps a body at rest fixed in the picture, in all zones.
+    The zeros of the templates follow from the markers (`template_zeros`), which err beside those of `others`, bodies of
+    the angles (n,) [rad]; of a body that turns a few times, they have one zero. Errors that repeat with the angle are
+    learnt and the uncertainty is calibrated as for a marker (`join`). Errors by place that the zones share are at least
+    `usual` [rad] if they cannot be learnt: an encoder keeps a body at rest fixed in the picture, in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
-    slow, scatter = _slow_part(off, parabolas=abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi)
     good = np.isfinite(angle)
+    middle = median_of(off[np.isfinite(off)])
+    off = middle + wrapped(off - middle)
+    template = texture.template
+    if abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi:
+        zeros = template_zeros(off, template, [body.angle, *(a - body.angle for a in others)])
+    else:
+        zeros = TemplateZeros(np.full(len(off), middle), scatter_of_templates(off - middle, template))
     columns = {
-        "angle": wrapped(np.nan_to_num(angle + slow)),
+        "angle": wrapped(np.nan_to_num(angle + zeros.zero)),
         "good": good,
         "open": good,
         "weak": np.where(good, texture.sigma / median_of(texture.sigma[good]), 1.0),
@@ -795,14 +800,15 @@ def by_texture(
         return body
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
     # where a body is slow, its template may respond to the centre more than where the errors are learnt
-    periodic = float(np.nanmax(of_view)) if scatter else 0.0
-    return replace(body, angle=angle, sigma=sigma, slow=(scatter, float(BATCH)), periodic=periodic)
+    periodic = float(np.nanmax(of_view)) if zeros.uncertainty else 0.0
+    return replace(body, angle=angle, sigma=sigma, slow=(zeros.uncertainty, float(BATCH)), periodic=periodic)
 
 
 _AVERAGED = (
     0.1  # time over which angles are averaged before they are compared [s]: a torque takes longer to act
 )
 _FEWEST_AVERAGED = 8
+_FEWEST_MEANS = 12
 _MOST_NOISE = 2.0  # ratio of the standard uncertainties of two angles from which the noisier one is not used
 
 
@@ -825,47 +831,6 @@ def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
     means = off[: count * m].reshape(count, m).mean(axis=1)
     excess = max(float(np.var(means)) - (new + old) / m, 0.0) if count >= _FEWEST_MEANS else 0.0
     return bool(new < min(old + m * excess, _MOST_NOISE**2 * old))
-
-
-_ALIKE = 64  # frames that are averaged: errors beside a neighbour that passes in step with the frames are alike in them
-_ROUNDS, _FEWEST_MEANS = 10, 12
-_FAR_OFF = 4.0  # robust standard deviations from which such a mean does not enter the slow part
-
-
-def _slow_part(off: Floats, *, parabolas: bool) -> tuple[Floats, float]:
-    """Return the slow part of differences of two angles (n,) [rad], NaN where unknown, and the scatter of batches.
-
-    The slow part are parabolas, or the median. The scatter of the means of batches about it contains the slow errors of
-    both angles; 0 for fewer than `_FEWEST_BATCHES`.
-    """
-    middle = median_of(off[np.isfinite(off)])
-    off = middle + wrapped(off - middle)
-    pieces = np.array_split(off, max(len(off) // _ALIKE, 1))
-    mean = np.array([median_of(p[np.isfinite(p)]) if np.isfinite(p).any() else np.nan for p in pieces])
-    weight: Floats = np.isfinite(mean).astype(np.float64)
-    if not parabolas or len(mean) < _FEWEST_MEANS:
-        middle = median_of(mean[np.isfinite(mean)])
-        return np.full(len(off), middle), _scatter_of_batches(mean - middle)
-    for _ in range(_ROUNDS):
-        fitted, _ = local_fit(mean, weight, SLOW_PART // _ALIKE)
-        far = np.nan_to_num((mean - fitted) / (_FAR_OFF * spread(mean - fitted)), nan=1.0)
-        weight = np.where(np.abs(far) < 1.0, (1.0 - far**2) ** 2, 0.0)  # Tukey's bisquare
-    place = (np.arange(len(mean)) + 0.5) * len(off) / len(mean)
-    known = np.isfinite(fitted)
-    slow = np.asarray(np.interp(np.arange(len(off)), place[known], fitted[known]))
-    return slow, _scatter_of_batches(mean - fitted)
-
-
-_FEWEST_BATCHES = 5
-
-
-def _scatter_of_batches(off: Floats) -> float:
-    """Return the robust standard deviation of the means over a batch of means over `_ALIKE` frames."""
-    count = BATCH // _ALIKE
-    whole = off[: len(off) // count * count].reshape(-1, count)
-    if len(whole) < _FEWEST_BATCHES:
-        return 0.0
-    return spread(np.array([np.median(one[np.isfinite(one)]) for one in whole if np.isfinite(one).any()]))
 
 
 def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, profile: Profile) -> CentrePath:

@@ -98,6 +98,15 @@ class TextureObservations:
         """Return the frames `index`."""
         return TextureObservations(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
+    @property
+    def template(self) -> npt.NDArray[np.int64]:
+        """Number of the template of each frame, (n,), from 0: frames of one template have the same moments."""
+        known = np.flatnonzero(np.isfinite(self.angle))
+        number = np.zeros(len(self.angle), dtype=np.int64)
+        moments = np.concatenate([self.first[known], self.second[known]], axis=1)
+        number[known[1:]] = np.any(np.diff(moments, axis=0) != 0.0, axis=1)
+        return np.cumsum(number)
+
     def levelled(self, centre: Floats, p: float, q: float) -> Floats:
         """Return the angles about the centres (n, 2) [px], corrected for the flattening (p, q) of an oblique view.
 

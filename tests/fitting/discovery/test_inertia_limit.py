@@ -35,11 +35,21 @@ def said(share, casing_u, rotor_u=math.nan, effect="setup.inertia"):
 
 
 def test_an_error_within_two_standard_uncertainties_is_allowed():
-    assert "larger by 1.000 +- 0.010 %" in said(0.01, 0.006)
+    assert "I_casing/I_rotor 1.000 +- 0.010 % larger than given" in said(0.01, 0.006)
     assert said(0.01, 0.004) == ""
     # 3 % and 4 % in quadrature
     assert said(0.09, 0.03, 0.04) != ""
     assert said(0.11, 0.03, 0.04) == ""
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(-3.1e-3, "0.31 +- 0.10 % smaller"), (3.1e-3, "0.31 +- 0.10 % larger"), (-2.9e-3, "")],
+)
+def test_an_error_of_inertia_that_is_consistent_with_zero_is_not_told(share, words):
+    rival = InertiaRival(Estimate(share, 1e-3, "1", at_bound=False), 0.0, "bearing.load", None, better=False)
+    told = rival.sentence(Criteria())
+    assert (words in told) if words else told == ""
 
 
 def test_without_an_uncertainty_or_for_another_effect_nothing_is_allowed():
@@ -105,7 +115,7 @@ def test_an_error_of_inertia_is_allowed_only_by_a_stated_uncertainty():
     share = Estimate(0.03, 0.001, "1", at_bound=False)
     rival = InertiaRival(share, 0.0, "bearing.constant", None, better=True)
     assert not rival.is_allowed(Criteria())
-    assert "(no uncertainty stated)" in rival.sentence
-    assert "larger by 3.00 +- 0.10 %" in rival.sentence
+    assert "(no uncertainty stated)" in rival.sentence(Criteria())
+    assert "With I_casing/I_rotor 3.00 +- 0.10 % larger than given" in rival.sentence(Criteria())
     assert replace(rival, stated=0.02).is_allowed(Criteria())
     assert not replace(rival, stated=0.01).is_allowed(Criteria())

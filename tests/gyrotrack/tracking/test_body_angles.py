@@ -317,10 +317,14 @@ class TestTexture:
         texture = TextureObservations(
             true - 0.3 + texture_sigma * rng.standard_normal(n),
             texture_sigma * column, 0.1 * texture_sigma * column, column,
-            np.tile(CENTRE, (n, 1)), np.tile([periodic, 0.0], (n, 1)), np.zeros((n, 2)),
+            np.tile(CENTRE, (n, 1)), np.tile([periodic, 0.0], (n, 1)), self.moments(n),
         )  # fmt: skip
         flat = Flattening({}, 0.0, 0.0)
         return true, marker, by_texture(marker, texture, path(n, 0.0), flat, true, 250.0, 1e-5)
+
+    def moments(self, n):
+        """Moments of which those of each template differ."""
+        return np.stack([1e-9 * (np.arange(n) // module.BATCH), np.zeros(n)], axis=1)
 
     def test_the_more_precise_angle_is_taken_with_the_zero_of_the_markers(self):
         true, _, found = self.both(2e-3, 5e-4)

@@ -1,0 +1,153 @@
+"""Zero of the angle of each template of a body's texture, from the angles of its markers.
+
+The texture of a body gives its angle about the template of a batch of frames. Templates are registered to each other,
+but the picture changes with motion blur and light, so the zero z_b of a template drifts from batch to batch. The
+markers have a fixed zero. In batch b the mean difference m_b of both angles is
+
+    m_b = z_b + e_b,   z_b = z_(b-1) + w_b,   var e_b = s_b^2 / n_b + x^2 + sum_k A_k^2 |<exp(i k a)>_b|^2 / 2,
+    var w_b = q^2,
+
+a local level model (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge (1989)).
+s_b is the scatter of the differences in the n_b frames. A marker errs with harmonics k of its own angle a and of the
+angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in which they
+average out. Where the frames are in step with such a harmonic, it does not average out, and the markers tell little
+about the zero. q and x are those of the largest likelihood, and the zeros are smoothed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._smoothing import median_of, spread
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+FEWEST_TEMPLATES = 5  # from which the variance of the steps between zeros can be estimated
+_ORDERS = range(1, 13)
+_AVERAGED_OUT = 0.2  # |<exp(i k a)>| of a batch up to which the amplitude of the harmonic k is measured in it
+_FEWEST_FRAMES = 32  # of a batch in which the mean difference is used
+_FAR = 5.0  # robust standard deviations of a batch beyond which a difference is an outlier
+# steps q and common errors x that are tried, over the typical uncertainty of a mean
+_STEPS = np.concatenate([[0.0], np.geomspace(0.05, 50.0, 16)])
+_COMMON = np.concatenate([[0.0], np.geomspace(0.3, 30.0, 10)])
+
+
+@dataclass(frozen=True)
+class TemplateZeros:
+    """Zeros of the templates of a film.
+
+    Attributes
+    ----------
+    zero : ndarray, shape (n,)
+        What is added to the angle of the texture in each frame [rad].
+    uncertainty : float
+        Root mean square standard uncertainty of the zeros [rad]; the frames of a batch share its error. 0 where it is
+        not known.
+    """
+
+    zero: Floats
+    uncertainty: float
+
+
+def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) -> TemplateZeros:
+    """Return the zeros of the templates of a body that turns many times.
+
+    Parameters
+    ----------
+    off : ndarray, shape (n,)
+        Angle of the markers less that of the texture [rad], without whole turns; NaN where one is not known.
+    template : ndarray, shape (n,)
+        Number of the template of each frame, from 0.
+    angles : sequence of ndarray, shape (n,)
+        Angles with whose harmonics the markers err [rad].
+    """
+    count = int(template.max(initial=-1)) + 1
+    batches = [np.flatnonzero((template == b) & np.isfinite(off)) for b in range(count)]
+    batches = [_without_outliers(off, frames) for frames in batches]
+    used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
+    known = np.isfinite(off)
+    if len(used) < FEWEST_TEMPLATES:
+        return TemplateZeros(np.full(len(off), median_of(off[known]) if known.any() else 0.0), 0.0)
+    mean = np.array([float(off[batches[b]].mean()) for b in used])
+    variance = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
+    variance += sum(
+        (_harmonic_variance(off, a, [batches[b] for b in used], variance) for a in angles),
+        np.zeros(len(used)),
+    )
+    gaps = np.diff(used).astype(np.float64)
+    zero, left = _smoothed(mean, variance, gaps)
+    return TemplateZeros(np.interp(np.arange(count), used, zero)[template], float(np.sqrt(left.mean())))
+
+
+def scatter_of_templates(off: Floats, template: Integers) -> float:
+    """Return the robust standard deviation of the medians of differences (n,) [rad] over the frames of each template.
+
+    0 for fewer than `FEWEST_TEMPLATES`.
+    """
+    known = np.isfinite(off)
+    medians = [median_of(off[known & (template == b)]) for b in np.unique(template[known])]
+    return spread(np.array(medians)) if len(medians) >= FEWEST_TEMPLATES else 0.0
+
+
+def _without_outliers(off: Floats, frames: Integers) -> Integers:
+    if len(frames) < _FEWEST_FRAMES:
+        return frames
+    apart = off[frames] - median_of(off[frames])
+    return frames[np.abs(apart) < _FAR * max(spread(apart), 1e-12)]
+
+
+def _harmonic_variance(off: Floats, angle: Floats, batches: Sequence[Integers], white: Floats) -> Floats:
+    """Return the variance of the mean of each batch by harmonics of an angle, (batches,) [rad^2]."""
+    total = np.zeros(len(batches))
+    for order in _ORDERS:
+        left, squares = np.zeros(len(batches)), []
+        for i, frames in enumerate(batches):
+            frames = frames[np.isfinite(angle[frames])]
+            if len(frames) < _FEWEST_FRAMES:
+                continue
+            wave = np.exp(-1j * order * angle[frames])
+            left[i] = abs(complex(wave.mean())) ** 2
+            if left[i] < _AVERAGED_OUT**2:
+                apart = off[frames] - off[frames].mean()
+                # white noise of variance s^2 in n frames adds 4 s^2 / n to the square of an amplitude
+                squares.append(abs(complex(2.0 * np.mean(apart * wave))) ** 2 - 4.0 * float(white[i]))
+        if squares:
+            total += 0.5 * max(float(np.mean(squares)), 0.0) * left
+    return total
+
+
+def _smoothed(mean: Floats, variance: Floats, gaps: Floats) -> tuple[Floats, Floats]:
+    """Return the most likely zeros and their variances, (batches,); `gaps` (batches - 1,) are counted in batches."""
+    unit = math.sqrt(median_of(variance))
+    best = max(
+        ((q, x) for q in unit * _STEPS for x in unit * _COMMON),
+        key=lambda k: _filtered(mean, variance + k[1] ** 2, k[0] ** 2 * gaps)[2],
+    )
+    step, error = best[0] ** 2 * gaps, variance + best[1] ** 2
+    level, spread_, _ = _filtered(mean, error, step)
+    for b in range(len(mean) - 2, -1, -1):
+        # Rauch, Tung and Striebel's smoother
+        gain = spread_[b] / (spread_[b] + step[b])
+        level[b] += gain * (level[b + 1] - level[b])
+        spread_[b] += gain**2 * (spread_[b + 1] - spread_[b] - step[b])
+    return level, spread_
+
+
+def _filtered(mean: Floats, variance: Floats, step: Floats) -> tuple[Floats, Floats, float]:
+    """Return the filtered zeros, their variances, and the logarithm of the likelihood, the first zero unknown."""
+    level, left = mean.copy(), variance.copy()
+    likelihood = 0.0
+    for b in range(1, len(mean)):
+        before = left[b - 1] + step[b - 1]
+        innovation = mean[b] - level[b - 1]
+        total = before + variance[b]
+        likelihood -= 0.5 * (math.log(total) + innovation**2 / total)
+        level[b] = level[b - 1] + before / total * innovation
+        left[b] = before * variance[b] / total
+    return level, left, likelihood

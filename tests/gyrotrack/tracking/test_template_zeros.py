@@ -1,0 +1,141 @@
+"""Zeros of the templates of a texture, from the angles of the markers, and which of both angles is used."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking._body_angles import _averages_better
+from gyrotrack.tracking._template_zeros import scatter_of_templates, template_zeros
+from gyrotrack.tracking._texture import TextureObservations
+
+BATCH, COUNT = 512, 30
+N = BATCH * COUNT
+TEMPLATE = np.repeat(np.arange(COUNT), BATCH)
+ANGLE = 0.4 * np.arange(N)
+SIGMA = 1.5e-3  # of a frame; its mean over a batch has 0.07 mrad
+
+
+def noise(seed=0):
+    return SIGMA * np.random.default_rng(seed).standard_normal(N)
+
+
+def zeros(off, *angles, template=TEMPLATE):
+    found = template_zeros(off, template, angles or (ANGLE,))
+    return found.zero[::BATCH], found.uncertainty
+
+
+def steps(size, seed=1):
+    return np.cumsum(size * np.random.default_rng(seed).standard_normal(COUNT))
+
+
+def test_a_step_between_two_templates_is_followed_at_once():
+    true = np.where(np.arange(COUNT) < 11, 0.0, 3e-3)
+    found, _ = zeros(true[TEMPLATE] + noise())
+    assert np.abs(found - true).max() < 0.35e-3
+
+
+def test_the_uncertainty_is_the_error():
+    z = []
+    for seed in range(20):
+        true = steps(0.2e-3, seed)
+        found, u = zeros(true[TEMPLATE] + noise(100 + seed))
+        z.append(np.sqrt(np.mean((found - true) ** 2)) / u)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
+
+
+def test_equal_zeros_are_averaged():
+    """30 batches determine one zero to 0.07 mrad / sqrt(30); as many zeros would have 0.07 mrad each."""
+    found, u = zeros(noise())
+    assert np.ptp(found) < 0.05e-3
+    assert abs(found.mean()) < 0.05e-3
+    assert u < 0.035e-3
+
+
+def beside_a_neighbour(amplitude, order=3):
+    """Return angles beside another body, in step with the frames in batches 12 to 14, and the error they cause."""
+    rate = np.where((TEMPLATE >= 12) & (TEMPLATE < 15), 2 * np.pi / order, 1.234 + 0.001 * TEMPLATE)
+    relative = 0.3 + np.cumsum(rate)
+    return relative, amplitude * np.cos(order * (relative - relative[13 * BATCH]))
+
+
+def test_a_neighbour_in_step_with_the_frames_is_not_followed():
+    """The error of 3 mrad is constant for 1,500 frames; where it is known by what it does elsewhere, it is no zero."""
+    relative, error = beside_a_neighbour(3e-3)
+    off = error + noise()
+    assert np.abs(zeros(off, ANGLE, relative)[0]).max() < 0.4e-3
+    assert np.abs(zeros(off, ANGLE)[0]).max() > 1.5e-3
+
+
+def test_a_neighbour_that_is_not_measured_elsewhere_is_no_reason_to_doubt():
+    relative, _ = beside_a_neighbour(0.0)
+    true = np.where((np.arange(COUNT) >= 12) & (np.arange(COUNT) < 15), 3e-3, 0.0)
+    found, _ = zeros(true[TEMPLATE] + noise(), ANGLE, relative)
+    assert np.abs(found - true).max() < 0.3e-3
+
+
+def test_outliers_and_missing_frames_do_not_count():
+    off = steps(0.3e-3)[TEMPLATE] + noise()
+    expected, _ = zeros(off)
+    off[::50] += 0.2
+    off[5 * BATCH : 6 * BATCH - 20] = np.nan  # a batch of 20 frames is too short to be used
+    found, _ = zeros(off)
+    others = np.arange(COUNT) != 5
+    assert np.abs(found - expected)[others].max() < 0.1e-3
+    assert found[5] == pytest.approx(0.5 * (found[4] + found[6]))
+
+
+@pytest.mark.parametrize(("count", "constant"), [(4, True), (5, False)])
+def test_few_templates_have_one_zero(count, constant):
+    n = count * BATCH
+    found = template_zeros((np.arange(count) * 2e-3)[TEMPLATE[:n]] + noise()[:n], TEMPLATE[:n], [ANGLE[:n]])
+    assert (np.ptp(found.zero) == 0.0) == constant
+    assert (found.uncertainty == 0.0) == constant
+
+
+def test_the_scatter_is_that_of_the_templates():
+    rng = np.random.default_rng(1)
+    template = np.repeat(np.arange(200), 8)
+    off = (2e-4 * rng.standard_normal(200))[template]
+    off[::9] = np.nan
+    assert scatter_of_templates(off, template) == pytest.approx(2e-4, rel=0.25)
+    assert scatter_of_templates(off[: 4 * 8], template[: 4 * 8]) == 0.0
+    assert scatter_of_templates(off[: 5 * 8], template[: 5 * 8]) > 0.0
+
+
+def test_frames_with_the_same_moments_have_one_template():
+    column = np.ones(7)
+    angle = np.array([np.nan, 0.0, 0.1, np.nan, 0.2, 0.3, 0.4])
+    moment = np.array([0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 2.0])
+    seen = TextureObservations(
+        angle, column, column, column, np.zeros((7, 2)), np.stack([moment, 0 * moment], 1), np.zeros((7, 2))
+    )
+    assert seen.template.tolist() == [0, 0, 0, 0, 0, 1, 1]
+
+
+def angles(sigma, error=0.0, seed=0):
+    noise = sigma * np.random.default_rng(seed).standard_normal(N)
+    return SimpleNamespace(angle=noise + error, sigma=np.full(N, sigma))
+
+
+# a neighbour that passes once in 130 frames, in step with the frames: 0.5 s at 260 fps
+BESIDE = 1e-3 * np.sin(2 * np.pi * np.arange(N) / 130)
+
+
+@pytest.mark.parametrize(
+    ("ring", "error", "better"),
+    [
+        (0.97e-3, 0.0, True),  # less noise, and no error beside a neighbour
+        (1.15e-3, 0.0, False),
+        (1.7e-3, BESIDE, True),  # an average of 26 frames errs by 0.3 mrad for 0.7 mrad
+        (1.7e-3, 0.2 * BESIDE, False),  # 0.3 mrad for 0.24 mrad
+        (2.1e-3, BESIDE, False),  # more than twice the noise
+    ],
+)
+def test_the_angle_whose_averages_err_less_is_used(ring, error, better):
+    assert _averages_better(angles(ring, seed=1), angles(1e-3, error), 260.0) == better
+
+
+def test_a_ring_without_angles_is_not_used():
+    none = SimpleNamespace(angle=np.full(N, np.nan), sigma=np.full(N, 1e-6))
+    assert not _averages_better(none, angles(1e-3), 260.0)
