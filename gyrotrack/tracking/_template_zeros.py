@@ -5,13 +5,14 @@ but the picture changes with motion blur and light, so the zero z_b of a templat
 markers have a fixed zero. In batch b the mean difference m_b of both angles is
 
     m_b = z_b + e_b,   z_b = z_(b-1) + w_b,   var e_b = s_b^2 / n_b + x^2 + sum_k A_k^2 |<exp(i k a)>_b|^2 / 2,
-    var w_b = q^2,
+    var w_b = q^2 + p^2 (omega_b - omega_(b-1))^2,
 
 a local level model (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge (1989)).
 s_b is the scatter of the differences in the n_b frames. A marker errs with harmonics k of its own angle a and of the
 angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in which they
 average out. Where the frames are in step with such a harmonic, it does not average out, and the markers tell little
-about the zero. q and x are those of the largest likelihood, and the zeros are smoothed.
+about the zero. The speed omega_b blurs a template; p = 0 for a steady body. q, p and x are those of the largest
+likelihood, and the zeros are smoothed.
 """
 
 from __future__ import annotations
@@ -31,11 +32,13 @@ Integers = npt.NDArray[np.int64]
 FEWEST_TEMPLATES = 5  # from which the variance of the steps between zeros can be estimated
 _ORDERS = range(1, 13)
 _AVERAGED_OUT = 0.2  # |<exp(i k a)>| of a batch up to which the amplitude of the harmonic k is measured in it
+_STEADY = 0.01  # root mean square change of speed between batches, over the speed, of a steady body
 _FEWEST_FRAMES = 32  # of a batch in which the mean difference is used
 _FAR = 5.0  # robust standard deviations of a batch beyond which a difference is an outlier
-# steps q and common errors x that are tried, over the typical uncertainty of a mean
-_STEPS = np.concatenate([[0.0], np.geomspace(0.05, 50.0, 16)])
-_COMMON = np.concatenate([[0.0], np.geomspace(0.3, 30.0, 10)])
+# steps q, p times the root mean square change of speed, and common errors x that are tried, over the typical
+# uncertainty of a mean
+_STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
+_COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     template : ndarray, shape (n,)
         Number of the template of each frame, from 0.
     angles : sequence of ndarray, shape (n,)
-        Angles with whose harmonics the markers err [rad].
+        Angles with whose harmonics the markers err [rad], first that of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
     batches = [np.flatnonzero((template == b) & np.isfinite(off)) for b in range(count)]
@@ -80,8 +83,11 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
         (_harmonic_variance(off, a, [batches[b] for b in used], variance) for a in angles),
         np.zeros(len(used)),
     )
-    gaps = np.diff(used).astype(np.float64)
-    zero, left = _smoothed(mean, variance, gaps)
+    speed = np.array([_mean_rate(angles[0][batches[b]], batches[b]) for b in used])
+    change = np.diff(speed) ** 2
+    if change.mean() < _STEADY**2 * np.mean(speed**2):
+        change[:] = 0.0
+    zero, left = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
     return TemplateZeros(np.interp(np.arange(count), used, zero)[template], float(np.sqrt(left.mean())))
 
 
@@ -122,14 +128,26 @@ def _harmonic_variance(off: Floats, angle: Floats, batches: Sequence[Integers], 
     return total
 
 
-def _smoothed(mean: Floats, variance: Floats, gaps: Floats) -> tuple[Floats, Floats]:
-    """Return the most likely zeros and their variances, (batches,); `gaps` (batches - 1,) are counted in batches."""
+def _mean_rate(angle: Floats, frames: Integers) -> float:
+    """Return the mean speed in some frames [rad per frame]."""
+    return float(angle[-1] - angle[0]) / float(frames[-1] - frames[0])
+
+
+def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats]:
+    """Return the most likely zeros and their variances, (batches,).
+
+    From batch to batch, (batches - 1,), `gaps` are counted in batches, and `change` is the squared change of speed.
+    """
     unit = math.sqrt(median_of(variance))
-    best = max(
-        ((q, x) for q in unit * _STEPS for x in unit * _COMMON),
-        key=lambda k: _filtered(mean, variance + k[1] ** 2, k[0] ** 2 * gaps)[2],
-    )
-    step, error = best[0] ** 2 * gaps, variance + best[1] ** 2
+    usual = float(change.mean())
+    change = change / usual if usual > 0 else change
+    trials = [
+        (q**2 * gaps + p**2 * change, variance + x**2)
+        for q in unit * _STEPS
+        for p in unit * _STEPS[:: 1 if usual > 0 else len(_STEPS)]
+        for x in unit * _COMMON
+    ]
+    step, error = max(trials, key=lambda t: _filtered(mean, t[1], t[0])[2])
     level, spread_, _ = _filtered(mean, error, step)
     for b in range(len(mean) - 2, -1, -1):
         # Rauch, Tung and Striebel's smoother

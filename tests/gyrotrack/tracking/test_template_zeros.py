@@ -32,7 +32,7 @@ def steps(size, seed=1):
 def test_a_step_between_two_templates_is_followed_at_once():
     true = np.where(np.arange(COUNT) < 11, 0.0, 3e-3)
     found, _ = zeros(true[TEMPLATE] + noise())
-    assert np.abs(found - true).max() < 0.35e-3
+    assert np.abs(found - true).max() < 0.5e-3
 
 
 def test_the_uncertainty_is_the_error():
@@ -72,6 +72,22 @@ def test_a_neighbour_that_is_not_measured_elsewhere_is_no_reason_to_doubt():
     true = np.where((np.arange(COUNT) >= 12) & (np.arange(COUNT) < 15), 3e-3, 0.0)
     found, _ = zeros(true[TEMPLATE] + noise(), ANGLE, relative)
     assert np.abs(found - true).max() < 0.3e-3
+
+
+@pytest.mark.parametrize(("change", "followed"), [(0.03, True), (0.003, False)])
+def test_a_change_of_speed_moves_a_zero(change, followed):
+    """In 5 of 30 batches the speed changes, and the zeros with it by 1 mrad: they are followed at these places alone.
+
+    The noise of a batch is as large as the step; without the speeds it would be smoothed away.
+    """
+    places = np.array([4, 9, 14, 19, 24])
+    sense = np.array([1.0, -1.0, 1.0, 1.0, -1.0])
+    speeds = 0.4 + 0.4 * change * np.sqrt(COUNT / 5) * np.cumsum(np.bincount(places, sense, COUNT))
+    true = 1e-3 * np.cumsum(np.bincount(places, sense, COUNT))
+    noisy = 6.0 * noise(3)  # 0.4 mrad in the mean of a batch
+    found, _ = zeros(true[TEMPLATE] + noisy, np.cumsum(speeds[TEMPLATE]))
+    error = np.sqrt(np.mean((found - true) ** 2))
+    assert (error < 0.22e-3) == followed
 
 
 def test_outliers_and_missing_frames_do_not_count():
