@@ -51,6 +51,11 @@ from gyrotrack.synchronisation._matching import (
 )
 
 RATE_SIGMA = 1e-3  # prior standard deviation of the clock rate
+# Difference of the rates of clips from which they cannot be those of one camera. The crystal of a clock changes by some
+# 1e-6 in a run; where the casing slows down evenly, start and rate are nearly exchangeable, and slow errors of tracking
+# imitate differences of some 1e-5
+ONE_CLOCK = 2e-4
+UNLIKELY = 1e-4  # probability of a larger difference of rates by white errors, below which they differ
 MAX_LENGTH = 3.0  # s
 GRID = 0.1  # s
 FINE_GRID = 0.005  # s
@@ -69,7 +74,7 @@ NEAR = 1e-3  # starts within this interval are equal [s]
 EXCLUDED = 25.0  # increase of chi2 above which an alternative start is excluded
 MAX_START_SIGMA = 1e-3  # largest uncertainty of a start that is not ambiguous [s]
 MAX_CHANCE = 1e-3  # largest probability that directions agree by chance
-AGREE = 4.0  # largest difference of equal directions [sigma]
+AGREE = 4.0  # largest difference of equal directions, or rates [sigma]
 RESOLVED = TURN / 10  # largest uncertainty of a direction that identifies the turn [rad]
 MAX_COMBINATIONS = 64
 
@@ -369,21 +374,30 @@ def match_clips(
 
 
 def _match_camera(prepared: list[Prepared]) -> list[Match]:
+    """Match the clips of one camera.
+
+    They have one clock rate. Where separate rates describe them better, by less than clocks of two cameras differ, the
+    difference is an error of tracking: chi2 of the common rate over its degrees of freedom then increases all variances
+    (R. T. Birge, Phys. Rev. 40, 207 (1932)).
+    """
     pairs = [p.pair for p in prepared]
-    common = len(prepared) > 1
+    common, excess = len(prepared) > 1, 0.0
     fits = [_solve(pairs, combo, common_rate=common) for combo in _combinations(prepared)]
     best = min(fits, key=lambda fit: fit.chi2)
     if common:
         free = _solve(pairs, best.starts, common_rate=False, windows=best.windows)
-        if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < 1e-4:
-            common = False
-            fits = [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)]
-            best = min(fits, key=lambda fit: fit.chi2)
+        excess = (best.chi2 - free.chi2) / (len(prepared) - 1)
+        if chi2_distribution.sf(best.chi2 - free.chi2, len(prepared) - 1) < UNLIKELY:
+            common = not _are_two_clocks(free)
+            if not common:
+                fits = [_solve(pairs, combo, common_rate=False) for combo in _combinations(prepared)]
+                best = min(fits, key=lambda fit: fit.chi2)
+    inflation = excess if common and excess > 1.0 else 1.0
     rivals = [_rivals(fits, best, k) for k in range(len(prepared))]
     turns, locked = _common_direction(pairs, best, common_rate=common)
     matches = []
     for k, p in enumerate(prepared):
-        sigma = locked.sigma(k)
+        sigma = np.sqrt(inflation) * locked.sigma(k)
         turn_rivals = _next_turns(p.pair, best, locked, k) if turns[k] is not None else []
         matches.append(
             Match(
@@ -397,7 +411,7 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
                 rejected=p.rejected,
                 common_rate=common,
                 common_direction=turns[k] is not None,
-                covariance=locked.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3],
+                covariance=inflation * locked.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3],
             )
         )
     return matches
@@ -412,6 +426,14 @@ def _solve(
     windows: Sequence[Start] | None = None,
 ) -> Solution:
     return solve(pairs, starts, rate_sigma=RATE_SIGMA, common_rate=common_rate, turns=turns, windows=windows)
+
+
+def _are_two_clocks(free: Solution) -> bool:
+    """Tell whether separate rates of clips differ by more than those of one clock and their uncertainties allow."""
+    rate = np.array([s.eps for s in free.starts])
+    sigma = np.array([free.sigma(k)[1] for k in range(len(rate))])
+    best = int(np.argmin(sigma))
+    return bool((np.abs(rate - rate[best]) > ONE_CLOCK + AGREE * np.hypot(sigma, sigma[best])).any())
 
 
 def _combinations(prepared: list[Prepared]) -> list[tuple[Start, ...]]:

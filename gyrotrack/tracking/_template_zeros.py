@@ -12,7 +12,8 @@ s_b is the scatter of the differences in the n_b frames. A marker errs with harm
 angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in which they
 average out. Where the frames are in step with such a harmonic, it does not average out, and the markers tell little
 about the zero. The speed omega_b blurs a template; p = 0 for a steady body. q, p and x are those of the largest
-likelihood, and the zeros are smoothed.
+likelihood, and the zeros are smoothed. Within a batch the zero is z_b + c_b (omega - omega_b); c_b is the slope of the
+differences, shrunk by its uncertainty with p as the prior standard deviation.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ FEWEST_TEMPLATES = 5  # from which the variance of the steps between zeros can b
 _ORDERS = range(1, 13)
 _AVERAGED_OUT = 0.2  # |<exp(i k a)>| of a batch up to which the amplitude of the harmonic k is measured in it
 _STEADY = 0.01  # root mean square change of speed between batches, over the speed, of a steady body
+_MOTION = 4  # degree of the polynomial that describes the angle in a batch
 _FEWEST_FRAMES = 32  # of a batch in which the mean difference is used
 _FAR = 5.0  # robust standard deviations of a batch beyond which a difference is an outlier
 # steps q, p times the root mean square change of speed, and common errors x that are tried, over the typical
@@ -87,8 +89,11 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     change = np.diff(speed) ** 2
     if change.mean() < _STEADY**2 * np.mean(speed**2):
         change[:] = 0.0
-    zero, left = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
-    return TemplateZeros(np.interp(np.arange(count), used, zero)[template], float(np.sqrt(left.mean())))
+    zero, left, per_speed = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
+    each = np.interp(np.arange(count), used, zero)[template]
+    for b in used if per_speed > 0 else ():
+        each += np.where(template == b, _within(off, angles[0], batches[b], template == b, per_speed), 0.0)
+    return TemplateZeros(each, float(np.sqrt(left.mean())))
 
 
 def scatter_of_templates(off: Floats, template: Integers) -> float:
@@ -133,8 +138,29 @@ def _mean_rate(angle: Floats, frames: Integers) -> float:
     return float(angle[-1] - angle[0]) / float(frames[-1] - frames[0])
 
 
-def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats]:
-    """Return the most likely zeros and their variances, (batches,).
+def _within(
+    off: Floats, angle: Floats, frames: Integers, batch: npt.NDArray[np.bool_], per_speed: float
+) -> Floats:
+    """Return the zero of a template in each frame of its batch less that at the mean speed, (n,) [rad]; 0 elsewhere.
+
+    `frames` are those in which the difference `off` is used, `per_speed` is the prior standard deviation of the slope
+    [rad per (rad per frame)].
+    """
+    middle = 0.5 * (frames[0] + frames[-1])
+    motion = np.polynomial.Polynomial.fit(frames - middle, angle[frames], _MOTION).deriv()
+    faster = motion(frames - middle)
+    apart = faster - faster.mean()
+    information = float(apart @ apart) / float(off[frames].var())
+    if not information > 0:
+        return np.zeros(len(off))
+    slope = float(apart @ off[frames]) / float(apart @ apart) / (1.0 + 1.0 / (per_speed**2 * information))
+    within = np.zeros(len(off))
+    within[batch] = slope * (motion(np.flatnonzero(batch) - middle) - faster.mean())
+    return within
+
+
+def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:
+    """Return the most likely zeros and their variances, (batches,), and p [rad per (rad per frame)].
 
     From batch to batch, (batches - 1,), `gaps` are counted in batches, and `change` is the squared change of speed.
     """
@@ -142,19 +168,24 @@ def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> t
     usual = float(change.mean())
     change = change / usual if usual > 0 else change
     trials = [
-        (q**2 * gaps + p**2 * change, variance + x**2)
+        (q, p, x)
         for q in unit * _STEPS
         for p in unit * _STEPS[:: 1 if usual > 0 else len(_STEPS)]
         for x in unit * _COMMON
     ]
-    step, error = max(trials, key=lambda t: _filtered(mean, t[1], t[0])[2])
+
+    def variances(q: float, p: float, x: float) -> tuple[Floats, Floats]:
+        return variance + x**2, q**2 * gaps + p**2 * change
+
+    best = max(trials, key=lambda t: _filtered(mean, *variances(*t))[2])
+    error, step = variances(*best)
     level, spread_, _ = _filtered(mean, error, step)
     for b in range(len(mean) - 2, -1, -1):
         # Rauch, Tung and Striebel's smoother
         gain = spread_[b] / (spread_[b] + step[b])
         level[b] += gain * (level[b + 1] - level[b])
         spread_[b] += gain**2 * (spread_[b + 1] - spread_[b] - step[b])
-    return level, spread_
+    return level, spread_, best[1] / math.sqrt(usual) if usual > 0 else 0.0
 
 
 def _filtered(mean: Floats, variance: Floats, step: Floats) -> tuple[Floats, Floats, float]:

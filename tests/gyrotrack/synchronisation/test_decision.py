@@ -110,6 +110,19 @@ def test_clocks_that_differ_are_not_forced_together(motion, make_run):
     assert not matches[0].common_rate
 
 
+@pytest.mark.parametrize(("difference", "common"), [(0.0, True), (1.2e-4, True), (3.5e-4, False)])
+def test_one_camera_has_one_clock_up_to_what_tracking_errors_imitate(motion, make_run, difference, common):
+    run = make_run(motion, np.random.default_rng(12), 20.0)
+    clips = run.clips([3.0], rate=1 + difference / 2) + run.clips([8.0], rate=1 - difference / 2)
+    matches = match(run.casing(), clips)
+    assert matches[0].common_rate == common
+    if common and difference:
+        # the difference shows errors that are not white: all uncertainties contain them
+        equal = match(run.casing(), run.clips([3.0, 8.0], rate=1.0))
+        assert all(a.offset_sigma > 2 * b.offset_sigma for a, b in zip(matches, equal, strict=True))
+        assert matches[0].covariance[0, 0] == pytest.approx(matches[0].offset_sigma ** 2)
+
+
 def test_clips_of_two_cameras_are_solved_apart(motion, make_run):
     run = make_run(motion, np.random.default_rng(9), 20.0)
     casing = run.casing()

@@ -90,6 +90,23 @@ def test_a_change_of_speed_moves_a_zero(change, followed):
     assert (error < 0.22e-3) == followed
 
 
+def test_within_a_batch_the_zero_follows_the_speed():
+    """The zero changes by 30 mrad per (rad per frame) while the body speeds up: by 2 mrad within the first batch."""
+    speed = 0.4 - 0.3 * np.exp(-np.arange(N) / 1500)
+    true = 0.03 * speed
+    off = true - true.mean() + noise(5)
+    found = template_zeros(off, TEMPLATE, [np.cumsum(speed)]).zero
+    error = found - (true - true.mean())
+    assert np.ptp(true[:BATCH]) > 2e-3
+    assert np.abs(error[:BATCH]).max() < 0.5e-3
+    assert np.sqrt(np.mean(error**2)) < 0.12e-3
+
+
+def test_within_a_batch_of_a_steady_body_the_zero_is_constant():
+    found = template_zeros(steps(0.3e-3)[TEMPLATE] + noise(), TEMPLATE, [ANGLE]).zero
+    assert np.ptp(found.reshape(COUNT, BATCH), axis=1).max() == 0.0
+
+
 def test_outliers_and_missing_frames_do_not_count():
     off = steps(0.3e-3)[TEMPLATE] + noise()
     expected, _ = zeros(off)
