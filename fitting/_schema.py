@@ -632,8 +632,8 @@ class StoredCertificate(Document):
 class EntryDocument(FitDocument):
     """One fit of a ledger.
 
-    `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`) and `certificate` (`StoredCertificate`) save time
-    only: they are checked where they are used, and ignored if they are damaged.
+    `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`), `certificate` and `certificate_of_films`
+    (`StoredCertificate`) save time only: they are checked where they are used, and ignored if they are damaged.
     """
 
     parent: str = ""
@@ -657,6 +657,7 @@ class EntryDocument(FitDocument):
     restored_from: Any = None
     diagnosis: Any = None
     certificate: Any = None
+    certificate_of_films: Any = None
 
 
 class LedgerDocument(Document):

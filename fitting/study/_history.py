@@ -145,17 +145,19 @@ class Entry:
         """Return the certificate of this answer by the same code, complete or not; None if there is none.
 
         With a `seed`, only one whose random errors have this seed; with `film`, only one from films, or from data.
+        One from films, which tests tracking as well, precedes one from data.
         """
-        stored = self.document.get("certificate")
-        known = None
-        if stored:
-            with suppress(*_DAMAGED):
-                known = restored_certificate(StoredCertificate.model_validate(stored))
         answer = Certificate.of_answer(found, (), 0)
-        if known is None or (known.verdict, known.named) != (answer.verdict, answer.named):
-            return None
-        same = seed in {None, known.seed} and film in {None, known.film}
-        return known if same else None
+        for key in (_OF_FILMS, _OF_DATA):
+            known = None
+            with suppress(*_DAMAGED):
+                stored = self.document.get(key)
+                known = restored_certificate(StoredCertificate.model_validate(stored)) if stored else None
+            if known is None or (known.verdict, known.named) != (answer.verdict, answer.named):
+                continue
+            if seed in {None, known.seed} and film in {None, known.film}:
+                return known
+        return None
 
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Fit the model again with the stored parameters as initial values."""
@@ -168,6 +170,10 @@ class Entry:
             start={k: e.value for k, e in self.stored.parameters.items()},
             ranges=self.stored.ranges,
         )
+
+
+# entries of a fit under which its certificates from simulated data and films are stored
+_OF_DATA, _OF_FILMS = "certificate", "certificate_of_films"
 
 
 class Ledger:
@@ -308,7 +314,7 @@ class Ledger:
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
     def keep_certificate(self, fit_id: str, found: Certificate) -> None:
-        """Store the test of the answer of a fit, complete or not, and replace an earlier one.
+        """Store the test of the answer of a fit, complete or not, and replace an earlier one of the same kind.
 
         Parameters
         ----------
@@ -318,7 +324,8 @@ class Ledger:
             The test.
         """
         with self._locked():
-            self.find(fit_id).document["certificate"] = as_json(stored_certificate(found))
+            key = _OF_FILMS if found.film else _OF_DATA
+            self.find(fit_id).document[key] = as_json(stored_certificate(found))
 
     def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
         """Set the name or the note of a fit; None keeps the present one.

@@ -217,6 +217,21 @@ class TestStored:
         assert again.certificate(adequate, 8) is None
         assert again.certificate(replace(adequate, verdict="unexplained")) is None
 
+    def test_one_from_films_and_one_from_data_do_not_replace_each_other(self, adequate, tmp_path):
+        ledger = Ledger(tmp_path / "case.fits.json")
+        entry = ledger.add(adequate.fit)
+        of_data = Certificate.of_answer(adequate, [outcome(score=3.0)], 1)
+        of_films = Certificate.of_answer(adequate, [outcome(score=5.0)], 1, film=True)
+        ledger.keep_certificate(entry.fit_id, of_films)
+        ledger.keep_certificate(entry.fit_id, of_data)
+        stored = Ledger(ledger.path).find(entry.fit_id)
+        assert stored.certificate(adequate, film=False) == of_data
+        assert stored.certificate(adequate, film=True) == of_films
+        assert stored.certificate(adequate) == of_films
+        stored.document["certificate_of_films"] = {"damaged": True}
+        assert stored.certificate(adequate) == of_data
+        assert stored.certificate(adequate, film=True) is None
+
     @pytest.mark.parametrize("change", [{"code": "older"}, {"outcomes": "x"}, {"n": "many"}])
     def test_one_of_other_code_or_damaged_is_none(self, adequate, tmp_path, change):
         ledger = Ledger(tmp_path / "case.fits.json")
