@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
     from fitting.discovery._verdict import Diagnosis, diagnose
+    from fitting.dynamics._inputs import Input
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect, Parameter
     from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
@@ -48,8 +49,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Candidate", "Certificate", "Criteria", "Diagnosis", "Effect",
-    "EffectError", "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Ledger",
-    "LedgerError", "Model", "Parameter", "Record", "RecordError", "Scan", "SimulationError", "budget",
+    "EffectError", "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Input",
+    "Ledger", "LedgerError", "Model", "Parameter", "Record", "RecordError", "Scan", "SimulationError", "budget",
     "certify", "compare", "diagnose", "effect", "fit", "improve", "laws", "load", "load_fit", "make_record", "plan",
     "predict_recordings", "profile_interval", "read_effects", "scan", "scan_lines", "simulate",
 ]  # fmt: skip
@@ -62,6 +63,7 @@ _MODULES = {
     "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),
     "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
+    "fitting.dynamics._inputs": ("Input",),
     "fitting.dynamics._model": ("Model",),
     "fitting.effects._effect": ("Effect", "Parameter"),
     "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),

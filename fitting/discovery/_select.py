@@ -40,6 +40,7 @@ from fitting.discovery._refine import (
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
+from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit
 from fitting.inference._initial_values import equation_error
@@ -197,12 +198,15 @@ def shared_data(fit: Fit) -> Sequence[CaseData]:
 
 def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     """Return the effects of the library and of the user that a fit could lack."""
-    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
+    recorded = drives(base.problem.data[0].record.driving)
+    known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
     names = set(base.model.names)
     return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
+    if effect.joint == "input":  # without a law of the input its dead time has no influence
+        return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):
         return False
     # a contact that turns in one sense slides after a small angle: from then on its friction is constant

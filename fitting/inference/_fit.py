@@ -321,6 +321,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
             f"{foreign[0]} needs rotor data, which this record of one body does not have",
             "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
         )
+    _refuse_missing_inputs(model, data)
     for effect in model.effects:
         for divisor in divisors(effect.expression):
             if any(_changes_sign(divisor, d) for d in data):
@@ -329,6 +330,35 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
                     "parameter changes, passes through zero.",
                     "Write a law that is finite at every measured speed, or make the position of the pole a parameter.",
                 )
+
+
+def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
+    """Raise an EstimationError for a law of an input that a record does not have, or has in another unit."""
+    for effect in model.effects:
+        driven = (
+            any(effect.inputs[0] in e.inputs for e in model.effects if e.joint != "input")
+            if effect.joint == "input"
+            else True
+        )
+        if not driven:
+            raise EstimationError(
+                f"{effect.name} has no influence: no law of the model depends on {effect.inputs[0][0]}",
+                f"add a law such as 'casing: k*{effect.inputs[0][0]}'",
+            )
+        for name, unit in effect.inputs:
+            for record in (d.record for d in data):
+                known = {i.name: i.unit for i in record.inputs}
+                if known.get(name) != unit:
+                    what = (
+                        f"of the unit {unit}, and that of the record is of {known[name]}"
+                        if name in known
+                        else ""
+                    )
+                    have = f"it has: {', '.join(known)}" if known else "it has none"
+                    raise EstimationError(
+                        f"{effect.name} needs the input {name} {what or f'of {record.label}; {have}'}",
+                        "record the input with `gyrotrack import --input`",
+                    )
 
 
 def _changes_sign(divisor: Expr, data: CaseData) -> bool:

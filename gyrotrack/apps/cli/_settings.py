@@ -319,6 +319,15 @@ Columns = Annotated[
         "revolutions=3; of one of two bodies only: casing.revolutions=5.",
     ),
 ]
+Inputs = Annotated[
+    list[str] | None,
+    option(
+        "--input NAME=COLUMN",
+        "Recorded input of the motion, for laws such as 'casing: k*current': 'current=3 [A] +- 0.01', with "
+        "interpolation and dead time 'pwm=Command, hold, delay=0.02', from a table of its own 'torque=2 [N m], "
+        "file=torque.csv'.",
+    ),
+]
 PulsesPerTurn = Annotated[
     float | None,
     option(

@@ -252,7 +252,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
     found = []
     model = layout.model.smooth
     for effect in model.effects:
-        rest = Dynamics(model.without(effect.name))
+        rest = Dynamics(model.without(effect.name), inputs=record.inputs)
         if effect.joint == "inertia" or not set(rest.states) <= set(path.states):
             continue
         without = state[:, [path.states.index(s) for s in rest.states]]
@@ -307,7 +307,7 @@ def _may_supply(effect: Effect) -> bool:
     from fitting.effects._expression import symbols
 
     drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
-    return drives or effect.joint == "factor" or "t" in symbols(effect.expression)
+    return drives or bool(effect.inputs) or effect.joint == "factor" or "t" in symbols(effect.expression)
 
 
 UNPHYSICAL, CONSERVATIVE = "negative dissipation: unphysical", "conservative"
