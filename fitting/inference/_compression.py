@@ -258,7 +258,9 @@ def compress(
     parts = [
         _block(samples, slice(a, b), degree, noise_rows, skipped, angle, driven) for a, b in pairwise(edges)
     ]
-    slow = np.concatenate([p.noise for p in parts])
+    # a body at rest under a coarse resolution has equal values, which contain no noise
+    still = [not np.ptp(samples.value[p.where]) for p in parts]
+    slow = np.concatenate([p.noise for p, rests in zip(parts, still, strict=True) if not rests or all(still)])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast

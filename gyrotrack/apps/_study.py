@@ -412,7 +412,7 @@ class FitRequest:
         if previous is None and self.add and self.model is None:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
-        values = _starts(previous, wanted) if previous is not None else None
+        values = (_starts(previous, wanted) or None) if previous is not None else None
         prior = study.prior or (entry.prior if entry is not None else None)
         if prior is not None and not set(prior.names) & set(wanted.free):
             raise UsageError(
@@ -512,6 +512,10 @@ def changed(
 def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
     from fitting.discovery._select import found_starts, needs_search
 
+    known = {i for e in previous.model.effects for i in e.inputs}
+    if any(i not in known for e in wanted.effects for i in e.inputs):
+        # the parameters of a model without the drive of a body describe the drive
+        return {}
     new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
     found = found_starts(previous, new) if new else {}
     return {k: e.value for k, e in previous.estimates.items()} | found

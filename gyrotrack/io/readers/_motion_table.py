@@ -767,7 +767,12 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     variance = np.array([_residual_variance(time[i : i + _BLOCK], value[i : i + _BLOCK]) for i in starts])
     half = _NEIGHBOURS // 2
     smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
-    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
+    known = np.asarray(smooth)
+    # values that do not change at all, of a body at rest under a coarse resolution, do not show the noise
+    shows = known > floor**2
+    if shows.any():
+        known = np.where(shows, known, np.median(known[shows]))
+    sigma = np.sqrt(np.interp(time, centre, known) / _MEDIAN_OF_CHI2)
     return np.asarray(np.maximum(sigma, floor))
 
 
