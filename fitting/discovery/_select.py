@@ -26,6 +26,7 @@ from fitting.discovery._difference import SeparateValues, different_parameter, i
 from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
+    fit_from_scratch,
     has_less_process_noise,
     initial_values_of,
     refined,
@@ -39,6 +40,7 @@ from fitting.discovery._refine import (
 )
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
+from fitting.effects._expression import substitute, sym
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
@@ -129,6 +131,8 @@ def rank(
     # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
     restoring_only = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
+    driving = needed_drives(base, effects, criteria)
+    effects = [e for e in effects if not driving or e.name in driving]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -139,7 +143,7 @@ def rank(
         p = family(null(s.score), null.weights)
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
-    chosen = _to_refit(found, criteria)
+    chosen = [True] * len(found) if driving else _to_refit(found, criteria)
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
@@ -198,10 +202,41 @@ def shared_data(fit: Fit) -> Sequence[CaseData]:
 
 def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     """Return the effects of the library and of the user that a fit could lack."""
-    recorded = drives(base.problem.data[0].record.driving)
+    recorded = [
+        e
+        for e in drives(base.problem.data[0].record.driving)
+        if not any(_same_law(e, b) for b in base.model.effects)
+    ]
     known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
     names = set(base.model.names)
     return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
+
+
+def needed_drives(base: Fit, effects: Sequence[Effect], criteria: Criteria) -> set[str]:
+    """Return the laws of recorded inputs without which a model has nothing in common with the motion of a driven body.
+
+    Scores about such a model are not reliable, so each is fitted from scratch. Empty if the model has a law of an
+    input, or if no input reduces the rms residual speed by the factor `Criteria.drive_error`.
+    """
+    laws = [e for e in effects if e.inputs and e.joint != "input" and e.amplitude is not None]
+    if any(e.inputs for e in base.model.effects):
+        return set()
+    fits = {e.name: fit_from_scratch(base, e) for e in laws}
+    error = {name: f.rmse_casing for name, f in fits.items() if f is not None}
+    return {name for name, value in error.items() if value < criteria.drive_error * base.rmse_casing}
+
+
+def _same_law(one: Effect, other: Effect) -> bool:
+    """Return whether two effects have the same law with another name of its strength."""
+    if (
+        one.joint != other.joint
+        or one.inputs != other.inputs
+        or one.amplitude is None
+        or other.amplitude is None
+    ):
+        return False
+    law, own = one.expression, {other.amplitude.symbol: sym(one.amplitude.symbol)}
+    return law == substitute(other.expression, own)
 
 
 def _is_applicable(effect: Effect, base: Fit) -> bool:
