@@ -94,7 +94,7 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
     from scipy.signal import lfilter
 
     step = float(np.median(np.diff(time)))
-    even = np.linspace(time[0], time[-1], max(2, int(np.ptp(time) / step) + 1))
+    even = np.linspace(time[0], time[-1], max(2, round(float(np.ptp(time)) / step) + 1))
     step = float(even[1] - even[0])
     columns = []
     for i in inputs:
