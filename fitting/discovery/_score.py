@@ -281,7 +281,7 @@ class CaseColumns:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
         if effect.joint == "input":
             dynamics, y = self.case.dynamics, self._states_of_motion
-            by = dynamics.of_delay(
+            by = dynamics.by_delay(
                 effect.inputs[0][0], self.response.centres, self.response.edges, y, self.numbers
             )
             return self.numbers[INERTIA_ROTOR] * by[:, :1], self.numbers[INERTIA_CASING] * by[:, 1:]

@@ -426,16 +426,20 @@ class Dynamics:
                 found[str(key)] = i.changes(first, last, self._delay(i, numbers)).tolist()
         return found
 
-    def of_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+    def by_input(self, i: Input, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+        """Return the derivative of the accelerations of rotor and casing by an input, (times, 2)."""
+        slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[:2]])
+        values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
+        return np.stack([np.asarray(s) * np.ones(len(t)) for s in slopes(values)], axis=1)
+
+    def by_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
         """Return the derivative of the accelerations by the dead time of an input, -d(rate)/du du/dt, (cells, 2).
 
         The derivative of the input is its mean between the edges of the cells about the times `t`.
         """
         i = next(i for i in self.inputs if i.name == name)
-        slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[:2]])
-        values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
         change = np.diff(i(edges, self._delay(i, numbers))) / np.diff(edges)
-        return np.stack([-np.asarray(s) * change for s in slopes(values)], axis=1)
+        return -self.by_input(i, t, y, numbers) * change[:, None]
 
     @cached_property
     def first_order(self) -> tuple[Expr, dict[str, Expr]] | None:

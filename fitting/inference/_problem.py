@@ -326,8 +326,8 @@ def refine_level(
 
     So does a model with a law of an input that varies: the response to a change of the input determines its parameters,
     and a model that is not exact there would be given up in favour of random torques just where the information is
-    (measured: the time constant of a motor of 25 ms becomes 39 ms). The noise of the recording is that beside any
-    linear response to the input.
+    (measured: the time constant of a motor of 25 ms becomes 39 ms). The least level that the recording allows,
+    beside any linear response to the input, is theirs.
 
     Where the model comes to rest, its rows hardly respond to a torque, and their residuals would be explained by
     torques without limit: they are left out. A random torque is never larger than the largest torque of the recording.
@@ -347,7 +347,7 @@ def refine_level(
         if restoring and fails_grossly(data, p, n):
             level = n.pure
         elif is_driven(problem.layout.model, data):
-            level = min(level, n.pure)
+            level = min(level, n.least)
         found.append(replace(n.at(level), excess=excess))
     return common_level(found) if any(n.common for n in found) else tuple(found)
 

@@ -254,3 +254,20 @@ def test_a_law_that_the_model_has_under_another_name_is_no_candidate():
     found = fit(model(data.inputs, law="casing: b*voltage"), data)
     names = {e.name for e in applicable_effects(found, ()) if e.inputs}
     assert names == {"input.voltage.delay"}
+
+
+def test_a_calibration_of_an_input_is_one_of_its_torque_constant():
+    # a voltmeter that errs by 1 % changes k by 1 %, and nothing else
+    calibrated = Input(STEPS.name, STEPS.time, STEPS.value, "V", 0.01 * STEPS.value, "hold")
+    data = record(inputs=(calibrated,))
+    found = fit(model(data.inputs), data)
+    parts = {k: {c.source: c.u for c in b.contributions} for k, b in budget(found).items()}
+    k = found.estimates["casing: k*voltage.k"].value
+    assert parts["casing: k*voltage.k"]["calibration of voltage"] == pytest.approx(0.01 * k, rel=1e-3)
+    assert (
+        parts["casing.air.linear.b2"].get("calibration of voltage", 0.0)
+        < 1e-3 * found.estimates["casing.air.linear.b2"].stderr
+    )
+    assert "calibration of voltage" not in {
+        c.source for b in budget(fit(model([STEPS]), record())).values() for c in b.contributions
+    }
