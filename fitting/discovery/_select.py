@@ -54,7 +54,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
+# parameters that the repr of a candidate lists
+_SHOWN = 4
+
+
+@dataclass(frozen=True, repr=False)
 class Candidate:
     """A candidate effect and the evidence for it.
 
@@ -92,6 +96,14 @@ class Candidate:
     significant: bool
     screened: Score = field(repr=False)
     fit: Fit | None = field(repr=False, default=None)
+
+    def __repr__(self) -> str:
+        strengths = ", ".join(
+            f"{name.removeprefix(f'{self.effect.name}.')} = {rounded(e.value, e.stderr, e.unit)}"
+            for name, e in list(self.estimates.items())[:_SHOWN]
+        )
+        mark = "significant" if self.significant else "not significant"
+        return f"{self.effect.name}: score {self.score:.4g}, {mark}{f'; {strengths}' if strengths else ''}"
 
     @property
     def own_phase(self) -> bool:
@@ -239,7 +251,19 @@ def _same_law(one: Effect, other: Effect) -> bool:
     return law == substitute(other.expression, own)
 
 
+def _without_dead_time(base: Fit) -> bool:
+    """Return whether a law of an input that varies has no dead time yet.
+
+    A torque that sets in after a step of the input imitates one, with more parameters.
+    """
+    delayed = {name for e in base.model.effects if e.joint == "input" for name, _ in e.inputs}
+    used = {name for e in base.model.effects for name, _ in e.inputs}
+    return bool(used & {i.name for i in base.problem.data[0].record.driving} - delayed)
+
+
 def _is_applicable(effect: Effect, base: Fit) -> bool:
+    if effect.breakpoint and _without_dead_time(base):
+        return False
     if effect.joint == "input":  # without a law of the input its dead time has no influence
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -31,7 +31,7 @@ MOST_CHANGES = 4000
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Input:
     """A measured function of time on which torques may depend.
 
@@ -55,10 +55,10 @@ class Input:
     """
 
     name: str
-    time: Array = field(repr=False)
-    value: Array = field(repr=False)
+    time: Array
+    value: Array
     unit: str = "1"
-    u: Array | None = field(default=None, repr=False)
+    u: Array | None = None
     interpolation: Interpolation = "linear"
     delay: float = 0.0
 
@@ -85,6 +85,12 @@ class Input:
             raise RecordError(f"input {self.name}: an uncertainty is negative")
         if not math.isfinite(self.delay):
             raise RecordError(f"input {self.name}: the delay is not finite", "give it in s")
+
+    def __repr__(self) -> str:
+        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
+        range_ = f"{self.value.min():.6g} to {self.value.max():.6g} {self.unit}"
+        late = f", acts {self.delay:g} s later" if self.delay else ""
+        return f"Input {self.name!r}: {range_}, {len(self.time)} samples, {span}, {self.interpolation}{late}"
 
     def _checked(self, name: str, values: object) -> Array:
         try:

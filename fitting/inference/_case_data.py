@@ -168,7 +168,7 @@ _OSCILLATION_BLOCKS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CaseData:
     """A record, projected once and used for every model.
 
@@ -185,6 +185,9 @@ class CaseData:
     noiseless: bool = False
     free_inertia: bool = False
     slips: tuple[Slip, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"CaseData, {len(self.casing.operators)} blocks of {self.record!r}"
 
     @classmethod
     def of(cls, record: Record) -> CaseData:

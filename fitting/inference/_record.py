@@ -21,7 +21,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
-from fitting._numbers import PER_INERTIA, TORQUE
+from fitting._numbers import PER_INERTIA, TORQUE, rounded
 from fitting.dynamics._inputs import Input
 from fitting.inference._prior import Prior
 
@@ -35,6 +35,8 @@ _FEWEST_OF_BODY = 24
 _PIECES, _MIN_PIECE, _CUBIC = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1), 12, 4
 # samples of a rotor window: a speed follows from several angles, or from one measured speed
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
+# windows and inputs that a repr lists
+_SHOWN = 6
 # largest time [s], angle [rad] or rate [rad/s], so that products of several are finite; least one of a body that is not
 # at rest; largest ratio of a value to its uncertainty (floating-point numbers have 1e16)
 LARGEST, SMALLEST, PRECISION = 1e20, 1e-20, 1e18
@@ -52,7 +54,7 @@ class Samples:
         return len(self.time)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
     """One experiment on one clock.
 
@@ -121,6 +123,26 @@ class Record:
     def __post_init__(self) -> None:
         if not self.digest:
             object.__setattr__(self, "digest", _digest(self))
+
+    def __repr__(self) -> str:
+        what = "angles" if self.quantity == "angle" else "angular velocities"
+        first, last = self.span
+        inertias = [] if self.single else [("I_rotor", self.I_rotor, self.I_rotor_u)]
+        inertias.append(("I" if self.single else "I_casing", self.I_casing, self.I_casing_u))
+        words = ", ".join(f"{name} {rounded(value, u, 'kg m2')}" for name, value, u in inertias)
+        lines = [
+            f"Record {self.label!r}: {what}, {first:.6g} to {last:.6g} s",
+            f"  {self.body}: {len(self.casing)} samples",
+            *(
+                f"  rotor, {len(w)} samples from {w.time[0]:.6g} to {w.time[-1]:.6g} s"
+                for w in self.rotor[:_SHOWN]
+            ),
+            *([f"  ... {len(self.rotor) - _SHOWN} more windows"] if len(self.rotor) > _SHOWN else []),
+            *(f"  {i!r}" for i in self.inputs[:_SHOWN]),
+            *([f"  ... {len(self.inputs) - _SHOWN} more inputs"] if len(self.inputs) > _SHOWN else []),
+            f"  {'torques are per unit of inertia' if self.per_inertia else words}",
+        ]
+        return "\n".join(lines)
 
     @property
     def single(self) -> bool:

@@ -67,7 +67,7 @@ VERDICT_TEXT = {
 
 
 # lines of a repr
-_SCREEN = 40
+_SCREEN = 20
 # points of a drawn curve
 _POINTS = 600
 _ROTOR, _CASING = 0, 1

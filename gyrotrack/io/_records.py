@@ -318,7 +318,7 @@ class Input:
     delay: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Case(_Tabular):
     """One experiment on one clock.
 
@@ -358,6 +358,23 @@ class Case(_Tabular):
     I_casing_u: float = math.nan
     start_u: float = math.nan
     inputs: tuple[Input, ...] = ()
+
+    def __repr__(self) -> str:
+        bodies = [("body" if self.bodies == "one" else "casing", self.casing), ("rotor", self.rotor)]
+        lines = [f"Case {self.label!r}: {'angles' if self.quantity == 'angle' else 'angular velocities'}"]
+        lines += [
+            f"  {name}: {len(s.time)} samples, {s.time[0]:.6g} to {s.time[-1]:.6g} s, "
+            f"{len(np.unique(windows_of(s)))} window(s)"
+            for name, s in bodies
+            if len(s.time)
+        ]
+        lines += [
+            f"  input {i.name!r} [{i.unit}]: {len(i.time)} samples, {i.interpolation}"
+            for i in self.inputs[:8]
+        ]
+        lines.append(f"  I_rotor {self.I_rotor:.4g}, I_casing {self.I_casing:.4g} kg m2")
+        lines.append(f"  {len(self.recordings)} clip(s), {len(self.warnings)} warning(s)")
+        return "\n".join(lines)
 
 
 _STATUS_NAMES = np.array(list(STATUS), dtype=object)

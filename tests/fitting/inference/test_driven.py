@@ -9,6 +9,8 @@ from fitting import (
     Input,
     Model,
     RecordError,
+    budget,
+    diagnose,
     effect,
     first_order,
     fit,
@@ -263,7 +265,7 @@ def test_a_calibration_of_an_input_is_one_of_its_torque_constant():
     found = fit(model(data.inputs), data)
     parts = {k: {c.source: c.u for c in b.contributions} for k, b in budget(found).items()}
     k = found.estimates["casing: k*voltage.k"].value
-    assert parts["casing: k*voltage.k"]["calibration of voltage"] == pytest.approx(0.01 * k, rel=1e-3)
+    assert parts["casing: k*voltage.k"]["calibration of voltage"] == pytest.approx(0.01 * k, rel=0.02)
     assert (
         parts["casing.air.linear.b2"].get("calibration of voltage", 0.0)
         < 1e-3 * found.estimates["casing.air.linear.b2"].stderr
@@ -271,3 +273,29 @@ def test_a_calibration_of_an_input_is_one_of_its_torque_constant():
     assert "calibration of voltage" not in {
         c.source for b in budget(fit(model([STEPS]), record())).values() for c in b.contributions
     }
+
+
+def test_a_changepoint_is_a_candidate_only_beside_the_dead_time_of_an_input():
+    # a torque that sets in after a step of the input imitates its dead time
+    data = record()
+    for names, tried in ((), False), (("input.voltage.delay",), True):
+        found = fit(model(data.inputs, *names), data)
+        assert ("touchpoint.step" in {e.name for e in applicable_effects(found, ())}) is tried
+
+
+def test_results_print_themselves_within_a_screen():
+    windows = [(TIME[k : k + 40], TIME[k : k + 40], np.ones(40)) for k in range(0, 400, 40)]
+    many = [Input(f"u{k}", [0.0, 1.0], [0.0, 1.0], interpolation="hold") for k in range(9)]
+    two = make_record(
+        casing=(TIME, TIME, np.ones(len(TIME))), rotor=windows, I_rotor=1, I_casing=2, inputs=many
+    )
+    data = record()
+    found = fit(Model.of(["casing.air.linear"]), data)
+    answer = diagnose(found)
+    for shown in (two, data, found, answer, answer.candidates[0], CaseData.of(two), STEPS):
+        lines = repr(shown).splitlines()
+        assert len(lines) <= 20
+        assert max(map(len, lines)) <= 120
+    assert "Input 'voltage': 0 to 3 V" in repr(data)
+    assert "4 more windows" in repr(two)
+    assert repr(answer).startswith("diagnosis: missing_effect")
