@@ -134,6 +134,8 @@ _PERIOD_SAMPLES = 24
 _POINTS_PER_PERIOD = 24
 # of a driven body: largest number of rough speeds, smallest number of samples of each
 _DRIVEN_POINTS, _DRIVEN_SAMPLES = 1000, 6
+# least rise of the speed of a driven body, over its largest speed
+_RISE = 0.1
 # least relative singular value of independent responses to inputs
 _INDEPENDENT = 1e-6
 # for smoothed speeds: blocks that are long compared with the smoothing, and noise rows of a window that resolve it
@@ -615,6 +617,18 @@ class CaseData:
         if self.oscillation is None:
             return initial_speeds(self.record)
         return initial_speeds(self.record, math.ceil(_POINTS_PER_PERIOD * self.oscillation.periods), 3)
+
+    @cached_property
+    def driven(self) -> bool:
+        """Whether an input that varies was recorded, and the body becomes faster, which friction does not do.
+
+        Of two bodies the rotor decides: the casing is driven by the bearing.
+        """
+        if not self.record.driving:
+            return False
+        speed = np.abs(self.initial_speeds[1][:, int(self.record.single)])
+        rise = speed - np.minimum.accumulate(speed)
+        return bool(rise.max() > _RISE * speed.max())
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:

@@ -324,10 +324,10 @@ def refine_level(
     phase would be random, and the period, which is known best, would have no weight (measured: the torque of a pendulum
     6 % too small). The uncertainties are scaled by the residuals instead.
 
-    So does a model with a law of an input that varies: the response to a change of the input determines its parameters,
-    and a model that is not exact there would be given up in favour of random torques just where the information is
-    (measured: the time constant of a motor of 25 ms becomes 39 ms). The least level that the recording allows,
-    beside any linear response to the input, is theirs.
+    Models of a body that a recorded input drives have the least level that the recording allows beside any linear
+    response to the input. The response to a change of the input determines the parameters, and a model that is not
+    exact there would be given up in favour of random torques just where the information is (measured: the time constant
+    of a motor of 25 ms becomes 39 ms); without the drive a random torque would describe the whole motion.
 
     Where the model comes to rest, its rows hardly respond to a torque, and their residuals would be explained by
     torques without limit: they are left out. A random torque is never larger than the largest torque of the recording.
@@ -346,7 +346,7 @@ def refine_level(
         level = min(level, data.largest_torque or np.inf)
         if restoring and fails_grossly(data, p, n):
             level = n.pure
-        elif is_driven(problem.layout.model, data):
+        elif data.driven:
             level = min(level, n.least)
         found.append(replace(n.at(level), excess=excess))
     return common_level(found) if any(n.common for n in found) else tuple(found)

@@ -299,3 +299,11 @@ def test_results_print_themselves_within_a_screen():
     assert "Input 'voltage': 0 to 3 V" in repr(data)
     assert "4 more windows" in repr(two)
     assert repr(answer).startswith("diagnosis: missing_effect")
+
+
+@pytest.mark.parametrize(("rise", "driven"), [(0.8, False), (1.2, True)])
+def test_a_body_with_an_input_is_driven_if_it_becomes_faster(rise, driven):
+    # the rise of the speed is a tenth of the largest one, times 0.8 and 1.2
+    omega = np.where(TIME < 2.0, 10.0 - 2.0 * TIME, 6.0 + 0.5 * rise * (TIME - 2.0))
+    assert CaseData.of(record(omega)).driven is driven
+    assert not CaseData.of(record(omega, inputs=())).driven
