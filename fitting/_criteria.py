@@ -81,8 +81,6 @@ class Criteria:
     own_phase: float = _criterion(10.0, "deviance per case that justifies a separate phase", _KASS)
     changepoint_score: float = _criterion(25.0, "score that moves a changepoint far away", "5 sigma")
     equation_error: float = _criterion(3.0, "error of the equations, over the least, up to which a spring is fitted")
-    drive_error: float = _criterion(0.5,
-        "rms residual with a law of a recorded input, over that without, below which it drives the body")
     refit_reversals: int = _criterion(500, "reversals that all refits of a step integrate", "15 s of one core")
     refit_oscillation_p: float = _criterion(0.1,
         "family-wise p-value above which candidates of an oscillation are not refitted")

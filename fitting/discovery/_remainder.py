@@ -157,7 +157,7 @@ class Torques:
                 "omega_r": y[:, 0],
                 "omega_c": y[:, 1],
                 "delta": y[:, 0] - y[:, 1],
-            } | values_at(fit.problem.data[case].record.inputs, t)
+            } | values_at(self._end.problem.data[case].record.inputs, t)
             known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
             both = Tape([freed.expression, law.expression])(known)
             torque, unit = (np.asarray(x) * np.ones(len(t)) for x in both)

@@ -143,7 +143,7 @@ def rank(
     # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
     restoring_only = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
-    driving = needed_drives(base, effects, criteria)
+    driving = needed_drives(base, effects)
     effects = [e for e in effects if not driving or e.name in driving]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
@@ -224,18 +224,22 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
 
 
-def needed_drives(base: Fit, effects: Sequence[Effect], criteria: Criteria) -> set[str]:
+# rms residual speed with a law of a recorded input, over that without, below which the input drives the body
+_DRIVE_ERROR = 0.5
+
+
+def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
     """Return the laws of recorded inputs without which a model has nothing in common with the motion of a driven body.
 
     Scores about such a model are not reliable, so each is fitted from scratch. Empty if the model has a law of an
-    input, or if no input reduces the rms residual speed by the factor `Criteria.drive_error`.
+    input, or if no input halves the rms residual speed.
     """
     laws = [e for e in effects if e.inputs and e.joint != "input" and e.amplitude is not None]
     if any(e.inputs for e in base.model.effects):
         return set()
     fits = {e.name: fit_from_scratch(base, e) for e in laws}
     error = {name: f.rmse_casing for name, f in fits.items() if f is not None}
-    return {name for name, value in error.items() if value < criteria.drive_error * base.rmse_casing}
+    return {name for name, value in error.items() if value < _DRIVE_ERROR * base.rmse_casing}
 
 
 def _same_law(one: Effect, other: Effect) -> bool:

@@ -60,9 +60,10 @@ _PATHS = (
     "prior_rotor report"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: they replace or delete results, or set addresses, certificates, ports, processes
+# options that only the user may set: they replace or delete results, name files among other words, or set addresses,
+# certificates, ports, processes
 REFUSED = frozenset(
-    "answer browser delete force name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+    "answer browser delete force input name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
 
 
