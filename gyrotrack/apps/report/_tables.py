@@ -31,6 +31,7 @@ JOINTS = {
     "bearing": "both bodies",
     "contact": "both bodies",
     "factor": "bearing × factor",
+    "input": "recorded input",
     "camera.casing": "camera (casing)",
     "camera.rotor": "camera (rotor)",
 }
@@ -76,6 +77,30 @@ def parameter_rows(view: StudyView) -> list[Row]:
             "is_new": effect in view.added,
         }
         rows.append(row)
+    return [*rows, *_response_rows(view)]
+
+
+def _response_rows(view: StudyView) -> list[Row]:
+    """Return time constant and gains of the final model as rows of the parameters, of a driven body."""
+    from fitting.inference._first_order import first_order
+
+    rows = []
+    for response in first_order(view.final):
+        numbers = [("τ", "", response.time_constant), *(("K", name, e) for name, e in response.gains.items())]
+        for symbol, index, e in numbers:
+            rows.append(
+                {
+                    "symbol": symbol,
+                    "index": index,
+                    "effect": "first-order response",
+                    "case": response.label if len(view.cases) > 1 else "",
+                    "value": with_uncertainty(e.value, e.stderr, e.unit),
+                    "relative": _relative(e),
+                    "before": "",
+                    "note": "derived",
+                    "is_new": False,
+                }
+            )
     return rows
 
 

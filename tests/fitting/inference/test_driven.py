@@ -6,6 +6,7 @@ import pytest
 from fitting import (
     EffectError,
     EstimationError,
+    Experiment,
     Input,
     Model,
     RecordError,
@@ -15,6 +16,7 @@ from fitting import (
     first_order,
     fit,
     make_record,
+    simulate,
 )
 from fitting.discovery._select import applicable_effects, needed_drives
 from fitting.inference._case_data import CaseData
@@ -303,3 +305,34 @@ def test_a_body_with_an_input_is_driven_if_it_becomes_faster(rise, driven):
     omega = np.where(TIME < 2.0, 10.0 - 2.0 * TIME, 6.0 + 0.5 * rise * (TIME - 2.0))
     assert CaseData.of(record(omega)).driven is driven
     assert not CaseData.of(record(omega, inputs=())).driven
+
+
+def test_a_rotor_that_a_current_drives_in_its_casing():
+    current = Input("current", [0.0, 4.0, 12.0], [0.0, 0.5, 0.1], "A", interpolation="hold")
+    law = effect("rotor.input.current", [current])
+    world = Model.of("linear") + law
+    truth = {
+        "rotor.air.quadratic.a2": 1e-10,
+        "touchpoint.constant.b1": 2.9e-6,
+        "casing.air.linear.b2": 8e-7,
+        "bearing.linear.d": 2e-7,
+        "rotor.input.current.k": 2e-3,
+    }
+    run = Experiment(duration=20.0, windows=(1.0, 5.0, 10.0, 16.0), casing_fps=100.0, rotor_fps=200.0)
+    data = simulate(
+        world, truth, run, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, inputs=[current], seed=2
+    )
+    found = fit(world, data)
+    k = found.estimates["rotor.input.current.k"]
+    assert abs(k.value - 2e-3) < 4 * k.stderr < 0.02 * 2e-3
+    assert k.unit == "N m A-1"
+    names = {e.name for e in applicable_effects(fit(Model.of("linear"), data), ()) if e.inputs}
+    assert names == {f"{body}.input.current" for body in ("rotor", "casing", "bearing")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), [((3,), "not an effect"), (("casing: k*u", 5), "holds no inputs")]
+)
+def test_wrong_arguments_of_an_effect_are_refused_in_one_sentence(arguments, words):
+    with pytest.raises(EffectError, match=words):
+        effect(*arguments)

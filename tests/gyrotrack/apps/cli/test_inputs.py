@@ -144,6 +144,17 @@ def test_a_fit_prints_time_constant_and_gain(capsys, motor):
     assert "calibration of voltage" in parts
 
 
+def test_a_report_shows_the_response_of_a_driven_body(capsys, motor, tmp_path):
+    case, _ = imported(capsys, motor)
+    assert run(capsys, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")[0] == 0
+    code, _, err = run(capsys, "report", case, "-o", tmp_path / "a.html", "--from", "f2")
+    assert code == 0, err
+    page = (tmp_path / "a.html").read_text()
+    assert page.count("first-order response") == 2  # time constant and gain
+    assert "K<sub>voltage</sub>" in page
+    assert "rad s⁻¹ V⁻¹" in page.replace("\xa0", " ")
+
+
 def test_a_law_of_an_input_that_was_not_recorded_gets_one_sentence(capsys, motor):
     case, _ = imported(capsys, motor)
     code, out, err = run(capsys, "fit", case, "--add", "casing: k*current")
