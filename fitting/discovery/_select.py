@@ -214,11 +214,10 @@ def shared_data(fit: Fit) -> Sequence[CaseData]:
 
 def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     """Return the effects of the library and of the user that a fit could lack."""
-    recorded = [
-        e
-        for e in drives(base.problem.data[0].record.driving)
-        if not any(_same_law(e, b) for b in base.model.effects)
-    ]
+    first, *others = ({(i.name, i.unit) for i in d.record.inputs} for d in base.problem.data)
+    varying = {i.name for d in base.problem.data for i in d.record.driving}
+    common = {name: unit for name, unit in sorted(first.intersection(*others)) if name in varying}
+    recorded = [e for e in drives(common) if not any(_same_law(e, b) for b in base.model.effects)]
     known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
     names = set(base.model.names)
     return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]

@@ -88,14 +88,12 @@ def first_order(fit: Fit) -> tuple[FirstOrder, ...]:
             gain = _estimate(fit, index, div(slope, decay), f"rad {unit}" if unit != "1" else "rad")
             if gain is not None:
                 gains[name] = gain
-        delays = {
-            e.inputs[0][0]: found_delay
-            for e in fit.model.effects
-            if e.joint == "input"
-            for key in (f"{e.name}.{e.parameters[0].symbol}",)
-            if (found_delay := fit.estimates.get(f"{key}@{record.label}") or fit.estimates.get(key))
-            is not None
-        }
+        delays = {}
+        for e in (e for e in fit.model.effects if e.joint == "input"):
+            key = f"{e.name}.{e.parameters[0].symbol}"
+            delay = fit.estimates.get(f"{key}@{record.label}") or fit.estimates.get(key)
+            if delay is not None:
+                delays[e.inputs[0][0]] = delay
         found.append(FirstOrder(record.label, record.body, time_constant, gains, delays))
     return tuple(found)
 

@@ -333,31 +333,29 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
 
 
 def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
-    """Raise an EstimationError for a law of an input that a record does not have, or has in another unit."""
+    """Raise an EstimationError for a law of an input that a record lacks or has in another unit, or an idle delay."""
+    used = {i for e in model.effects if e.joint != "input" for i in e.inputs}
     for effect in model.effects:
-        driven = (
-            any(effect.inputs[0] in e.inputs for e in model.effects if e.joint != "input")
-            if effect.joint == "input"
-            else True
-        )
-        if not driven:
+        if effect.joint == "input" and effect.inputs[0] not in used:
+            name = effect.inputs[0][0]
             raise EstimationError(
-                f"{effect.name} has no influence: no law of the model depends on {effect.inputs[0][0]}",
-                f"add a law such as 'casing: k*{effect.inputs[0][0]}'",
+                f"{effect.name} has no influence: no law of the model depends on {name}",
+                f"add a law such as 'casing: k*{name}'",
             )
         for name, unit in effect.inputs:
             for record in (d.record for d in data):
                 known = {i.name: i.unit for i in record.inputs}
-                if known.get(name) != unit:
-                    what = (
-                        f"of the unit {unit}, and that of the record is of {known[name]}"
-                        if name in known
-                        else ""
-                    )
+                if name not in known:
                     have = f"it has: {', '.join(known)}" if known else "it has none"
                     raise EstimationError(
-                        f"{effect.name} needs the input {name} {what or f'of {record.label}; {have}'}",
+                        f"{effect.name} needs the input {name} of {record.label}; {have}",
                         "record the input with `gyrotrack import --input`",
+                    )
+                if known[name] != unit:
+                    raise EstimationError(
+                        f"{effect.name} needs the input {name} of the unit {unit}, and that of the record is of "
+                        f"{known[name]}",
+                        "write the law with the inputs of this record",
                     )
 
 

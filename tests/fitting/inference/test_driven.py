@@ -336,3 +336,11 @@ def test_a_rotor_that_a_current_drives_in_its_casing():
 def test_wrong_arguments_of_an_effect_are_refused_in_one_sentence(arguments, words):
     with pytest.raises(EffectError, match=words):
         effect(*arguments)
+
+
+def test_inputs_that_not_all_recordings_have_are_no_candidates():
+    records = [record(label="a"), record(label="b", inputs=(), seed=2)]
+    found = fit(Model.of(["casing.air.linear"]), records)
+    assert not any(e.inputs for e in applicable_effects(found, ()))
+    both = fit(Model.of(["casing.air.linear"]), [record(label="a"), record(label="b", seed=2)])
+    assert [e.name for e in applicable_effects(both, ()) if e.inputs] == ["casing.input.voltage"]
