@@ -19,6 +19,7 @@ from fitting import (
     simulate,
 )
 from fitting.discovery._select import applicable_effects, needed_drives
+from fitting.inference import _result
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import cuts_at_steps, responses_to_inputs
 
@@ -344,3 +345,22 @@ def test_inputs_that_not_all_recordings_have_are_no_candidates():
     assert not any(e.inputs for e in applicable_effects(found, ()))
     both = fit(Model.of(["casing.air.linear"]), [record(label="a"), record(label="b", seed=2)])
     assert [e.name for e in applicable_effects(both, ()) if e.inputs] == ["casing.input.voltage"]
+
+
+@pytest.mark.parametrize(("drag", "wider"), [(0.0, False), (0.02, True)])
+def test_the_uncertainty_of_a_model_that_is_not_exact_contains_its_slow_residuals(monkeypatch, drag, wider):
+    # a quadratic drag that the model lacks; without it the residuals are white
+    omega, y, h = np.zeros(len(TIME)), 0.0, 0.005 / 50
+    for i, u in enumerate(STEPS(TIME)):
+        omega[i] = y
+        for _ in range(50):
+            y += h * ((GAIN * u - y) / TAU - drag * y * abs(y) / TAU)
+    data = CaseData.of(record(omega))
+    found = fit(model(data.record.inputs), data)
+    monkeypatch.setattr(_result, "_INEXACT", np.inf)
+    (one,), (plain,) = first_order(found), first_order(fit(model(data.record.inputs), data))
+    ratio = one.time_constant.stderr / plain.time_constant.stderr
+    assert (ratio > 1.5) is wider
+    assert one.time_constant.value == pytest.approx(plain.time_constant.value)
+    if not wider:
+        assert ratio == pytest.approx(1.0)
