@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fitting.discovery._plan import plan
     from fitting.discovery._select import Candidate, improve
     from fitting.discovery._verdict import Diagnosis, diagnose
+    from fitting.dynamics._inputs import Input
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect, Parameter
     from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from fitting.effects._user import resolve as effect
     from fitting.inference._budget import budget
     from fitting.inference._case_data import CaseData
+    from fitting.inference._first_order import FirstOrder, first_order
     from fitting.inference._profile import profile as profile_interval
     from fitting.inference._record import Record, make_record
     from fitting.inference._result import Estimate, Fit
@@ -47,11 +49,51 @@ if TYPE_CHECKING:
     from fitting.study._serialisation import load_fit
 
 __all__ = [
-    "GENERAL", "LIBRARY", "LINEAR", "REDUCED", "Candidate", "Certificate", "Criteria", "Diagnosis", "Effect",
-    "EffectError", "Estimate", "EstimationError", "Experiment", "ExpressionError", "Fit", "FittingError", "Ledger",
-    "LedgerError", "Model", "Parameter", "Record", "RecordError", "Scan", "SimulationError", "budget",
-    "certify", "compare", "diagnose", "effect", "fit", "improve", "laws", "load", "load_fit", "make_record", "plan",
-    "predict_recordings", "profile_interval", "read_effects", "scan", "scan_lines", "simulate",
+    "GENERAL",
+    "LIBRARY",
+    "LINEAR",
+    "REDUCED",
+    "Candidate",
+    "Certificate",
+    "Criteria",
+    "Diagnosis",
+    "Effect",
+    "EffectError",
+    "Estimate",
+    "EstimationError",
+    "Experiment",
+    "ExpressionError",
+    "FirstOrder",
+    "Fit",
+    "FittingError",
+    "Input",
+    "Ledger",
+    "LedgerError",
+    "Model",
+    "Parameter",
+    "Record",
+    "RecordError",
+    "Scan",
+    "SimulationError",
+    "budget",
+    "certify",
+    "compare",
+    "diagnose",
+    "effect",
+    "first_order",
+    "fit",
+    "improve",
+    "laws",
+    "load",
+    "load_fit",
+    "make_record",
+    "plan",
+    "predict_recordings",
+    "profile_interval",
+    "read_effects",
+    "scan",
+    "scan_lines",
+    "simulate",
 ]  # fmt: skip
 
 _MODULES = {
@@ -62,11 +104,13 @@ _MODULES = {
     "fitting.discovery._plan": ("plan",),
     "fitting.discovery._select": ("Candidate", "improve"),
     "fitting.discovery._verdict": ("Diagnosis", "diagnose"),
+    "fitting.dynamics._inputs": ("Input",),
     "fitting.dynamics._model": ("Model",),
     "fitting.effects._effect": ("Effect", "Parameter"),
     "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
     "fitting.effects._user": ("effect", "read_effects"),
     "fitting.inference._budget": ("budget",),
+    "fitting.inference._first_order": ("FirstOrder", "first_order"),
     "fitting.inference._profile": ("profile_interval",),
     "fitting.inference._record": ("Record", "make_record"),
     "fitting.inference._result": ("Estimate", "Fit"),

@@ -9,7 +9,7 @@ from typing import Any
 # number of digits above which a number with a power of ten is printed with all of them
 _LONG = 3
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
-_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m)\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
+_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AV](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| m?rad| urad| s\b)")
@@ -20,7 +20,9 @@ POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$
 TORQUE = "N m"
 PER_INERTIA = "rad/s2"
 """Unit of a torque per unit of inertia, where no moment of inertia is known."""
-_STRENGTH = re.compile(r"N m(?: s(?:\^?(.+))?)?")
+PER_TORQUE = "kg-1 m-2"
+"""Unit of a factor of a torque in N m that acts on a body whose moment of inertia is not known."""
+_STRENGTH = re.compile(r"N m(?: s(?:\^?([^ ]+))?)?((?: (?:A|V|K)(?:-?\d*\.?\d+)?)*)")
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
 
 
@@ -135,14 +137,14 @@ def per_inertia(unit: str) -> str:
     found = _STRENGTH.fullmatch(unit)
     if found is None:
         return unit
-    power = (found[1] or "1") if " s" in unit else "0"
+    power, tail = (found[1] or "1") if " s" in unit else "0", found[2]
     try:
         exponent = float(power) - 2
     except ValueError:
-        return f"s^({power}-2)"
+        return f"s^({power}-2){tail}"
     if power in {"0", "-1"}:
-        return f"rad/s{-exponent:g}"
-    return f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1"
+        return f"rad/s{-exponent:g}{tail}"
+    return (f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1") + tail
 
 
 def to_json(value: Any) -> Any:

@@ -277,6 +277,16 @@ class PriorDocument(Document):
     covariance: list[list[Number]]
 
 
+class FirstOrderDocument(Document):
+    """First-order response of a driven body of one case: time constant [s], gain and dead time of each input."""
+
+    label: str
+    body: str
+    time_constant: EstimateDocument
+    gains: dict[str, EstimateDocument]
+    delays: dict[str, EstimateDocument]
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
@@ -291,6 +301,7 @@ class FitDocument(Document):
     equations: list[str] = []
     not_determined: list[str] = []
     not_determined_together: list[dict[str, Number]] = []
+    first_order: list[FirstOrderDocument] = []
     prior: PriorDocument | None = None
 
 

@@ -33,6 +33,7 @@ from fitting.effects._effect import (
     dimension,
     format_unit,
     parse_unit,
+    quotient,
 )
 from fitting.effects._expression import parse
 
@@ -291,8 +292,8 @@ def _unit(text: str, shapes: Sequence[Parameter]) -> str:
     at = [dimension(expression, units, dict.fromkeys(exponents, n)) for n in (1.0, 2.0)]
     # seconds of the law: a + b n
     b = at[1][2] - at[0][2]
-    kg, m, s, kelvin = (x - y for x, y in zip(parse_unit("N m"), at[0], strict=True))
-    unit = format_unit((kg, m, s + b, kelvin))
+    kg, m, s, *others = quotient(parse_unit("N m"), at[0])
+    unit = format_unit((kg, m, s + b, *others))
     return unit if b == 0 else f"{unit} s^{'-' if b > 0 else ''}{exponents[0]}"
 
 

@@ -151,7 +151,10 @@ def simulated(fit: Fit, run: Run) -> Fit:
         windows=run.windows,
         window_length=run.window_length,
     )
-    _, path = simulate_path(fit.model.smooth, numbers, experiment)
+    # the inputs of the recording, from the start of the planned run on
+    began = template.span[0]
+    inputs = tuple(replace(i, time=i.time - began) for i in template.inputs)
+    _, path = simulate_path(fit.model.smooth, numbers, experiment, inputs)
     count = _BLOCKS * _PER_BLOCK
     time = np.linspace(0.0, run.duration, count)
     angle = template.quantity == "angle"
@@ -183,6 +186,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         tuple(windows),
         template.quantity,
         digest="planned",
+        inputs=inputs,
     )
     data = CaseData(
         record,

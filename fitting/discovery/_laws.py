@@ -68,6 +68,7 @@ from fitting.discovery._select import Candidate, applicable_effects, rank
 from fitting.discovery._select import best as best_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
@@ -656,6 +657,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
         y = Sampler(p.path.mesh, t).value(p.path.y)
         known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(p.path.states)}
         known |= {"t": t, "delta": y[:, 0] - y[:, 1]}
+        known |= values_at(found.problem.data[case].record.inputs, t)
         known["psi_c"] = Sampler(p.path.mesh, t).integral(*p.path.angle("omega_c"))
         numbers = found.problem.layout.numbers(found.theta, case)
         total = np.zeros(len(t))

@@ -129,7 +129,7 @@ def _variable(effect: Effect) -> str:
     """Return the only variable of a law; time if it has several or a state, the speed of its body if it has none."""
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     speeds = names & {"omega_r", "omega_c", "delta"}
-    if effect.state is not None or "t" in names or len(speeds) > 1:
+    if effect.state is not None or "t" in names or effect.inputs or len(speeds) > 1:
         return "t"
     return next(iter(speeds), _OWN_SPEED.get(effect.joint, "t"))
 

@@ -65,10 +65,11 @@ class RandomTorque:
         """Its size and its correlation time."""
         noise = self.noise
         size = format_torque(noise.level, unit=self.fit.torque_unit)
-        return (
-            f"a random torque of {size} rms ({percentage(noise.level / self.mean_torque)} of the mean torque) with a "
-            f"correlation time of {noise.time:.2g} s"
+        # a model whose strengths are all zero has no torque
+        share = (
+            f" ({percentage(noise.level / self.mean_torque)} of the mean torque)" if self.mean_torque else ""
         )
+        return f"a random torque of {size} rms{share} with a correlation time of {noise.time:.2g} s"
 
     @cached_property
     def is_raised(self) -> bool:

@@ -158,7 +158,10 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     """
     if score.effect.restoring and not base.model.restoring:
         # the motion of the base does not oscillate: its optimum is no initial value for a model that does
-        return _fit_from_scratch(base, score.effect)
+        return fit_from_scratch(base, score.effect)
+    if score.effect.inputs and not any(e.inputs for e in base.model.effects):
+        # the parameters of a model without the drive of a body describe the drive
+        return fit_from_scratch(base, score.effect)
 
     def falls_short(refitted: Fit) -> bool:
         return base.deviance - refitted.deviance < score.score - criteria.refit_shortfall
@@ -181,7 +184,7 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     return found
 
 
-def _fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
+def fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
     """Return the fit of base and candidate without initial values and noise of the base; None if it fails.
 
     At the noise level of a base without a restoring torque, a search converges before phase and frequency are

@@ -42,6 +42,7 @@ from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
 from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Joint, Parameter
 from fitting.effects._expression import Tape, symbols
@@ -156,7 +157,7 @@ class Torques:
                 "omega_r": y[:, 0],
                 "omega_c": y[:, 1],
                 "delta": y[:, 0] - y[:, 1],
-            }
+            } | values_at(self._end.problem.data[case].record.inputs, t)
             known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
             both = Tape([freed.expression, law.expression])(known)
             torque, unit = (np.asarray(x) * np.ones(len(t)) for x in both)

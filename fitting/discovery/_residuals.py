@@ -29,7 +29,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._metrics import slow_responses
 from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums, remaining_level
-from fitting.inference._problem import Projection
+from fitting.inference._problem import Projection, is_driven
 from fitting.inference._record import speeds
 from fitting.inference._result import Fit
 
@@ -192,6 +192,9 @@ def angle_harmonics(fit: Fit) -> list[AngleHarmonics]:
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
         if case.data.measured_angle is None or case.data.oscillation is not None:
+            continue
+        if case.data.record.driving and not is_driven(fit.model, case.data):
+            # about a model without the drive of the body, a harmonic of the angle has no meaning
             continue
         numbers = fit.problem.layout.numbers(fit.theta, index)
         columns = [

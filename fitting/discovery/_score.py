@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import INERTIA_CASING
+from fitting.dynamics._inputs import means_in
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
@@ -201,8 +202,10 @@ class CaseColumns:
         path = self.prediction.path
         self._restoring = fit.model.restoring
         y = Sampler(path.mesh, self.response.centres).value(path.y)
+        self._states_of_motion = y
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        self._known |= means_in(self.case.data.record.inputs, self.response.edges)
         oscillation = self.case.data.oscillation
         if oscillation is not None:
             measured = np.interp(self.response.centres, oscillation.time, oscillation.deflection)
@@ -229,6 +232,8 @@ class CaseColumns:
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
+        if effect.joint == "input":
+            return [Trial({}, self.torque_rows(*self.torque(effect, {})))]
         unit = self._units(effect, choices)
         acting = _ACTING.get(effect.joint, (-1.0, 1.0))
         rows = np.zeros((len(self.response.casing), unit.shape[1]))
@@ -274,6 +279,12 @@ class CaseColumns:
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
+        if effect.joint == "input":
+            dynamics, y = self.case.dynamics, self._states_of_motion
+            by = dynamics.by_delay(
+                effect.inputs[0][0], self.response.centres, self.response.edges, y, self.numbers
+            )
+            return self.numbers[INERTIA_ROTOR] * by[:, :1], self.numbers[INERTIA_CASING] * by[:, 1:]
         unit = self._units(effect, [shape])
         rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
         return rotor * unit, casing * unit

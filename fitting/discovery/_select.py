@@ -26,6 +26,7 @@ from fitting.discovery._difference import SeparateValues, different_parameter, i
 from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
+    fit_from_scratch,
     has_less_process_noise,
     initial_values_of,
     refined,
@@ -39,7 +40,9 @@ from fitting.discovery._refine import (
 )
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
+from fitting.effects._expression import substitute, sym
 from fitting.effects._library import LIBRARY
+from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit
 from fitting.inference._initial_values import equation_error
@@ -51,7 +54,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
+# parameters that the repr of a candidate lists
+_SHOWN = 4
+
+
+@dataclass(frozen=True, repr=False)
 class Candidate:
     """A candidate effect and the evidence for it.
 
@@ -89,6 +96,14 @@ class Candidate:
     significant: bool
     screened: Score = field(repr=False)
     fit: Fit | None = field(repr=False, default=None)
+
+    def __repr__(self) -> str:
+        strengths = ", ".join(
+            f"{name.removeprefix(f'{self.effect.name}.')} = {rounded(e.value, e.stderr, e.unit)}"
+            for name, e in list(self.estimates.items())[:_SHOWN]
+        )
+        mark = "significant" if self.significant else "not significant"
+        return f"{self.effect.name}: score {self.score:.4g}, {mark}{f'; {strengths}' if strengths else ''}"
 
     @property
     def own_phase(self) -> bool:
@@ -128,6 +143,8 @@ def rank(
     # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
     restoring_only = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
+    driving = needed_drives(base, effects)
+    effects = [e for e in effects if not driving or e.name in driving]
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     scores = score(base, effects, cases, criteria)
     nulls = {s.effect.name: NullDistribution(s) for s in scores}
@@ -138,7 +155,7 @@ def rank(
         p = family(null(s.score), null.weights)
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
-    chosen = _to_refit(found, criteria)
+    chosen = [True] * len(found) if driving else _to_refit(found, criteria)
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
@@ -197,12 +214,61 @@ def shared_data(fit: Fit) -> Sequence[CaseData]:
 
 def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     """Return the effects of the library and of the user that a fit could lack."""
-    known = {e.name: e for e in (*LIBRARY.values(), *extra)}
+    first, *others = ({(i.name, i.unit) for i in d.record.inputs} for d in base.problem.data)
+    varying = {i.name for d in base.problem.data for i in d.record.driving}
+    common = {name: unit for name, unit in sorted(first.intersection(*others)) if name in varying}
+    recorded = [e for e in drives(common) if not any(_same_law(e, b) for b in base.model.effects)]
+    known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
     names = set(base.model.names)
     return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
 
 
+# rms residual speed with a law of a recorded input, over that without, below which the input drives the body
+_DRIVE_ERROR = 0.5
+
+
+def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
+    """Return the laws of recorded inputs without which a model has nothing in common with the motion of a driven body.
+
+    Scores about such a model are not reliable, so each is fitted from scratch. Empty if the model has a law of an
+    input, or if no input halves the rms residual speed.
+    """
+    laws = [e for e in effects if e.inputs and e.joint != "input" and e.amplitude is not None]
+    if any(e.inputs for e in base.model.effects):
+        return set()
+    fits = {e.name: fit_from_scratch(base, e) for e in laws}
+    error = {name: f.rmse_casing for name, f in fits.items() if f is not None}
+    return {name for name, value in error.items() if value < _DRIVE_ERROR * base.rmse_casing}
+
+
+def _same_law(one: Effect, other: Effect) -> bool:
+    """Return whether two effects have the same law with another name of its strength."""
+    if (
+        one.joint != other.joint
+        or one.inputs != other.inputs
+        or one.amplitude is None
+        or other.amplitude is None
+    ):
+        return False
+    law, own = one.expression, {other.amplitude.symbol: sym(one.amplitude.symbol)}
+    return law == substitute(other.expression, own)
+
+
+def _without_dead_time(base: Fit) -> bool:
+    """Return whether a law of an input that varies has no dead time yet.
+
+    A torque that sets in after a step of the input imitates one, with more parameters.
+    """
+    delayed = {name for e in base.model.effects if e.joint == "input" for name, _ in e.inputs}
+    used = {name for e in base.model.effects for name, _ in e.inputs}
+    return bool(used & {i.name for i in base.problem.data[0].record.driving} - delayed)
+
+
 def _is_applicable(effect: Effect, base: Fit) -> bool:
+    if effect.breakpoint and _without_dead_time(base):
+        return False
+    if effect.joint == "input":  # without a law of the input its dead time has no influence
+        return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):
         return False
     # a contact that turns in one sense slides after a small angle: from then on its friction is constant

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,9 +85,11 @@ if TYPE_CHECKING:
 
 # candidates that a notebook shows
 _MOST_CANDIDATES = 10
+# lines of the sentence, and candidates, of a repr, and its width
+_IN_REPR, _WIDTH = 8, 100
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Where a model fails and which effects are candidates.
 
@@ -143,12 +146,21 @@ class Diagnosis:
     remainder: Remainder | None
     nuisance: tuple[Nuisance, ...]
     next_experiment: str
-    torques: tuple[ResidualTorque, ...] = field(repr=False)
-    ripples: tuple[AngleHarmonics, ...] = field(repr=False)
-    whiteness: tuple[Whiteness, ...] = field(repr=False)
+    torques: tuple[ResidualTorque, ...]
+    ripples: tuple[AngleHarmonics, ...]
+    whiteness: tuple[Whiteness, ...]
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
     differs: DifferentParameter | None = None
+
+    def __repr__(self) -> str:
+        shown = [f"  {c!r}"[:_WIDTH] for c in self.candidates[:_IN_REPR]]
+        more = len(self.candidates) - len(shown)
+        sentence = wrap(self.sentence, _WIDTH)
+        if len(sentence) > _IN_REPR:
+            sentence = [*sentence[: _IN_REPR - 1], "..."]
+        lines = [f"diagnosis: {self.verdict}", *sentence, *(["candidates"] if shown else []), *shown]
+        return "\n".join([*lines, *([f"  ... {more} more"] if more else [])])
 
     def plot(self, ax: Axes | None = None, *, case: int = 0) -> Figure:
         """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib).

@@ -466,10 +466,10 @@ def coarsened(path: Path) -> Path:
         return path
     resolved = truncation_error(path) < _RESOLVED
     edges = path.mesh.edges
-    redundant, i = [], 0
+    redundant, i, kinks = [], 0, set(path.kinks)
     while i < len(resolved) - 1:
         equal = 0.4 < (edges[i + 1] - edges[i]) / (edges[i + 2] - edges[i]) < 0.6
-        if resolved[i] and resolved[i + 1] and equal and edges[i + 1] not in path.kinks:
+        if resolved[i] and resolved[i + 1] and equal and edges[i + 1] not in kinks:
             redundant.append(i + 1)
             i += 1
         i += 1

@@ -497,12 +497,15 @@ def solve(
 ) -> Path:
     """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
-    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints and where the casing
-    stops, reverses or starts. `guess` is a solution for similar numbers, or the measured motion; where the sequence
-    of events has changed, at most `most` stretches are integrated one by one, each in at most `intervals`.
-    SimulationError: these are not enough, Newton's method does not converge, or the states leave the finite numbers.
+    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
+    inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
+    motion; where the sequence of events has changed, at most `most` stretches are integrated one by one, each in at
+    most `intervals`. SimulationError: these are not enough, Newton's method does not converge, or the states leave the
+    finite numbers.
     """
-    breaks = tuple(numbers[k] for k in dynamics.breakpoints if mesh.edges[0] < numbers[k] < mesh.edges[-1])
+    span = float(mesh.edges[0]), float(mesh.edges[-1])
+    own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])
+    breaks = tuple(sorted({*own, *dynamics.changes(*span, numbers)}))
     mesh = mesh.with_breakpoints(breaks)
     run = Segments(dynamics, numbers, breaks, intervals)
     pieces: list[Path] = []

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting._errors import EffectError
-from fitting.effects._effect import RATIO, Effect, Parameter
+from fitting.dynamics._inputs import Input
+from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
 from fitting.effects._expression import (
     ONE,
     ZERO,
@@ -251,8 +252,11 @@ def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
     return replace(effect, parameters=tuple(parameters))
 
 
-def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
-    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables."""
+def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] = ()) -> Model:
+    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
+
+    Laws among the names may contain `inputs`.
+    """
     document = read_toml(path)
     names = document.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
@@ -261,7 +265,8 @@ def read_model(path: Path, own: Iterable[Effect] = ()) -> Model:
         )
     declared = read_effects(path) if "effect" in document else []
     known = {e.name: e for e in (*own, *declared)}
-    chosen = [known[n] if n in known else resolve(n) for n in names]
+    units = {i.name: i.unit for i in inputs}
+    chosen = [known[n] if n in known else resolve(n, units) for n in names]
     chosen += [e for e in declared if e.name not in names]
     if not chosen:
         raise EffectError(f"{path} names no effect", 'write: effects = ["bearing.linear", ...]')
@@ -282,11 +287,19 @@ class Dynamics:
     the motion. `states` are ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of
     effects, then the angles; the initial values of the first `free_starts` belong to the recording. `ratio` is the
     key of the ratio of a contact without slip: the initial omega_r is then ratio times that of the casing. If `dry`,
-    a torque jumps where the casing stops, and rates are given for one sense of its motion.
+    a torque jumps where the casing stops, and rates are given for one sense of its motion. `inputs` are those of the
+    recording.
     """
 
-    def __init__(self, model: Model, *, angles: bool = False) -> None:
+    def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
         physical = [e for e in model.effects if e.mechanical]
+        used = {name for e in physical for name, _ in e.inputs}
+        self.inputs = tuple(i for i in inputs if i.name in used)
+        # keys of the dead times of inputs, by symbol
+        delays = {
+            e.inputs[0][0]: f"{e.name}.{e.parameters[0].symbol}" for e in physical if e.joint == "input"
+        }
+        self._delays = {i.symbol: delays[i.name] for i in self.inputs if i.name in delays}
         own = [(e, e.state) for e in physical if e.state is not None]
         restoring = any(e.restoring for e in physical)
         self.free_starts = 3 if restoring else 2
@@ -308,13 +321,14 @@ class Dynamics:
         self.constants = {
             k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}
         }
-        rates = [_in_one_sense(rate) for rate in self._rates(physical)]
+        self._equations = rates = [_in_one_sense(rate) for rate in self._rates(physical)]
         self.dry = any(SENSE in symbols(rate) for rate in rates)
         if angles:
-            rates += [sym("omega_r"), sym("omega_c")]
+            rates = [*rates, sym("omega_r"), sym("omega_c")]
         outputs = list(rates)
         self._jacobian_at = self._collect(outputs, rates, self.states)
         self._sensitivity_at = self._collect(outputs, rates, self.parameters)
+        self._sensitivity_at += self._collect_delays(outputs, rates)
         self._tape = Tape(outputs)
         self._tangent_tape = Tape(outputs[: len(rates) + len(self._jacobian_at)])
         self._rates_tape = Tape(rates)
@@ -332,7 +346,21 @@ class Dynamics:
                     outputs.append(slope)
         return places
 
+    def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
+        """Return places of the derivatives by dead times, d(rate)/dT = -d(rate)/du du/dt, but for jumps of u."""
+        places = []
+        for symbol, key in self._delays.items():
+            if key not in self.parameters:
+                continue
+            for i, rate in enumerate(rates):
+                slope = mul(neg(derivative(rate, symbol)), sym(slope_symbol(symbol)))
+                if slope != ZERO:
+                    places.append((i, self.parameters.index(key), len(outputs)))
+                    outputs.append(slope)
+        return places
+
     def _rates(self, physical: list[Effect]) -> list[Expr]:
+        physical = [e for e in physical if e.joint != "input"]
         laws: dict[str, list[Expr]] = {j: [] for j in ("rotor", "casing", "bearing", "factor", "inertia")}
         inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
         difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
@@ -369,7 +397,68 @@ class Dynamics:
 
     def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
         states = {name: y[..., i] for i, name in enumerate(self.states)}
-        return {"t": t, **self.constants, **numbers, **states}
+        values = {"t": t, **self.constants, **numbers, **states}
+        for i in self.inputs:
+            if i.symbol not in self._delays:
+                values[i.symbol] = i(t)
+                continue
+            late = self._delay(i, numbers)
+            values |= {i.symbol: i(t, late), slope_symbol(i.symbol): i.slope(t, late)}
+        return values
+
+    def _delay(self, i: Input, numbers: Mapping[str, float]) -> float:
+        key = self._delays.get(i.symbol)
+        return 0.0 if key is None else float((self.constants | dict(numbers))[key])
+
+    def changes(self, first: float, last: float, numbers: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the times between two others at which an input changes value or slope [s]."""
+        found = [i.changes(first, last, self._delay(i, numbers)) for i in self.inputs]
+        return tuple(np.unique(np.concatenate(found)).tolist()) if found else ()
+
+    def moving_breaks(
+        self, first: float, last: float, numbers: Mapping[str, float]
+    ) -> dict[str, list[float]]:
+        """Return the times between two others at which a torque jumps and that depend on a parameter, by its key."""
+        found = {k: [numbers[k]] for k in self.breakpoints if k in self.parameters}
+        for i in self.inputs:
+            key = self._delays.get(i.symbol)
+            if key in self.parameters and i.interpolation == "hold":
+                found[str(key)] = i.changes(first, last, self._delay(i, numbers)).tolist()
+        return found
+
+    def by_input(self, i: Input, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+        """Return the derivative of the accelerations of rotor and casing by an input, (times, 2)."""
+        slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[:2]])
+        values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
+        return np.stack([np.asarray(s) * np.ones(len(t)) for s in slopes(values)], axis=1)
+
+    def by_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
+        """Return the derivative of the accelerations by the dead time of an input, -d(rate)/du du/dt, (cells, 2).
+
+        The derivative of the input is its mean between the edges of the cells about the times `t`.
+        """
+        i = next(i for i in self.inputs if i.name == name)
+        change = np.diff(i(edges, self._delay(i, numbers))) / np.diff(edges)
+        return -self.by_input(i, t, y, numbers) * change[:, None]
+
+    @cached_property
+    def first_order(self) -> tuple[Expr, dict[str, Expr]] | None:
+        """Return the decay rate of the casing's speed [1/s] and its acceleration per unit of each input.
+
+        Those of a linear response, d(omega_c)/dt = -decay omega_c + sum of slope times input + what depends on neither,
+        as expressions of the parameters; None if the response is another one.
+        """
+        motion = {*self.states, "t", *(i.symbol for i in self.inputs)}
+        rate = self._equations[_CASING]
+        decay = neg(derivative(rate, "omega_c"))
+        slopes = {i.name: derivative(rate, i.symbol) for i in self.inputs}
+        coupled = any(derivative(rate, s) != ZERO for s in self.states if s != "omega_c")
+        if coupled or decay == ZERO or not slopes or any(e == ZERO for e in slopes.values()):
+            return None
+        # what depends on the speed or on an input besides the linear terms
+        if any(symbols(e) & motion for e in (decay, *slopes.values())):
+            return None
+        return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
         """Return the matrix that turns the accelerations of free bodies into those of bodies that roll on each other.

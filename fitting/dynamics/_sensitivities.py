@@ -196,17 +196,19 @@ def _jump_impulses(
 ) -> dict[int, Array]:
     """Return the derivative of the states by the time of each jump: rate before minus rate after, at its edge."""
     impulses: dict[int, Array] = {}
-    for key in dynamics.breakpoints:
-        time = numbers[key]
-        i = int(np.searchsorted(path.mesh.edges, time))
-        if not 0 < i < len(path.mesh.edges) - 1 or path.mesh.edges[i] != time:
-            continue
-        y = path.edges[i]
-        before = dynamics.rates(np.nextafter(time, -np.inf), y, numbers, path.sense[i - 1])
-        after = dynamics.rates(np.asarray(time), y, numbers, path.sense[i])
-        impulse = np.zeros((len(y), columns))
-        impulse[:, dynamics.parameters.index(key)] = before - after
-        impulses[i - 1] = impulses.get(i - 1, 0.0) + impulse
+    edges = path.mesh.edges
+    for key, times in dynamics.moving_breaks(float(edges[0]), float(edges[-1]), numbers).items():
+        column = dynamics.parameters.index(key)
+        for time in times:
+            i = int(np.searchsorted(edges, time))
+            if not 0 < i < len(edges) - 1 or edges[i] != time:
+                continue
+            y = path.edges[i]
+            before = dynamics.rates(np.nextafter(time, -np.inf), y, numbers, path.sense[i - 1])
+            after = dynamics.rates(np.asarray(time), y, numbers, path.sense[i])
+            impulse = np.zeros((len(y), columns))
+            impulse[:, column] = before - after
+            impulses[i - 1] = impulses.get(i - 1, 0.0) + impulse
     return impulses
 
 

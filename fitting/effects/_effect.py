@@ -1,28 +1,32 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
-The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K); radians and
-pixels count as 1. Exponents that are parameters (the g of a power law) take the value that is given for them.
+The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
+and pixels count as 1. The volt is a base of its own: the constant of a motor is proposed in N m A-1 or N m V-1.
+Exponents that are parameters (the g of a power law) take the value that is given for them.
+
+A law may depend on recorded inputs. They have symbols of their own (`input_symbol`), so that no name of an input meets
+that of a variable or a parameter.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-from fitting._errors import EffectError, ExpressionError
-from fitting.effects._expression import Expr, parse, symbols
+from fitting._errors import EffectError, ExpressionError, RecordError
+from fitting.effects._expression import FUNCTIONS, Expr, parse, substitute, sym, symbols
 
-Dimension = tuple[float, float, float, float]
+Dimension = tuple[float, ...]
 
-NONE: Dimension = (0.0, 0.0, 0.0, 0.0)
+_SYMBOLS = ("kg", "m", "s", "K", "A", "V")
+NONE: Dimension = (0.0,) * len(_SYMBOLS)
 _BASE: dict[str, Dimension] = {
-    "1": NONE, "rad": NONE, "px": NONE, "kg": (1, 0, 0, 0), "m": (0, 1, 0, 0), "s": (0, 0, 1, 0),
-    "K": (0, 0, 0, 1), "N": (1, 1, -2, 0), "J": (1, 2, -2, 0),
-}  # fmt: skip
+    "1": NONE, "rad": NONE, "px": NONE, "N": (1, 1, -2, 0, 0, 0), "J": (1, 2, -2, 0, 0, 0),
+} | {name: (*NONE[:i], 1.0, *NONE[i + 1 :]) for i, name in enumerate(_SYMBOLS)}  # fmt: skip
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
 
@@ -30,7 +34,7 @@ _TOLERANCE = 1e-9
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit such as ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    An ExpressionError names a part that is not one of kg, m, s, K, N, J, rad, px, 1 with an exponent.
+    An ExpressionError names a part that is not one of kg, m, s, K, A, V, N, J, rad, px, 1 with an exponent.
     """
     result = NONE
     for token in unit.split():
@@ -50,11 +54,11 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
 
 def format_unit(dimension: Dimension) -> str:
     """Return a dimension as a unit with N m factored out where that is shorter, such as ``N m s2``."""
-    kg, m, s, kelvin = dimension
+    kg, m, s, *others = dimension
     parts = []
     if abs(kg - 1) < _TOLERANCE and abs(m - 2) < _TOLERANCE:
         parts, kg, m, s = ["N", "m"], 0.0, 0.0, s + 2
-    for name, exponent in (("kg", kg), ("m", m), ("s", s), ("K", kelvin)):
+    for name, exponent in zip(_SYMBOLS, (kg, m, s, *others), strict=True):
         if abs(exponent) > _TOLERANCE:
             parts.append(name if abs(exponent - 1) < _TOLERANCE else f"{name}{exponent:g}")
     return " ".join(parts) or "1"
@@ -105,14 +109,21 @@ def _same(a: Dimension, b: Dimension) -> bool:
 
 
 def _times(a: Dimension, b: Dimension) -> Dimension:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+def quotient(a: Dimension, b: Dimension) -> Dimension:
+    """Return the dimension of a / b."""
+    return _times(a, _to_power(b, -1.0))
 
 
 def _to_power(a: Dimension, n: float) -> Dimension:
-    return (a[0] * n, a[1] * n, a[2] * n, a[3] * n)
+    return tuple(x * n for x in a)
 
 
-Joint = Literal["rotor", "casing", "bearing", "contact", "factor", "inertia", "camera.casing", "camera.rotor"]
+Joint = Literal[
+    "rotor", "casing", "bearing", "contact", "factor", "inertia", "input", "camera.casing", "camera.rotor"
+]
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 
@@ -127,6 +138,36 @@ VARIABLES: dict[str, str] = {
 }  # fmt: skip
 # Variables of laws in a contact only.
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
+# names of variables of laws that no user's law may contain; inputs may have them
+NOT_FOR_USERS = frozenset({"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"})
+_INPUT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+_INPUT, _SLOPE = "input.", "slope."
+
+
+def slope_symbol(symbol: str) -> str:
+    """Return the symbol of the time derivative of a recorded input."""
+    return f"{_SLOPE}{symbol}"
+
+
+def input_symbol(name: str) -> str:
+    """Return the symbol of a recorded input in the expression of a law."""
+    return f"{_INPUT}{name}"
+
+
+def is_input_symbol(symbol: str) -> bool:
+    """Return whether a symbol of a law is a recorded input."""
+    return symbol.startswith(_INPUT)
+
+
+def refuse_input_name(name: str) -> None:
+    """Raise a RecordError for a name that cannot be that of an input in a law."""
+    what = f"{str(name)[:40]!r} cannot be the name of an input"
+    if not isinstance(name, str) or not _INPUT_NAME.fullmatch(name):
+        raise RecordError(what, "use letters, digits and underscores, beginning with a letter")
+    if name in {*FUNCTIONS, "pi", *(set(VARIABLES) - NOT_FOR_USERS)}:
+        raise RecordError(f"{what}: it has another meaning in laws", "choose another name, such as current")
+
+
 # trial changepoints, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
 # joints whose law is a torque; that of the others is a number
@@ -191,7 +232,7 @@ class Effect:
     gears, a belt) the torque tau on the rotor and -n tau on the casing, n its ratio; with ``factor`` it
     multiplies the whole bearing torque, with ``inertia`` the casing's acceleration; with
     ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
-    omega are then those of the body filmed).
+    omega are then those of the body filmed); with ``input`` it is the dead time after which a recorded input acts.
 
     All properties of an effect are fields or properties of this class; no code depends on the name of an effect, so
     that a new law is one entry of the library.
@@ -230,6 +271,8 @@ class Effect:
         Whether it is a candidate effect; contacts are visible on the apparatus and are not.
     rigid : bool
         Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
+    inputs : tuple of (str, str)
+        Names and units of the recorded inputs in the law.
     """
 
     name: str
@@ -248,16 +291,19 @@ class Effect:
     equivalent: tuple[str, ...] = ()
     searched: bool = True
     rigid: bool = False
+    inputs: tuple[tuple[str, str], ...] = ()
 
     @cached_property
     def expression(self) -> Expr:
         """The law as a tree."""
-        return parse(self.law)
+        return with_input_symbols(parse(self.law), [name for name, _ in self.inputs])
 
     @cached_property
     def rate(self) -> Expr | None:
         """The rate of change of its state variable as a tree."""
-        return parse(self.state.rate) if self.state else None
+        if self.state is None:
+            return None
+        return with_input_symbols(parse(self.state.rate), [name for name, _ in self.inputs])
 
     @property
     def amplitude(self) -> Parameter | None:
@@ -284,7 +330,12 @@ class Effect:
     def single_body(self) -> bool:
         """Whether it applies to the recording of one body: it acts on the casing and depends on no other body."""
         names = symbols(self.expression) | (symbols(self.rate) if self.rate is not None else set())
-        return self.joint in {"casing", "camera.casing"} and not names & {"omega_r", "psi_r", "delta", "tau"}
+        return self.joint in {"casing", "input", "camera.casing"} and not names & {
+            "omega_r",
+            "psi_r",
+            "delta",
+            "tau",
+        }
 
     @cached_property
     def depends_on_angle(self) -> bool:
@@ -324,6 +375,7 @@ class Effect:
         own = {p.symbol for p in self.parameters}
         used = symbols(self.expression) | (symbols(self.rate) if self.rate else set())
         variables = VARIABLES | (_CONTACT_VARIABLES if self.joint == "contact" else {})
+        variables |= {input_symbol(name): unit for name, unit in self.inputs}
         unknown = used - own - set(variables)
         if self.joint == "contact" and RATIO not in own:
             raise EffectError(f"{self.name!r} acts in a contact but has no ratio {RATIO}", f"declare {RATIO}")
@@ -336,6 +388,11 @@ class Effect:
         units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in variables.items()}
         units |= {p.symbol: parse_unit(p.unit, exponents) for p in self.parameters}
         result = dimension(self.expression, units, exponents)
-        unit = "N m" if self.joint in _TORQUES else "1"
+        unit = "N m" if self.joint in _TORQUES else "s" if self.joint == "input" else "1"
         if not _same(result, parse_unit(unit)):
             raise EffectError(f"the law of {self.name!r} has the unit {format_unit(result)}, not {unit}")
+
+
+def with_input_symbols(expression: Expr, names: Iterable[str]) -> Expr:
+    """Return an expression with the symbols of the inputs of these names."""
+    return substitute(expression, {name: sym(input_symbol(name)) for name in names})

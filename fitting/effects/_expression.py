@@ -377,6 +377,7 @@ def latex(e: Expr) -> str:
 
 
 def _symbol(name: str) -> str:
+    name = name.removeprefix("input.")  # recorded inputs (`input_symbol` of `fitting.effects._effect`)
     if name in _LATEX_NAMES:
         return _LATEX_NAMES[name]
     head = name.rstrip("0123456789")

@@ -17,6 +17,7 @@ from fitting._errors import EffectError, ExpressionError, FittingError
 from fitting.effects._effect import (
     MOMENTS,
     NONE,
+    NOT_FOR_USERS,
     VARIABLES,
     Dimension,
     Effect,
@@ -26,7 +27,12 @@ from fitting.effects._effect import (
     State,
     dimension,
     format_unit,
+    input_symbol,
+    is_input_symbol,
     parse_unit,
+    quotient,
+    refuse_input_name,
+    with_input_symbols,
 )
 from fitting.effects._expression import (
     ZERO,
@@ -52,7 +58,6 @@ _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 # largest number of edits by which a misspelt name differs from a variable
 _EDITS = 2
-_NOT_FOR_USERS = {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"}
 
 
 def formula(
@@ -65,26 +70,31 @@ def formula(
     source: str = "",
     per_case: bool = False,
     rate: str = "",
+    inputs: Mapping[str, str] | None = None,
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
 
-    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate. An EffectError
-    or ExpressionError says that the law is not understood, has no strength to fit, or does not come out in its unit.
+    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate. `inputs` are the
+    units of the recorded inputs that the law may contain, by name. An EffectError or ExpressionError says that the law
+    is not understood, has no strength to fit, or does not come out in its unit.
     """
     if body not in _BODIES:
         raise EffectError(
             f"{body[:30]!r} is an unknown body", "write rotor:, casing: or bearing: before the law"
         )
-    expression = parse(law)
-    used = symbols(expression) | (symbols(parse(rate)) if rate else set())
-    own = sorted(used - set(VARIABLES))
-    for forbidden in sorted((used & _NOT_FOR_USERS) - ({"lag"} if rate else set())):
+    known = dict(inputs or {})
+    expression = with_input_symbols(parse(law), known)
+    used = symbols(expression) | (symbols(with_input_symbols(parse(rate), known)) if rate else set())
+    driving = tuple((name, unit) for name, unit in known.items() if input_symbol(name) in used)
+    own = sorted(s for s in used - set(VARIABLES) if not is_input_symbol(s))
+    for forbidden in sorted((used & NOT_FOR_USERS) - ({"lag"} if rate else set())):
         raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
     if not own:
         raise EffectError(
             f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
         )
-    _refuse_misspelt(expression, [s for s in own if s not in declared], body)
+    _refuse_misspelt(expression, [s for s in own if s not in declared], body, known)
+    _refuse_product(expression, [s for s in own if s not in declared], known)
     for symbol in sorted(set(declared) - set(own)):
         raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
     amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
@@ -94,7 +104,9 @@ def formula(
     given = {symbol for symbol, keys in declared.items() if {"grid", "start"} & set(keys)}
     timed, jump = _timed(parameters, expression)
     parameters = tuple(p if p.symbol in given else t for p, t in zip(parameters, timed, strict=True))
-    unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(expression, amplitude, parameters)
+    unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(
+        expression, amplitude, parameters, dict(driving)
+    )
     parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
     effect = Effect(
         name,
@@ -106,17 +118,21 @@ def formula(
         breakpoint=jump,
         per_case=per_case,
         state=State("lag", rate) if rate else None,
+        inputs=driving,
     )
     _check(effect)
     return effect
 
 
-def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> None:
+def _refuse_misspelt(
+    expression: Expr, undeclared: Sequence[str], body: str, inputs: Mapping[str, str]
+) -> None:
     """Refuse parameters that are not declared and are probably misspelt variables.
 
-    That is a name within two edits of a variable, or any name besides the strength in a law without variables.
+    That is a name within two edits of a variable or an input, or any name besides the strength in a law without
+    variables.
     """
-    variables = [v for v in VARIABLES if v not in _NOT_FOR_USERS]
+    variables = [v for v in (*VARIABLES, *inputs) if v not in NOT_FOR_USERS or v in inputs]
     for symbol in undeclared:
         # short names are within two edits of most others
         near = [v for v in variables if len(v) > _EDITS + 2]
@@ -126,12 +142,33 @@ def _refuse_misspelt(expression: Expr, undeclared: Sequence[str], body: str) -> 
                 f"unknown name {symbol!r} in the law; did you mean {variable}?",
                 f"if it is a parameter, declare {symbol} in a file of effects (--effects) or rename it",
             )
-    if len(undeclared) > 1 and not symbols(expression) & set(variables):
+    used = symbols(expression)
+    if len(undeclared) > 1 and not used & set(variables) and not any(map(is_input_symbol, used)):
         raise EffectError(
             f"the law contains no variable of the {body}, only the names {', '.join(undeclared)}; "
-            f"did you mean {_FIRST_VARIABLE[body]}?",
+            f"did you mean {_FIRST_VARIABLE[body]}? {_recorded(inputs)}",
             "if all are parameters, declare them in a file of effects (--effects)",
         )
+
+
+def _refuse_product(expression: Expr, undeclared: Sequence[str], inputs: Mapping[str, str]) -> None:
+    """Refuse two parameters that occur as a product only: the data determine the product, and one may be an input."""
+    for i, first in enumerate(undeclared):
+        slope = derivative(expression, first)
+        if first in symbols(slope) or substitute(expression, {first: ZERO}) != ZERO:
+            continue
+        for second in undeclared[i + 1 :]:
+            if second not in symbols(derivative(slope, second)) and substitute(slope, {second: ZERO}) == ZERO:
+                raise EffectError(
+                    f"the parameters {first} and {second} occur as a product only, of which the data determine one "
+                    f"factor. {_recorded(inputs)}",
+                    "write one parameter, or record the input with `gyrotrack import --input`",
+                )
+
+
+def _recorded(inputs: Mapping[str, str]) -> str:
+    """Return a sentence with the inputs that a law may contain."""
+    return f"Recorded inputs: {', '.join(inputs)}." if inputs else "The recording has no input."
 
 
 def edit_distance(a: str, b: str) -> int:
@@ -235,7 +272,9 @@ def _is_phase(expression: Expr, symbol: str) -> bool:
     return bool(size > 0 and np.abs(law + curvature).max() < 1e-9 * size)
 
 
-def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Parameter, ...]) -> str:
+def _amplitude_unit(
+    expression: Expr, amplitude: str, parameters: tuple[Parameter, ...], inputs: Mapping[str, str]
+) -> str:
     """Return the unit that makes the law a torque; where an exponent is fitted, ``N m s^p``."""
     torque = parse_unit("N m")
     exponents = {p.symbol: p.start for p in parameters if p.unit == "1"}
@@ -243,9 +282,9 @@ def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Paramete
     def needed(shift: str = "") -> Dimension:
         values = exponents | ({shift: exponents[shift] + 1.0} if shift else {})
         units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
+        units |= {input_symbol(name): parse_unit(unit) for name, unit in inputs.items()}
         units |= {p.symbol: NONE if p.symbol == amplitude else parse_unit(p.unit, values) for p in parameters}
-        rest = dimension(expression, units, values)
-        return (torque[0] - rest[0], torque[1] - rest[1], torque[2] - rest[2], torque[3] - rest[3])
+        return quotient(torque, dimension(expression, units, values))
 
     try:
         unit = needed()
@@ -261,9 +300,51 @@ def _amplitude_unit(expression: Expr, amplitude: str, parameters: tuple[Paramete
 
 
 def _hint() -> str:
-    return "a law may contain t, omega_r, omega_c, psi_r, psi_c, delta and deflection"
+    return "a law may contain t, omega_r, omega_c, psi_r, psi_c, delta, deflection and recorded inputs"
 
 
+def drive(joint: str, name: str, unit: str) -> Effect:
+    """Return the torque on a body that is proportional to a recorded input, ``casing.input.current`` for example."""
+    return Effect(
+        f"{joint}.input.{name}",
+        cast("Joint", joint),
+        f"k*{name}",
+        (
+            Parameter(
+                "k",
+                format_unit(quotient(parse_unit("N m"), parse_unit(unit))),
+                lower=-math.inf,
+                meaning=f"torque per unit of {name}",
+            ),
+        ),
+        signature=f"the torque follows the recorded input {name}",
+        inputs=((name, unit),),
+    )
+
+
+def dead_time(name: str, unit: str) -> Effect:
+    """Return the dead time after which a recorded input acts, ``input.current.delay`` for example."""
+    return Effect(
+        f"input.{name}.delay",
+        "input",
+        "T",
+        (Parameter("T", "s", lower=0.0, meaning=f"time after which {name} acts"),),
+        kind="measurement",
+        signature=f"every change of the motion follows the recorded input {name} late by the same time",
+        inputs=((name, unit),),
+    )
+
+
+def drives(inputs: Mapping[str, str] | Sequence[Any]) -> tuple[Effect, ...]:
+    """Return the effects of recorded inputs: torques proportional to each, on and between bodies, and dead times."""
+    units = units_of_inputs(inputs).items()
+    return (*(drive(j, n, u) for n, u in units for j in _BODIES), *(dead_time(n, u) for n, u in units))
+
+
+# effects of recorded inputs
+_OF_INPUT = re.compile(
+    r"(?P<joint>rotor|casing|bearing)\.input\.(?P<driven>\w+)|input\.(?P<delayed>\w+)\.delay"
+)
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
 # keys of a table, and what their values must be; numbers are checked with their bounds
@@ -271,36 +352,66 @@ _PARAMETER_KEYS = dict.fromkeys(("lower", "upper", "start"), "") | {
     "unit": "text", "meaning": "text", "grid": "a list", "shape": "true or false"
 }  # fmt: skip
 _EFFECT_KEYS = dict.fromkeys(("name", "body", "law", "rate", "signature", "source"), "text") | {
-    "parameters": "a table", "per_case": "true or false"
+    "parameters": "a table", "inputs": "a table", "per_case": "true or false"
 }  # fmt: skip
 
 
-def resolve(text: str) -> Effect:
+def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) -> Effect:
     """Return an effect from its name in the library or from a formula ``body: law``.
 
     Parameters
     ----------
     text : str
-        Such as ``casing.air.quadratic`` or ``casing: -k*omega_c**3``. Names in the law that are no
-        variables are parameters; those in which the law is linear start from a regression.
+        Such as ``casing.air.quadratic``, ``casing: -k*omega_c**3`` or, with an input, ``casing: k*current`` and
+        ``casing.input.current``. Names in the law that are no variables are parameters; those in which the law is
+        linear start from a regression.
+    inputs : mapping of str to str, or sequence of Input, optional
+        The recorded inputs that the law may contain: their units by name, or ``record.inputs``.
 
     Raises
     ------
     EffectError, ExpressionError
         With what is not understood.
     """
+    if not isinstance(text, str):
+        raise EffectError(
+            f"a {type(text).__name__} is not an effect", "write for example casing: -k*omega_c**3"
+        )
+    known = units_of_inputs(inputs)
     body, colon, law = text.partition(":")
-    if not colon:
+    if colon:
+        return formula(text.strip(), body.strip(), law.strip(), {}, inputs=known)
+    found = _OF_INPUT.fullmatch(text.strip())
+    if found is None:
         return find(text.strip())
-    return formula(text.strip(), body.strip(), law.strip(), {})
+    name = found["driven"] or found["delayed"]
+    if name not in known:
+        raise EffectError(
+            f"{text.strip()[:60]} needs the input {name[:40]}. {_recorded(known)}",
+            "record it with `gyrotrack import --input`",
+        )
+    return drive(found["joint"], name, known[name]) if found["joint"] else dead_time(name, known[name])
+
+
+def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[str, str]:
+    """Return the units of recorded inputs by name, from such a mapping or from the inputs themselves."""
+    if inputs is None or isinstance(inputs, Mapping):
+        return dict(inputs or {})
+    try:
+        return {str(i.name): str(i.unit) for i in inputs}
+    except (TypeError, AttributeError):
+        raise EffectError(
+            f"{type(inputs).__name__} holds no inputs",
+            "give record.inputs, or units by name: {'current': 'A'}",
+        ) from None
 
 
 def read_effects(path: Path) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table an effect.
 
     Each has ``name``, ``body``, ``law`` and optionally ``rate`` (of the state variable ``lag``), ``signature``,
-    ``source``, ``per_case`` and ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``,
-    ``grid``, ``meaning``,
+    ``source``, ``per_case``, ``inputs`` with the units of the recorded inputs in the law (``{current = "A"}``), and
+    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
     and ``shape = true`` for a parameter that is not to be taken as the law's strength.
 
     Parameters
@@ -355,6 +466,13 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
             raise EffectError(f"{where}, parameter {symbol}: {fault.message}", fault.hint) from None
         declared[symbol] = keys | ({"unit": unit} if "unit" in keys else {})
     more = {k: table[k] for k in ("rate", "signature", "source", "per_case") if k in table}
+    try:
+        for name, unit in table.get("inputs", {}).items():
+            refuse_input_name(name)
+            parse_unit(str(unit))
+    except FittingError as fault:
+        raise EffectError(f"{where}, inputs: {fault.message}", fault.hint) from None
+    more["inputs"] = {name: str(unit) for name, unit in table.get("inputs", {}).items()}
     try:
         return formula(table["name"], table["body"], table["law"], declared, **more)
     except FittingError as fault:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
 from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._library import NUISANCE
 from fitting.inference._case_data import CAMERA_COLUMNS, INERTIA_RATIO, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
@@ -89,7 +90,8 @@ def budget(
     Returns
     -------
     dict of str to ParameterBudget
-        By parameter, as `fit.estimates`.
+        By parameter, as `fit.estimates`. Calibrations of recorded inputs contribute where their uncertainties are
+        known.
 
     Raises
     ------
@@ -107,6 +109,8 @@ def budget(
     variances = linear.noise_variances()
     inputs = _inertia_contributions(fit)
     cases = list(zip(fit.problem.data, fit.predictions, strict=True))
+    for name, slope in _calibrations(linear):
+        inputs[f"calibration of {name}"] = np.abs(slope), None
     if clock_rate_u > 0:
         slope = linear.sensitivity([_clock_rows(d, p) for d, p in cases])
         inputs["clock rate"] = np.abs(slope) * clock_rate_u, slope
@@ -155,7 +159,35 @@ def combined_uncertainties(fit: Fit) -> dict[str, float]:
                 for x, (c, p) in zip(rows, cases, strict=True)
             ]
         variance += (linear.sensitivity(rows) * u / value) ** 2
+    for _, slope in _calibrations(linear):
+        variance += slope**2
     return dict(zip(fit.problem.layout.names, np.sqrt(variance).tolist(), strict=True))
+
+
+def _calibrations(linear: _Linearised) -> Iterator[tuple[str, Array]]:
+    """Yield the recorded inputs of known uncertainty, and the change of all variables by one standard uncertainty.
+
+    All samples of an input have the same error in units of their u, in all cases that recorded it.
+    """
+    fit = linear.fit
+    cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
+    names = dict.fromkeys(i.name for c, _ in cases for i in c.dynamics.inputs if i.u is not None)
+    for name in names:
+        yield name, linear.sensitivity([_input_rows(c, p, fit.theta, name) for c, p in cases])
+
+
+def _input_rows(case: CaseModel, prediction: Prediction, theta: Array, name: str) -> Array:
+    """Return the change of the rows of a case by one standard uncertainty of the calibration of an input."""
+    rows = np.zeros(len(case.data.z))
+    response = TorqueResponse(case.data, prediction.motion)
+    path, numbers = prediction.path, case.layout.numbers(theta, case.case)
+    y = Sampler(path.mesh, response.centres).value(path.y)
+    for i in case.dynamics.inputs:
+        if i.name == name:
+            by = case.dynamics.by_input(i, response.centres, y, numbers)
+            by *= i.uncertainty(response.centres)[:, None] * [numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]]
+            rows[: len(response.casing)] += response.rotor @ by[:, 0] + response.casing @ by[:, 1]
+    return rows
 
 
 def _inertia_rows(case: CaseModel, prediction: Prediction, theta: Array, body: str, value: float) -> Array:

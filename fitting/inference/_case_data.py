@@ -42,9 +42,12 @@ from fitting.inference._compression import (
     ROTOR_DEGREE,
     Compressed,
     compress,
+    cuts_at_steps,
     integrated,
     responses_to_harmonics,
+    responses_to_inputs,
 )
+from fitting.inference._linear_algebra import orthonormal
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
 from fitting.inference._process_noise import (
@@ -129,6 +132,12 @@ _WINDOW_ROWS = 8
 # of an oscillation: smallest number of samples of a block, rough speeds in each period
 _PERIOD_SAMPLES = 24
 _POINTS_PER_PERIOD = 24
+# of a driven body: largest number of rough speeds, smallest number of samples of each
+_DRIVEN_POINTS, _DRIVEN_SAMPLES = 1000, 6
+# least rise of the speed of a driven body, over its largest speed
+_RISE = 0.1
+# least relative singular value of independent responses to inputs
+_INDEPENDENT = 1e-6
 # for smoothed speeds: blocks that are long compared with the smoothing, and noise rows of a window that resolve it
 SPEED_BLOCKS = 30
 SPEED_NOISE_ROWS = 28
@@ -161,7 +170,7 @@ _OSCILLATION_BLOCKS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CaseData:
     """A record, projected once and used for every model.
 
@@ -179,18 +188,26 @@ class CaseData:
     free_inertia: bool = False
     slips: tuple[Slip, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"CaseData, {len(self.casing.operators)} blocks of {self.record!r}"
+
     @classmethod
     def of(cls, record: Record) -> CaseData:
         """Project a record, after the correction of whole turns that slipped."""
         record, slips = without_slips(record)
         angle = record.quantity == "angle"
-        oscillation = find_oscillation(record)
+        driving = record.driving
+        # a body that an input drives to and fro does not oscillate about an equilibrium
+        oscillation = None if driving else find_oscillation(record)
         if oscillation is None:
+            time = record.casing.time
             casing = compress(
                 record.casing,
                 degree=CASING_DEGREE,
-                angle=_turning_angle(record),
-                blocks=BLOCKS if angle else SPEED_BLOCKS,
+                angle=None if driving and _reverses(record) else _turning_angle(record),
+                blocks=BLOCKS if angle or driving else SPEED_BLOCKS,
+                cuts=cuts_at_steps(time, driving) if driving else None,
+                driven=responses_to_inputs(time, driving, angle=angle) if driving else None,
             )
         else:
             width, degree, first_noise_row = next(
@@ -494,8 +511,17 @@ class CaseData:
         """Polynomial rows of the camera's nuisance functions, and of the responses to lines and to harmonics."""
         lines = line_rows(self.casing, [line.rate for line in self.spectral_lines])
         harmonics = self.casing.at_samples(self._harmonic_functions)[0]
-        free = np.concatenate([lines, harmonics], axis=1)
+        free = np.concatenate([lines, harmonics, self._driven_rows], axis=1)
         return np.concatenate([self._camera_rows, FLAT_PRIOR_SIGMA * free, self._stated_error], axis=1)
+
+    @cached_property
+    def _driven_rows(self) -> Array:
+        """Polynomial rows of the responses to the recorded inputs, which are no noise; independent columns."""
+        driving = self.record.driving
+        if not driving:
+            return np.zeros((len(self.casing.z), 0))
+        responses = responses_to_inputs(self.casing.samples.time, driving, angle=self.is_angle)
+        return orthonormal(self.casing.at_samples(responses)[0], _INDEPENDENT)
 
     @cached_property
     def _stated_error(self) -> Array:
@@ -585,9 +611,24 @@ class CaseData:
     @cached_property
     def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of rotor and casing, (times, 2)."""
+        if self.record.driving:
+            # the response to a step takes a small part of a record
+            return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
         if self.oscillation is None:
             return initial_speeds(self.record)
         return initial_speeds(self.record, math.ceil(_POINTS_PER_PERIOD * self.oscillation.periods), 3)
+
+    @cached_property
+    def driven(self) -> bool:
+        """Whether an input that varies was recorded, and the body becomes faster, which friction does not do.
+
+        Of two bodies the rotor decides: the casing is driven by the bearing.
+        """
+        if not self.record.driving:
+            return False
+        speed = np.abs(self.initial_speeds[1][:, int(self.record.single)])
+        rise = speed - np.minimum.accumulate(speed)
+        return bool(rise.max() > _RISE * speed.max())
 
     @cached_property
     def speeds(self) -> dict[str, tuple[Array, Array]]:
@@ -687,24 +728,27 @@ class CaseData:
 
     def _projected_by_samples(self, path: Path, nodes: Array | None, rows: Array) -> Array:
         """Replace the rows of blocks in which the motion is not a polynomial: with a kink, or with many harmonics."""
-        oscillates = self.oscillation is not None
-        if not path.kinks and not oscillates:
+        # an oscillation has many harmonics in a block, and the response to a step may be shorter than one
+        everywhere = self.oscillation is not None or bool(self.record.driving)
+        if not path.kinks and not everywhere:
             return rows
         first = 0
         for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
             k = run.lift.shape[1]
-            everywhere = (
+            whole = (
                 self._observed(Sampler(path.mesh, run.samples.time), path, state, nodes)
-                if oscillates
+                if everywhere
                 else None
             )
             harmonic = self.slices["harmonic"].start
             for i, (where, operator) in enumerate(run.operators):
                 t = run.samples.time[where]
-                if everywhere is not None:
-                    rows[first + i * k : first + (i + 1) * k] = operator[:k] @ everywhere[where]
-                elif any(t[0] < time < t[-1] for time in path.kinks):
-                    observed = self._observed(Sampler(path.mesh, t), path, state, nodes)
+                if whole is not None or any(t[0] < time < t[-1] for time in path.kinks):
+                    observed = (
+                        self._observed(Sampler(path.mesh, t), path, state, nodes)
+                        if whole is None
+                        else whole[where]
+                    )
                     projected = operator @ observed
                     rows[first + i * k : first + (i + 1) * k] = projected[:k]
                     # no polynomial, so its projections on the harmonics, which are orthogonal to those, do not vanish
@@ -742,6 +786,18 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
     return (
         1 + 2 * (noise.sigma**2 * noise.time + noise.turn_sigma**2 * noise.turn_time / (1 + turn**2)) / white
     )
+
+
+def _reverses(record: Record) -> bool:
+    """Return whether a body turns in both senses, by more than a share of its path: it has no steady turns."""
+    value = record.casing.value
+    way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
+    path = float(np.abs(way).sum())
+    return abs(float(way.sum())) < _ONE_SENSE * path
+
+
+# net rotation over the path of a driven body from which on harmonics of its angle are tested
+_ONE_SENSE = 0.9
 
 
 def _turning_angle(record: Record) -> Array | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
+from fitting.dynamics._inputs import Input
 from fitting.inference._record import Quantity, Record, make_record
 
 Array = NDArray[np.float64]
@@ -191,7 +192,45 @@ def _read(path: Path, file: Any) -> Record:
         source=str(path),
         tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
         correlated=_correlated(file),
+        inputs=_inputs(path, file),
     )
+
+
+# largest number of inputs that are read
+_MOST_INPUTS = 64
+
+
+def _inputs(path: Path, file: Any) -> tuple[Input, ...]:
+    """Return the recorded inputs of a case; groups of other kinds are refused."""
+    import h5py
+
+    if "input" not in file.keys():  # noqa: SIM118 - `in file` follows links
+        return ()
+    group = file["input"] if isinstance(file.get("input", getlink=True), h5py.HardLink) else None
+    if not isinstance(group, h5py.Group) or len(group) > _MOST_INPUTS:
+        raise RecordError(f"{path}: /input is no group of at most {_MOST_INPUTS} inputs", "write it again")
+    found = []
+    for name in group:
+        place = f"input/{name}"
+        time, value, u = series(path, file, place, ("value", "u"))
+        attributes = group[name].attrs
+        kind: Any = text(attributes.get("interpolation", "linear"))
+        known = np.isfinite(u)
+        if known.any() and not known.all():
+            raise RecordError(f"{path}: {place}/u lacks some values", "give all uncertainties, or none")
+        delay = number(file, place, "delay")
+        found.append(
+            Input(
+                name,
+                time,
+                value,
+                text(attributes.get("unit", "1")),
+                u if known.any() else None,
+                kind,
+                0.0 if math.isnan(delay) else delay,
+            )
+        )
+    return tuple(found)
 
 
 def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:

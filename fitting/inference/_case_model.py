@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import MAX_INTERVALS, Mesh, Path, Sampler, rule
 from fitting.dynamics._events import solve
+from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
 from fitting.effects._effect import Effect
@@ -67,7 +68,7 @@ def angle_dependent_rows(
     known["delta"] = known["omega_r"] - known["omega_c"]
     known["psi_r"] = sampler.integral(*path.angle("omega_r"))
     known["psi_c"] = psi = sampler.integral(*path.angle("omega_c"))
-    known["t"] = inner
+    known |= {"t": inner} | values_at(record.inputs, inner)
     measured, model = data.measured_angle, Sampler(path.mesh, t)
     on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
     on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
@@ -218,7 +219,7 @@ class CaseModel:
 
     def __init__(self, data: CaseData, layout: ParameterLayout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case
-        self.dynamics = Dynamics(layout.model.smooth)
+        self.dynamics = Dynamics(layout.model.smooth, inputs=data.record.inputs)
         moving = layout.places(case, (*self.dynamics.parameters, *layout.starts))
         added = [
             f"{e.name}.{p.symbol}"

@@ -9,6 +9,7 @@ correlation between neighbouring samples.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +19,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from fitting.dynamics._collocation import TOLERANCE
+from fitting.dynamics._inputs import Input
 from fitting.inference._record import Samples
 
 Array = NDArray[np.float64]
@@ -77,6 +79,70 @@ def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
     )
     drift = np.stack([np.ones_like(time), time - time.mean()], axis=1)
     return speeds - speeds.mean(axis=0), angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
+
+
+# time constants with which the responses to an input are computed; the shortest one over the sampling interval
+_TIME_CONSTANTS, _SHORTEST = 8, 2.0
+
+
+def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
+    """Return speeds, or angles, of bodies of the first order that inputs drive, (samples, columns).
+
+    d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
+    them are close to the response with any time constant between. The input is its mean in each sampling interval.
+    """
+    from scipy.signal import lfilter
+
+    step = float(np.median(np.diff(time)))
+    even = np.linspace(time[0], time[-1], max(2, round(float(np.ptp(time)) / step) + 1))
+    step = float(even[1] - even[0])
+    columns = []
+    for i in inputs:
+        mean = i.means(even)
+        mean = (mean - mean[0]) / float(np.abs(mean).max() or 1.0)
+        for tau in np.geomspace(_SHORTEST * step, float(np.ptp(time)), _TIME_CONSTANTS):
+            a = np.exp(-step / tau)
+            response = np.concatenate([[0.0], np.asarray(lfilter([1 - a], [1.0, -a], mean))])
+            columns.append(integrated(even, response) if angle else response)
+    if not columns:
+        return np.zeros((len(time), 0))
+    return np.stack([np.interp(time, even, c) for c in columns], axis=1)
+
+
+# of an abrupt change: its least size over the range of the input, and the number of changes from which on an input is
+# not a sequence of steps
+_ABRUPT, _MOST_STEPS = 0.1, 12
+# samples of the first blocks after a step; the later ones are of usual length
+_AFTER_STEP = (20, 40)
+
+
+def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
+    """Return the samples at which blocks begin because an input changes abruptly: short ones after each step.
+
+    There the motion has a kink, and changes fastest after it. An input that changes too often gives none.
+    """
+    cuts: list[int] = []
+    for i in inputs:
+        at, change = i.jumps()
+        abrupt = at[np.abs(change) > _ABRUPT * float(np.ptp(i.value))]
+        abrupt = abrupt[(abrupt > time[0]) & (abrupt < time[-1])]
+        if len(abrupt) <= _MOST_STEPS:
+            first = np.searchsorted(time, abrupt)
+            cuts += [int(x) for k in np.cumsum([0, *_AFTER_STEP]) for x in first + k]
+    return np.unique(np.array(cuts, dtype=int))
+
+
+def _with_cuts(edges: NDArray[np.int_], cuts: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Return the edges of blocks with further ones, without blocks of fewer samples than the first one after a step."""
+    least = _AFTER_STEP[0]
+    kept = [int(edges[0])]
+    for c in cuts:
+        if c - kept[-1] >= least and edges[-1] - c >= least:
+            kept.append(int(c))
+    kept.append(int(edges[-1]))
+    own = np.array(kept)
+    far = [e for e in edges if np.abs(own - e).min() >= least]
+    return np.array(sorted({*kept, *(int(e) for e in far)}))
 
 
 def harmonic_scatter(rows: Array) -> Array:
@@ -170,6 +236,8 @@ def compress(
     noise_rows: int = NOISE_ROWS,
     samples_per_block: int = _MIN_SAMPLES,
     first_noise_row: int | None = None,
+    cuts: NDArray[np.int_] | None = None,
+    driven: Array | None = None,
 ) -> Compressed:
     """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
@@ -177,17 +245,22 @@ def compress(
     or the integral of measured speeds) are rows of their own. `noise_rows` polynomials of each block, from the power
     `first_noise_row` on (the next after `degree`), measure the noise: more of them where there are few blocks and
     neighbouring samples share their noise. Without `noisy` the sigma of the samples is used. `blocks` is the largest
-    number of blocks, `samples_per_block` the smallest number of samples in one.
+    number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the samples
+    `cuts`; `driven` (samples, columns) are responses to recorded inputs, which are not noise.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
     if angle is not None:
         edges = _cut_where_slow(samples.time, angle, edges)
+    if cuts is not None and len(cuts):
+        edges = _with_cuts(edges, cuts)
+    skipped = max(0, (first_noise_row or 0) - degree - 1)
     parts = [
-        _block(samples, slice(a, b), degree, noise_rows, max(0, (first_noise_row or 0) - degree - 1), angle)
-        for a, b in pairwise(edges)
+        _block(samples, slice(a, b), degree, noise_rows, skipped, angle, driven) for a, b in pairwise(edges)
     ]
-    slow = np.concatenate([p.noise for p in parts])
+    # a body at rest under a coarse resolution has equal values, which contain no noise
+    still = [not np.ptp(samples.value[p.where]) for p in parts]
+    slow = np.concatenate([p.noise for p, rests in zip(parts, still, strict=True) if not rests or all(still)])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
@@ -255,12 +328,19 @@ class _Block:
 
 
 def _block(
-    samples: Samples, where: slice, degree: int, noise_rows: int, skipped: int, angle: Array | None
+    samples: Samples,
+    where: slice,
+    degree: int,
+    noise_rows: int,
+    skipped: int,
+    angle: Array | None,
+    driven: Array | None,
 ) -> _Block:
     t, y, sigma = samples.time[where], samples.value[where], samples.sigma[where]
     k = degree + 1
     middle, half = 0.5 * (t[0] + t[-1]), max(0.5 * (t[-1] - t[0]), 1e-9)
-    extra = min(skipped + noise_rows, max(0, len(t) - k - HARMONICS - 6))
+    inputs = 0 if driven is None else driven.shape[1]
+    extra = min(skipped + noise_rows, max(0, len(t) - k - HARMONICS - 6 - inputs))
     skipped = min(skipped, extra)
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     periodic, responses = np.zeros((len(t), 0)), np.zeros((len(t), 0))
@@ -282,6 +362,8 @@ def _block(
     rest_of = responses - model @ np.linalg.lstsq(model, responses, rcond=None)[0]
     independent = np.linalg.norm(rest_of, axis=0) > _MIN_RESPONSE * np.linalg.norm(responses, axis=0)
     responses = rest_of[:, independent & (extra > 0)]
+    if driven is not None and extra > 0:
+        responses = _with_driven(responses, driven[where] / sigma[:, None], model)
     design = np.concatenate([model, responses, powers[:, k:] / sigma[:, None]], axis=1)
     q, r = np.linalg.qr(design)
     # the same sign in all blocks, so that a constant harmonic gives constant rows
@@ -299,6 +381,19 @@ def _block(
     if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
         rest = float(np.sum((y / sigma - q[:, :fixed] @ projected[:fixed]) ** 2))
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - fixed))
+
+
+# smallest share of a response to an input that is orthogonal to the others and to the model
+_DEPENDENT = 1e-6
+
+
+def _with_driven(responses: Array, driven: Array, model: Array) -> Array:
+    """Return responses to harmonics and to inputs, all orthogonal to the model of a block, as independent columns."""
+    rest = driven - model @ np.linalg.lstsq(model, driven, rcond=None)[0]
+    size = np.linalg.norm(driven, axis=0)
+    both = np.concatenate([responses, rest[:, size > 0] / size[size > 0]], axis=1)
+    u, s, _ = np.linalg.svd(both, full_matrices=False)
+    return np.asarray(u[:, s > _DEPENDENT])
 
 
 def _robust_variance(values: Array) -> float:

@@ -321,6 +321,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
             f"{foreign[0]} needs rotor data, which this record of one body does not have",
             "its laws are those that act on the casing alone: `gyrotrack effects` lists them",
         )
+    _refuse_missing_inputs(model, data)
     for effect in model.effects:
         for divisor in divisors(effect.expression):
             if any(_changes_sign(divisor, d) for d in data):
@@ -329,6 +330,33 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
                     "parameter changes, passes through zero.",
                     "Write a law that is finite at every measured speed, or make the position of the pole a parameter.",
                 )
+
+
+def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
+    """Raise an EstimationError for a law of an input that a record lacks or has in another unit, or an idle delay."""
+    used = {i for e in model.effects if e.joint != "input" for i in e.inputs}
+    for effect in model.effects:
+        if effect.joint == "input" and effect.inputs[0] not in used:
+            name = effect.inputs[0][0]
+            raise EstimationError(
+                f"{effect.name} has no influence: no law of the model depends on {name}",
+                f"add a law such as 'casing: k*{name}'",
+            )
+        for name, unit in effect.inputs:
+            for record in (d.record for d in data):
+                known = {i.name: i.unit for i in record.inputs}
+                if name not in known:
+                    have = f"it has: {', '.join(known)}" if known else "it has none"
+                    raise EstimationError(
+                        f"{effect.name} needs the input {name} of {record.label}; {have}",
+                        "record the input with `gyrotrack import --input`",
+                    )
+                if known[name] != unit:
+                    raise EstimationError(
+                        f"{effect.name} needs the input {name} of the unit {unit}, and that of the record is of "
+                        f"{known[name]}",
+                        "write the law with the inputs of this record",
+                    )
 
 
 def _changes_sign(divisor: Expr, data: CaseData) -> bool:

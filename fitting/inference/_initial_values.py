@@ -51,6 +51,8 @@ _FIRST_SHARE = 0.1
 _AT_REST = 0.01
 # the last tenth of a run is its end
 _END = 10
+# dead times of an input that are tried, and the longest over the length of a record
+_DEAD_TIMES, _LONGEST_DEAD_TIME = 40, 0.1
 # of an oscillation: periods of the first search, smallest number of its samples, largest number of its steps
 _FIRST_PERIODS = 2.0
 _FEWEST_SAMPLES = 24
@@ -180,6 +182,7 @@ def start_values(
         if e.joint == "contact" and RATIO in {p.symbol for p in e.free}:
             for case, (_, speeds) in enumerate(rough):
                 theta[layout.places(case, [f"{e.name}.{RATIO}"])] = _ratio(speeds, rigid=e.rigid)
+    theta = _with_dead_times(layout, rough, deflections, theta)
     parts = []
     for case, (times, speeds) in enumerate(rough):
         keys, design, target = _equations(layout, case, times, speeds, deflections[case], theta)
@@ -224,7 +227,7 @@ def _equations(
     layout: ParameterLayout, case: int, times: Array, speeds: Array, deflection: Array, theta: Array
 ) -> tuple[list[str], Array, Array]:
     """Return the strengths of one case, and the linear equations for them with both initial speeds free."""
-    dynamics = Dynamics(layout.model.smooth)
+    dynamics = Dynamics(layout.model.smooth, inputs=layout.records[case].inputs)
     numbers = layout.numbers(theta, case)
     if dynamics.ratio is not None:
         # independent errors of both speeds would spuriously separate laws that differ by a factor only
@@ -284,13 +287,50 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     """Return the parameters in which the equations are linear, without nearly collinear ones."""
-    every = [k for k in parameters if layout.model.parameters[k].role == "amplitude"]
+    dead_times = _dead_times(layout)
+    every = [k for k in parameters if layout.model.parameters[k].role == "amplitude" and k not in dead_times]
     # linear in its strength, but nearly collinear with the linear law while its exponent is free
     curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
     linear = [k for k in every if not k.startswith(curved)] or every
     if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:
         linear.append("bearing.power.f")
     return linear
+
+
+def _dead_times(layout: ParameterLayout) -> list[str]:
+    """Return the parameters that are dead times of inputs."""
+    return [f"{e.name}.{p.symbol}" for e in layout.model.effects if e.joint == "input" for p in e.free]
+
+
+def _with_dead_times(
+    layout: ParameterLayout,
+    rough: Sequence[tuple[Array, Array]],
+    deflections: Sequence[Array],
+    theta: Array,
+) -> Array:
+    """Return variables with each dead time at the point of a grid at which the regression fits best."""
+    for key in _dead_times(layout):
+        best: tuple[float, float] = (math.inf, 0.0)
+        step = min(float(np.median(np.diff(t))) for t, _ in rough)
+        longest = _LONGEST_DEAD_TIME * max(float(np.ptp(t)) for t, _ in rough)
+        for delay in (0.0, *np.geomspace(step, max(longest, step), _DEAD_TIMES)):
+            trial = theta.copy()
+            parts = []
+            for case, (times, speeds) in enumerate(rough):
+                trial[layout.places(case, [key])] = delay
+                keys, design, target = _equations(layout, case, times, speeds, deflections[case], trial)
+                parts.append((layout.places(case, keys), design, target))
+            places, values = _regress(layout, parts)
+            known = dict(zip(places.tolist(), values.tolist(), strict=True))
+            error = sum(
+                float(np.sum((design @ [known[int(k)] for k in own] - target) ** 2))
+                for own, design, target in parts
+            )
+            if error < best[0]:
+                best = error, float(delay)
+        for case in range(len(rough)):
+            theta[layout.places(case, [key])] = best[1]
+    return theta
 
 
 def _regress(

@@ -36,7 +36,7 @@ from numpy.polynomial import hermite_e
 from numpy.typing import NDArray
 
 from fitting.dynamics._collocation import Path, Sampler
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import CASING_DEGREE, integrated
@@ -117,7 +117,8 @@ _POINTS = 2000
 class EnergyBalance:
     """Time [s], energy K + losses [J], constant for a right model, and its change relative to the initial energy.
 
-    For a motion that begins at a turning point, the change is relative to the largest kinetic energy.
+    For a motion that begins at a turning point, the change is relative to the largest kinetic energy; for a body that
+    an input drives, to the energy that it loses by friction if this is more.
     """
 
     time: Array
@@ -143,6 +144,11 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
     energy = kinetic + integrated(t, power)
     scale = energy[0] if energy[0] > _SLOW_START * kinetic.max() else kinetic.max()
+    model = case.layout.model.smooth
+    if any(e.inputs for e in model.effects):
+        rest = Dynamics(Model(tuple(e for e in model.effects if not e.inputs)))
+        lost = rest.rates(t, state[:, [case.dynamics.states.index(s) for s in rest.states]], numbers)[:, :2]
+        scale = max(scale, float(np.trapezoid(np.abs(np.sum(lost * inertia * state[:, :2], axis=1)), t)))
     return EnergyBalance(t, energy, (energy - energy[0]) / scale)
 
 

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EffectError
-from fitting._numbers import PER_INERTIA, TORQUE, per_inertia
+from fitting._numbers import PER_INERTIA, PER_TORQUE, TORQUE, per_inertia
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
@@ -144,8 +144,17 @@ class ParameterLayout:
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable."""
-        unit = self.parameter(name).unit
-        return per_inertia(unit) if self.torque_unit == PER_INERTIA else unit
+        parameter = self.parameter(name)
+        if self.torque_unit != PER_INERTIA:
+            return parameter.unit
+        driven = {e.name for e in self.model.effects if e.inputs}
+        if (
+            parameter.unit == "1"
+            and parameter.role == "amplitude"
+            and name.partition("@")[0].rpartition(".")[0] in driven
+        ):
+            return PER_TORQUE
+        return per_inertia(parameter.unit)
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""
@@ -295,7 +304,7 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
 def exponent(effect: Effect) -> Parameter | None:
     """Return the parameter of an effect that may be the exponent of its law: its only shape, a pure number."""
     shapes = [p for p in effect.parameters if p.role == "shape"]
-    if effect.state or effect.joint not in {"rotor", "casing", "bearing"}:
+    if effect.inputs or effect.state or effect.joint not in {"rotor", "casing", "bearing"}:
         return None
     if effect.depends_on_angle or effect.restoring:
         return None
@@ -333,7 +342,7 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
     """Return the exponent m at which a power law is equal to the other law; None if there is none."""
-    if straight.joint != power.joint or straight.state:
+    if straight.joint != power.joint or straight.state or straight.inputs:
         return None
     if straight.depends_on_angle or straight.restoring:
         return None

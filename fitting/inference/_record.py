@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from typing import Literal
@@ -21,7 +21,8 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
-from fitting._numbers import PER_INERTIA, TORQUE
+from fitting._numbers import PER_INERTIA, TORQUE, rounded
+from fitting.dynamics._inputs import Input
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ _FEWEST_OF_BODY = 24
 _PIECES, _MIN_PIECE, _CUBIC = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1), 12, 4
 # samples of a rotor window: a speed follows from several angles, or from one measured speed
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
+# windows and inputs that a repr lists
+_SHOWN = 6
 # largest time [s], angle [rad] or rate [rad/s], so that products of several are finite; least one of a body that is not
 # at rest; largest ratio of a value to its uncertainty (floating-point numbers have 1e16)
 LARGEST, SMALLEST, PRECISION = 1e20, 1e-20, 1e18
@@ -51,7 +54,7 @@ class Samples:
         return len(self.time)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
     """One experiment on one clock.
 
@@ -92,6 +95,8 @@ class Record:
         SHA-256 of the numbers.
     prior : Prior, optional
         Prior of the parameters from another study.
+    inputs : tuple of Input
+        Recorded inputs on which torques may depend.
     """
 
     label: str
@@ -113,10 +118,31 @@ class Record:
     correlated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     digest: str = field(default="")
     prior: Prior | None = None
+    inputs: tuple[Input, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.digest:
             object.__setattr__(self, "digest", _digest(self))
+
+    def __repr__(self) -> str:
+        what = "angles" if self.quantity == "angle" else "angular velocities"
+        first, last = self.span
+        inertias = [] if self.single else [("I_rotor", self.I_rotor, self.I_rotor_u)]
+        inertias.append(("I" if self.single else "I_casing", self.I_casing, self.I_casing_u))
+        words = ", ".join(f"{name} {rounded(value, u, 'kg m2')}" for name, value, u in inertias)
+        lines = [
+            f"Record {self.label!r}: {what}, {first:.6g} to {last:.6g} s",
+            f"  {self.body}: {len(self.casing)} samples",
+            *(
+                f"  rotor, {len(w)} samples from {w.time[0]:.6g} to {w.time[-1]:.6g} s"
+                for w in self.rotor[:_SHOWN]
+            ),
+            *([f"  ... {len(self.rotor) - _SHOWN} more windows"] if len(self.rotor) > _SHOWN else []),
+            *(f"  {i!r}" for i in self.inputs[:_SHOWN]),
+            *([f"  ... {len(self.inputs) - _SHOWN} more inputs"] if len(self.inputs) > _SHOWN else []),
+            f"  {'torques are per unit of inertia' if self.per_inertia else words}",
+        ]
+        return "\n".join(lines)
 
     @property
     def single(self) -> bool:
@@ -137,6 +163,11 @@ class Record:
     def unstated_starts(self) -> bool:
         """Whether nothing is known about the uncertainty of the starts of the rotor windows."""
         return any(math.isnan(s) for s in self.start_sigma)
+
+    @property
+    def driving(self) -> tuple[Input, ...]:
+        """The inputs that vary, and so may make the body change its speed or reverse."""
+        return tuple(i for i in self.inputs if i.varies)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -162,6 +193,7 @@ def make_record(
     I_casing_u: float = math.nan,
     per_inertia: bool = False,
     correlated: Sequence[float] = (),
+    inputs: Sequence[Input] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -192,12 +224,16 @@ def make_record(
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 3 to 12
         periods per turn [rad]; missing ones are zero.
+    inputs : sequence of Input
+        Recorded inputs on which torques may depend, on the same clock.
 
     Raises
     ------
     RecordError
-        If too few samples are usable, or times are not strictly increasing.
+        If an argument is wrong, too few samples are usable, times are not strictly increasing, or an input does not
+        cover the record.
     """
+    _refuse_wrong(casing, rotor, quantity)
     runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
     if len(runs[0]) < _FEWEST_OF_BODY:
         body = "body" if single else "casing"
@@ -214,8 +250,48 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
-        per_inertia=per_inertia, correlated=_stated(*correlated),
+        per_inertia=per_inertia, correlated=_stated(*correlated), inputs=_covering(inputs, runs[0], windows),
     )  # fmt: skip
+
+
+def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
+    """Raise a RecordError for arguments of `make_record` that are no arrays of time, value and sigma."""
+    if quantity not in _FEWEST:
+        raise RecordError(f"the quantity is {str(quantity)[:20]!r}", f"use {' or '.join(_FEWEST)}")
+    if not isinstance(rotor, Iterable):
+        raise RecordError(
+            "the rotor is no list of windows", "give a list of (time, value, sigma), empty for one body"
+        )
+    for what, run in (("casing", casing), *(("rotor window", r) for r in rotor)):
+        if not isinstance(run, Sequence) or len(run) != len(("time", "value", "sigma")):
+            raise RecordError(
+                f"the {what} is no triple of arrays",
+                "give (time, value, sigma); sigma may be NaN where it is unknown",
+            )
+        try:
+            shapes = {np.asarray(a, dtype=float).shape for a in run}
+        except (TypeError, ValueError):
+            raise RecordError(f"an array of the {what} holds no numbers", "use NumPy arrays") from None
+        if len(shapes) > 1 or len(next(iter(shapes))) != 1:
+            raise RecordError(
+                f"the arrays of the {what} have the shapes {', '.join(map(str, sorted(shapes)))}",
+                "use one-dimensional arrays of the same length",
+            )
+
+
+def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Samples]) -> tuple[Input, ...]:
+    """Return the inputs of a record; a RecordError if a name repeats or one does not cover the record."""
+    if not isinstance(inputs, Iterable) or not all(isinstance(i, Input) for i in inputs):
+        raise RecordError("an input is no Input", 'use fitting.Input("current", time, value, "A")')
+    names = [i.name for i in inputs]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise RecordError(f"there are several inputs named {twice}", "give each its own name")
+    first = min(float(run.time[0]) for run in (casing, *windows))
+    last = max(float(run.time[-1]) for run in (casing, *windows))
+    for i in inputs:
+        i.refuse_uncovered(first, last)
+    return tuple(i.followed(first, last) for i in inputs)
 
 
 _UNITS = "check the units of the data"
@@ -263,6 +339,10 @@ def _digest(record: Record) -> str:
     uncertainties = (record.I_rotor_u, record.I_casing_u)
     if not all(map(math.isnan, uncertainties)):
         hasher.update(repr(uncertainties).encode())
+    for i in record.inputs:
+        hasher.update(f"{i.name} {i.unit} {i.interpolation} {i.delay!r}".encode())
+        for a in (i.time, i.value, *(() if i.u is None else (i.u,))):
+            hasher.update(np.ascontiguousarray(a).tobytes())
     return hasher.hexdigest()
 
 

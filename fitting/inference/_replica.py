@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
 from fitting.dynamics._collocation import Path, Sampler, rule
+from fitting.dynamics._inputs import values_at
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
 from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise
@@ -160,6 +161,7 @@ class _Motion:
         sampler = Sampler(path.mesh, inner)
         known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
         known |= {"delta": known["omega_r"] - known["omega_c"], "t": inner}
+        known |= values_at(record.inputs, inner)
         known["psi_r"] = sampler.integral(*path.angle("omega_r"))
         psi = sampler.integral(*path.angle("omega_c")) + (zero if self.data.is_angle else 0.0)
         on_rotor, on_casing = {"rotor": (1, 0), "casing": (0, 1), "bearing": (-1, 1)}[effect.joint]

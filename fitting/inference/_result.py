@@ -67,7 +67,7 @@ VERDICT_TEXT = {
 
 
 # lines of a repr
-_SCREEN = 40
+_SCREEN = 20
 # points of a drawn curve
 _POINTS = 600
 _ROTOR, _CASING = 0, 1
@@ -653,7 +653,10 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     covariance = covariance_of(j, determined)
     covariance += _by_integration_errors(problem, theta, predictions, covariance)
     # with a significant lack of fit, the noise alone understates the uncertainty
-    covariance *= variance_factor(chi2, rows - int((~at_bound).sum()))
+    factor = variance_factor(chi2, rows - int((~at_bound).sum()))
+    covariance *= factor
+    if factor > _INEXACT and any(d.driven for d in problem.data):
+        covariance = _with_slow_residuals(problem, predictions, covariance)
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
     return Fit(
         model=layout.model,
@@ -671,6 +674,42 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         problem=problem,
         predictions=predictions,
     )
+
+
+# factor of the variance from which on the residuals of a driven body are not those of white noise
+_INEXACT = 1.5
+
+
+def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], covariance: Array) -> Array:
+    """Return the covariance, increased where slow residuals change a variable by more than its standard error.
+
+    The fit of a driven body is that of white noise, and the residuals of a model that is not exact follow each change
+    of the input. With the scores s of the blocks, J'r, the variance is that of W. Newey, K. West, Econometrica 55, 703
+    (1987), (J'J)^-1 [sum of w_l s_i s_(i+l)'] (J'J)^-1, with weights w that fall linearly to zero over the cube root
+    of the number of blocks. Correlations stay those of the fit.
+    """
+    count = len(covariance)
+    information, scatter = np.zeros((count, count)), np.zeros((count, count))
+    for data, project, p in zip(problem.data, problem.projections, predictions, strict=True):
+        columns = project.unexplained(p.jacobian)
+        information += columns.T @ columns
+        scores = columns * project(p.rows - data.z)[:, None]
+        rows = len(data.casing.z)
+        blocks = scores[:rows].reshape(-1, data.casing.lift.shape[1], count).sum(axis=1)
+        scatter += blocks.T @ blocks + scores[rows:].T @ scores[rows:]
+        lags = math.ceil(len(blocks) ** (1 / 3))
+        for lag in range(1, min(lags, len(blocks) - 1) + 1):
+            product = blocks[:-lag].T @ blocks[lag:]
+            scatter += (1 - lag / (lags + 1)) * (product + product.T)
+    variance = np.diag(covariance)
+    used = np.flatnonzero(np.isfinite(variance) & (variance > 0) & (np.diag(information) > 0))
+    size = np.sqrt(np.diag(information)[used])
+    scale = np.outer(size, size)
+    inverse = np.linalg.pinv(information[np.ix_(used, used)] / scale, rcond=1e-12, hermitian=True) / scale
+    slow = np.diag(inverse @ scatter[np.ix_(used, used)] @ inverse)
+    factors = np.ones(count)
+    factors[used] = np.sqrt(np.maximum(slow / variance[used], 1.0))
+    return np.asarray(covariance * np.outer(factors, factors))
 
 
 def _by_integration_errors(

@@ -6,7 +6,7 @@ linearised motion about that solution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import Mesh, Path, Sampler
 from fitting.dynamics._events import solve
+from fitting.dynamics._inputs import Input
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
 from fitting.inference._record import Record, Samples
@@ -66,12 +67,12 @@ class Experiment:
 
 
 def simulate_path(
-    model: Model, numbers: Mapping[str, float], experiment: Experiment
+    model: Model, numbers: Mapping[str, float], experiment: Experiment, inputs: Sequence[Input] = ()
 ) -> tuple[Dynamics, Path]:
-    """Integrate a model over the length of an experiment."""
+    """Integrate a model over the length of an experiment, with the inputs of its laws."""
     angles = bool(model.angle_dependent)
-    dynamics = Dynamics(model, angles=angles)
-    smooth = Dynamics(model.smooth)
+    dynamics = Dynamics(model, angles=angles, inputs=inputs)
+    smooth = Dynamics(model.smooth, inputs=inputs)
     # the initial deflection of a casing with a restoring torque is zero
     deflection = (0.0,) * (dynamics.free_starts - 2)
     states = (experiment.omega_rotor, experiment.omega_casing, *deflection, *dynamics.start)
@@ -102,6 +103,7 @@ def simulate(
     inertia_casing: float,
     seed: int = 0,
     label: str = "simulated",
+    inputs: Sequence[Input] = (),
 ) -> Record:
     """Return a recording of a model.
 
@@ -119,6 +121,8 @@ def simulate(
         Random seed of all noise.
     label : str
         Name of the case.
+    inputs : sequence of Input
+        Recorded inputs on which its laws depend.
 
     Returns
     -------
@@ -134,9 +138,11 @@ def simulate(
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
-    dynamics, path = simulate_path(model, values, experiment)
+    dynamics, path = simulate_path(model, values, experiment, inputs)
     # harmonics of the angle hardly change the response to a torque: that of the smooth motion is used
-    smooth = simulate_path(model.smooth, values, experiment) if model.angle_dependent else (dynamics, path)
+    smooth = (
+        simulate_path(model.smooth, values, experiment, inputs) if model.angle_dependent else (dynamics, path)
+    )
     random_angle = _RandomTorque(*smooth, values, experiment, random)
     time = np.arange(0.0, experiment.duration, 1 / experiment.casing_fps)
     psi = _angle(path, "omega_c", time) + random_angle(time, 1)
@@ -147,7 +153,7 @@ def simulate(
         t = start + np.arange(0.0, experiment.window_length, 1 / experiment.rotor_fps)
         psi = _angle(path, "omega_r", t) + random_angle(t, 0)
         rotor.append(_noisy(t, psi - psi[0] + random.uniform(0, 2 * np.pi), experiment.sigma, random))
-    return Record(label, inertia_rotor, inertia_casing, casing, tuple(rotor))
+    return Record(label, inertia_rotor, inertia_casing, casing, tuple(rotor), inputs=tuple(inputs))
 
 
 def _angle(path: Path, state: str, time: Array) -> Array:

@@ -36,6 +36,7 @@ from fitting._schema import (
     DifferenceBetweenRecordings,
     Document,
     EstimateDocument,
+    FirstOrderDocument,
     FitDocument,
     NoiseDocument,
     Number,
@@ -83,6 +84,7 @@ from fitting.effects._user import read_effects
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
+from fitting.inference._first_order import first_order
 from fitting.inference._fit import fit
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
@@ -137,6 +139,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),
+        first_order=[FirstOrderDocument.model_validate(f) for f in first_order(fit)] if reliable else [],
         prior=None if fit.prior is None else PriorDocument.model_validate(fit.prior),
     )
     return document.model_dump()

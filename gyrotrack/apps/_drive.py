@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 
 from gyrotrack.apps._motion import TURN, Floats, Value
 from gyrotrack.io._records import Series
-from gyrotrack.io.readers._motion_table import Input
+from gyrotrack.io.readers._motion_table import Driver
 from gyrotrack.io.readers._plausibility import rises
 from gyrotrack.io.readers._pulses import varies_both_ways
 
@@ -63,7 +63,9 @@ class Drive:
     response: Response | None  # None if no first-order response explains the motion
 
 
-def drive_of(series: Series, quantity: str, inputs: Sequence[Input], *, pulses: bool = False) -> Drive | None:
+def drive_of(
+    series: Series, quantity: str, inputs: Sequence[Driver], *, pulses: bool = False
+) -> Drive | None:
     """Return the drive of a body that is not at rest; None if it may be free.
 
     Parameters
@@ -72,7 +74,7 @@ def drive_of(series: Series, quantity: str, inputs: Sequence[Input], *, pulses: 
         The motion.
     quantity : str
         What was measured: "angle" or "omega".
-    inputs : sequence of Input
+    inputs : sequence of Driver
         Measured inputs at the times of the series.
     pulses : bool, optional
         Whether the samples are pulses.
@@ -127,7 +129,7 @@ def _speed_of_turns(series: Series, quantity: str) -> tuple[Floats, Floats] | No
     return sense * np.diff(angle[at]) / step, error
 
 
-def _response(series: Series, quantity: str, cause: Input | None) -> Response | None:
+def _response(series: Series, quantity: str, cause: Driver | None) -> Response | None:
     """Fit the response to an input, or to a constant drive from the end of rest."""
     time = series.time
     measured = series.omega if quantity == "omega" else series.angle

@@ -32,7 +32,7 @@ from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import case_of_body, no_series
-from gyrotrack.io.readers._motion_table import Input, MotionTable, ReadOptions, read_names
+from gyrotrack.io.readers._motion_table import Driver, MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_numbers, usable_numbers
 from gyrotrack.io.readers._registry import read_motion, read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
@@ -541,10 +541,10 @@ def _analysed(
 def _drive(read: Source) -> Drive | None:
     """Return the drive of a body, from the speed and the measured inputs of a table."""
     series, table = read.case.casing, read.table
-    inputs: tuple[Input, ...] = ()
+    inputs: tuple[Driver, ...] = ()
     if table is not None:
         rows = np.searchsorted(table.time, series.time, side="right") - 1
-        inputs = tuple(replace(i, value=i.value[np.clip(rows, 0, None)]) for i in table.inputs)
+        inputs = tuple(replace(i, value=i.value[np.clip(rows, 0, None)]) for i in table.drivers)
     pulses = table is not None and table.counted
     return drive_of(series, read.case.quantity, inputs, pulses=pulses)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fitting.discovery._certificate import Certificate
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
+    from fitting.dynamics._inputs import Input
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
     from fitting.inference._case_data import CaseData
@@ -411,7 +412,7 @@ class FitRequest:
         if previous is None and self.add and self.model is None:
             previous, fit_id = study.base(None)
             entry = study.entry(fit_id)
-        values = _starts(previous, wanted) if previous is not None else None
+        values = (_starts(previous, wanted) or None) if previous is not None else None
         prior = study.prior or (entry.prior if entry is not None else None)
         if prior is not None and not set(prior.names) & set(wanted.free):
             raise UsageError(
@@ -477,7 +478,8 @@ class FitRequest:
             base = study.model(REDUCED)
         else:
             base = self._named(self.model, study)
-        return changed(base, self.add, self.drop, self.own).with_fixed(dict(self.held)), entry
+        inputs = study.data[0].record.inputs
+        return changed(base, self.add, self.drop, self.own, inputs).with_fixed(dict(self.held)), entry
 
     def _named(self, name: str, study: Study) -> Model:
         from fitting.dynamics._model import read_model
@@ -489,16 +491,18 @@ class FitRequest:
         if not path.is_file():
             what = f"Unknown model {name[:60]!r}."
             raise UsageError(what, f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
-        return read_model(path, self.own)
+        return read_model(path, self.own, study.data[0].record.inputs)
 
 
-def changed(model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence[Effect]) -> Model:
-    """Return a model with effects added (by name or as `body: law`) and removed."""
+def changed(
+    model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence[Effect], inputs: Sequence[Input] = ()
+) -> Model:
+    """Return a model with effects added (by name or as `body: law`, which may contain `inputs`) and removed."""
     from fitting.effects._user import resolve
 
     known = {e.name: e for e in own}
     for name in add:
-        effect = known.get(name) or resolve(name)
+        effect = known.get(name) or resolve(name, inputs)
         model = model if effect.name in model.names else model.with_effect(effect)
     for name in drop:
         model = model.without(name)
@@ -508,6 +512,10 @@ def changed(model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence
 def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
     from fitting.discovery._select import found_starts, needs_search
 
+    known = {i for e in previous.model.effects for i in e.inputs}
+    if any(i not in known for e in wanted.effects for i in e.inputs):
+        # the parameters of a model without the drive of a body describe the drive
+        return {}
     new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
     found = found_starts(previous, new) if new else {}
     return {k: e.value for k, e in previous.estimates.items()} | found

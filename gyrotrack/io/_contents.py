@@ -20,7 +20,17 @@ from gyrotrack._errors import UsageError
 from gyrotrack.io import _hdf5 as hdf5
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file
-from gyrotrack.io._records import BodyTrack, Case, Column, Floats, Recording, Series, columns, windows_of
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    Column,
+    Floats,
+    Input,
+    Recording,
+    Series,
+    columns,
+    windows_of,
+)
 from gyrotrack.io._schema import CASE, STATUS
 from gyrotrack.io._tables import attribute, check_storage, load
 from gyrotrack.io._tracker_project import write_project
@@ -91,10 +101,27 @@ def describe_case(case: Case) -> dict[str, Any]:
         ],
     }
     out["rotor_generated"] = case.rotor_generated is not None
+    out["inputs"] = {i.name: _describe_input(i) for i in case.inputs}
     out["recordings"] = {name: describe_recording(r) for name, r in case.recordings.items()}
     for name in case.placements.keys() & case.recordings.keys():
         out["recordings"][name]["placement"] = vars(case.placements[name])
     return out
+
+
+def _describe_input(i: Input) -> dict[str, Any]:
+    """Return unit, samples, ranges, interpolation and delay of a recorded input."""
+    known = i.u[np.isfinite(i.u)]
+    return {
+        "unit": i.unit,
+        "samples": len(i.time),
+        "t_start": float(i.time[0]) if len(i.time) else None,
+        "t_stop": float(i.time[-1]) if len(i.time) else None,
+        "min": float(np.nanmin(i.value)) if len(i.value) else None,
+        "max": float(np.nanmax(i.value)) if len(i.value) else None,
+        "median_u": float(np.median(known)) if len(known) else None,
+        "interpolation": i.interpolation,
+        "delay": i.delay,
+    }
 
 
 def describe_motion(
@@ -141,6 +168,10 @@ def _case_problems(case: Case) -> list[str]:
         found.append("the rotor has no samples")
     for k in np.unique(windows):
         found += _motion_problems(f"rotor window {k}", case.rotor, windows == k)
+    for i in case.inputs:
+        found += _time_problems(f"the input '{i.name}'", i.time)
+        if not len(i.value) or not np.isfinite(i.value).all():
+            found.append(f"the input '{i.name}' lacks some values")
     for name, recording in case.recordings.items():
         found += [f"clip '{name}': {problem}" for problem in _recording_problems(recording)]
     return found

@@ -22,7 +22,16 @@ from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file, refuse_special
-from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    GeneratedCurve,
+    Input,
+    MarkerTrack,
+    Placement,
+    Recording,
+    Series,
+)
 from gyrotrack.io._tables import (
     attribute,
     check_tree,
@@ -256,6 +265,11 @@ def write_case(
                 group["angle"].attrs["comment"] = _INTEGRAL
         if case.rotor_generated is not None:
             write_table(file.create_group("rotor_generated"), layout.GENERATED, case.rotor_generated)
+        for i in case.inputs:
+            group = file.require_group("input").create_group(i.name)
+            write_table(group, layout.INPUT, i)
+            for column in ("value", "u"):
+                group[column].attrs["units"] = i.unit
         recordings = file.create_group("recording")
         for name, recording in case.recordings.items():
             group = recordings.create_group(name)
@@ -271,6 +285,9 @@ def load_case(file: Any) -> Case:
     generated = None
     if "rotor_generated" in file.keys():  # noqa: SIM118 - `in file` follows links
         generated = GeneratedCurve(**_load_table(file, "rotor_generated", layout.GENERATED))
+    inputs: tuple[Input, ...] = ()
+    if "input" in file.keys():  # noqa: SIM118 - `in file` follows links
+        inputs = tuple(_load_input(file, name) for name, _ in members(file, "input"))
     return Case(
         **read_attributes(file, layout.CASE_ATTRIBUTES),
         casing=Series(**_load_table(file, "casing", layout.SERIES)),
@@ -278,6 +295,7 @@ def load_case(file: Any) -> Case:
         recordings={n: load_recording(g) for n, g in recordings.items()},
         placements={n: _load_placement(g, n) for n, g in recordings.items() if "clock_offset" in g.attrs},
         rotor_generated=generated,
+        inputs=inputs,
         warnings=tuple(load_json(file, "warnings", [])),
         extra=dict(load_json(file, "extra", {})),
     )
@@ -286,6 +304,16 @@ def load_case(file: Any) -> Case:
 def _load_table(file: Any, name: str, table: layout.Table) -> dict[str, Any]:
     group = child_group(file, name)
     return {**read_table(group, table), **read_attributes(group, table.attributes)}
+
+
+def _load_input(file: Any, name: str) -> Input:
+    values = _load_table(child_group(file, "input"), name, layout.INPUT)
+    if values["interpolation"] not in layout.INTERPOLATIONS:
+        what = (
+            f"{file.filename}: the interpolation of the input '{name}' is '{values['interpolation'][:20]}'."
+        )
+        raise DatasetError(what, f"Use one of {', '.join(layout.INTERPOLATIONS)}.")
+    return Input(name=name, **values)
 
 
 def _load_placement(group: Any, name: str) -> Placement:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import UsageError
-from gyrotrack.io._schema import BODY, FRAME, MARKER, SERIES, STATUS, Table
+from gyrotrack.io._schema import BODY, FRAME, INPUT, MARKER, SERIES, STATUS, Table
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -33,8 +33,8 @@ class _Tabular:
 
         Parameters
         ----------
-        table : {"motion", "markers", "frames"}
-            Motion of the bodies, every marker, or every frame.
+        table : {"motion", "markers", "frames", "inputs"}
+            Motion of the bodies, every marker, every frame, or recorded inputs.
 
         Raises
         ------
@@ -292,6 +292,33 @@ class GeneratedCurve:
 
 
 @dataclass(frozen=True)
+class Input:
+    """A recorded input of the motion, such as a current or a commanded torque; arrays have shape (n,).
+
+    Attributes
+    ----------
+    name : str
+        Its name in laws.
+    time, value, u : ndarray
+        Times [s], values and their standard uncertainties by calibration [unit]; NaN without one.
+    unit : str
+        SI unit: "A", "V", "N m", "K", "1".
+    interpolation : {"linear", "hold"}
+        Value between two samples: linear, or that of the last one.
+    delay : float
+        Dead time after which the input acts [s].
+    """
+
+    name: str
+    time: Floats
+    value: Floats
+    u: Floats
+    unit: str = "1"
+    interpolation: str = "linear"
+    delay: float = 0.0
+
+
+@dataclass(frozen=True, repr=False)
 class Case(_Tabular):
     """One experiment on one clock.
 
@@ -309,6 +336,8 @@ class Case(_Tabular):
         With "one" the series `casing` is that of the single body, and `rotor` is empty.
     per_inertia : int
         1 if no moment of inertia is known: `I_casing` is 1, and torques are per unit of inertia [rad/s2].
+    inputs : tuple of Input
+        Recorded inputs of the motion.
     """
 
     I_rotor: float
@@ -328,6 +357,24 @@ class Case(_Tabular):
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     start_u: float = math.nan
+    inputs: tuple[Input, ...] = ()
+
+    def __repr__(self) -> str:
+        bodies = [("body" if self.bodies == "one" else "casing", self.casing), ("rotor", self.rotor)]
+        lines = [f"Case {self.label!r}: {'angles' if self.quantity == 'angle' else 'angular velocities'}"]
+        lines += [
+            f"  {name}: {len(s.time)} samples, {s.time[0]:.6g} to {s.time[-1]:.6g} s, "
+            f"{len(np.unique(windows_of(s)))} window(s)"
+            for name, s in bodies
+            if len(s.time)
+        ]
+        lines += [
+            f"  input {i.name!r} [{i.unit}]: {len(i.time)} samples, {i.interpolation}"
+            for i in self.inputs[:8]
+        ]
+        lines.append(f"  I_rotor {self.I_rotor:.4g}, I_casing {self.I_casing:.4g} kg m2")
+        lines.append(f"  {len(self.recordings)} clip(s), {len(self.warnings)} warning(s)")
+        return "\n".join(lines)
 
 
 _STATUS_NAMES = np.array(list(STATUS), dtype=object)
@@ -354,15 +401,21 @@ _READABLE = {"rad s-1": "rad/s"}
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
     """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Lengths are in px. The table is "motion" (angles and speeds of the bodies), "markers" (every marker in every frame)
-    or "frames" (of each clip). Several bodies, markers or clips are concatenated and identified by the first columns;
-    NaN where not measured. A UsageError says that the table is unknown or empty.
+    Lengths are in px. The table is "motion" (angles and speeds of the bodies), "markers" (every marker in every
+    frame), "frames" (of each clip) or "inputs" (recorded inputs of a case, each in its unit). Several bodies, markers
+    or clips are concatenated and identified by the first columns; NaN where not measured. A UsageError says that the
+    table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
     parts = TABLES[table](content)
     if not parts:
-        raise UsageError(f"The file contains no {table}.", "Only recordings of films contain them.")
+        hint = (
+            "`import --input` records them."
+            if table == "inputs"
+            else "Only recordings of films contain them."
+        )
+        raise UsageError(f"The file contains no {table}.", hint)
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
         for i, c in enumerate(parts[0])
@@ -398,10 +451,19 @@ def _frames(content: Recording | Case) -> list[list[Column]]:
     ]
 
 
+def _inputs(content: Recording | Case) -> list[list[Column]]:
+    made = []
+    for i in content.inputs if isinstance(content, Case) else ():
+        labels = {"input": i.name, "unit": i.unit, "interpolation": i.interpolation}
+        made.append([*_part(labels, INPUT, vars(i)), Column("delay", "s", np.full(len(i.time), i.delay))])
+    return made
+
+
 TABLES: dict[str, Callable[[Recording | Case], list[list[Column]]]] = {
     "motion": _motion,
     "markers": _markers,
     "frames": _frames,
+    "inputs": _inputs,
 }
 
 

@@ -173,6 +173,23 @@ GENERATED = Table(
     attributes=(Attribute("method", str, "", "method that generated the curve"),),
 )
 
+INPUT = Table(
+    (
+        Field("time", _T, "s", "time on the clock of the casing's camera"),
+        Field("value", _T, "1", "value of the input; its unit is that of the attribute `unit`"),
+        Field("u", _T, "1", "standard uncertainty of the value by calibration; NaN if it is not given"),
+    ),
+    signal="value",
+    attributes=(
+        Attribute("unit", str, "", "unit of value and u: A, V, N m, K, 1 ...", "1"),
+        Attribute(
+            "interpolation", str, "", "between two samples: linear, or hold (the last value)", "linear"
+        ),
+        Attribute("delay", float, "s", "dead time after which the input acts", 0.0),
+    ),
+)
+INTERPOLATIONS = ("linear", "hold")
+
 RECORDING_ATTRIBUTES = (
     Attribute("source", str, "", "file name of the film"),
     Attribute("source_sha256", str, "", "SHA-256 of the film"),
@@ -231,6 +248,7 @@ GROUPS = (
     ("`/casing` of a case", SERIES),
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
+    ("`/input/<name>` of a case: a recorded input of the motion", INPUT),
 )
 
 # all attributes of groups that are not tables, for docs/reference/format.md

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from fitting._numbers import probability, scaled, short, typeset, unit_text, with_uncertainty
+from fitting._numbers import per_inertia, probability, scaled, short, typeset, unit_text, with_uncertainty
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,16 @@ def test_value_and_error_are_rounded_together(value, error, unit, text):
 
 @pytest.mark.parametrize(
     ("unit", "text"),
-    [("N m s2", "N m s²"), ("rad s-1", "rad s⁻¹"), ("N m s1.5", "N m s¹·⁵"), ("1", ""), ("kg m2", "kg m²")],
+    [
+        ("N m s2", "N m s²"),
+        ("rad s-1", "rad s⁻¹"),
+        ("N m s1.5", "N m s¹·⁵"),
+        ("1", ""),
+        ("kg m2", "kg m²"),
+        ("N m A-1", "N m A⁻¹"),
+        ("rad s-1 V-1", "rad s⁻¹ V⁻¹"),
+        ("A2", "A2"),  # may be a name
+    ],
 )
 def test_units_have_raised_exponents(unit, text):
     assert unit_text(unit) == text
@@ -83,3 +92,23 @@ def test_numbers_and_units_are_joined_by_nonbreaking_spaces(text, lines):
     from fitting._numbers import nonbreaking
 
     assert [w.replace("\u00a0", " ") for w in nonbreaking(text).split(" ")] == lines
+
+
+@pytest.mark.parametrize(
+    ("unit", "divided"),
+    [
+        ("N m", "rad/s2"),
+        ("N m s-1", "rad/s3"),
+        ("N m s", "s-1"),
+        ("N m s2", "1"),
+        ("N m s3", "s"),
+        ("N m s^g", "s^(g-2)"),
+        ("N m A-1", "rad/s2 A-1"),
+        ("N m s V-1", "s-1 V-1"),
+        ("N m V-2", "rad/s2 V-2"),
+        ("N m K-1", "rad/s2 K-1"),
+        ("s", "s"),
+    ],
+)
+def test_units_per_inertia(unit, divided):
+    assert per_inertia(unit) == divided

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -44,6 +45,7 @@ def import_command(
     columns: shared.Columns = None,
     marker: shared.Marker = None,
     centre: shared.Centre = None,
+    inputs: shared.Inputs = None,
     likelihood: shared.Likelihood = 0.6,
     casing_fps: Annotated[
         float | None, option("--casing-fps N", "Capture rate of a file without times, casing or body [1/s].")
@@ -84,7 +86,8 @@ def import_command(
     unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
     noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
     rest at the end are detected, reported and excluded. Two lines for each file say what each column was taken for and
-    why, and what was left out; a column in doubt is asked for. Every repair is reported with its line.
+    why, and what was left out; a column in doubt is asked for. Every repair is reported with its line. With --input
+    nothing is cut from the record: the input describes the drive.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -93,6 +96,7 @@ def import_command(
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io._records import Inertia
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
+    from gyrotrack.io.readers._inputs import read_input_options
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits, read_cuts
 
@@ -117,6 +121,7 @@ def import_command(
         raise UsageError(
             f"--start-u {start_u:g} is not an uncertainty.", "Give it in s, such as --start-u 0.002."
         )
+    options[0] = replace(options[0], inputs=read_input_options(inputs or ()))
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
     if body is not None and (inertia is not None or dry_run) and casing is None and not rotor:
@@ -140,6 +145,8 @@ def import_command(
         out.warn(warning)
     for source in case.extra["sources"]:
         out.detail(f"{source['file']}: {source['samples']} samples used")
+    for sentence in _proposals(case.extra["reading"]):
+        out.note(sentence)
     document = {"output": output, "reading": case.extra["reading"], **summary(case)}
     if dry_run:
         document["plot"] = _plotted(case)
@@ -151,6 +158,27 @@ def import_command(
 
 
 import_command.__doc__ = (import_command.__doc__ or "").replace("{formats}", "; ".join(ALL))
+
+
+def _proposals(readings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a sentence for each column that may be an input of the motion and is not recorded."""
+    from gyrotrack.io.readers._motion_table import BY_NAME
+
+    return [
+        f"{column['column']} of {reading['file']} may drive the motion and is not recorded; record it: "
+        f"--input '{_proposed_name(column['column'])}={column['column'][1:-1]}"
+        f"{' [' + column['unit'] + ']' if column['unit'] else ''}'"
+        for reading in readings
+        for column in reading["columns"]
+        if column["quantity"] == "input" and column["why"] == BY_NAME
+    ]
+
+
+def _proposed_name(column: str) -> str:
+    """Return a name for an input in laws, from the header of its column in quotes."""
+    words = re.findall(r"[A-Za-z]+", column.lower())
+    return next((w for w in words if w not in {"command", "commanded", "measured", "motor"}), "u")
+
 
 _MOST_PLOTTED = 200  # points of the plot of a body
 
@@ -223,6 +251,7 @@ class Table(StrEnum):
     motion = "motion"
     markers = "markers"
     frames = "frames"
+    inputs = "inputs"
 
 
 def export_command(
@@ -233,7 +262,8 @@ def export_command(
         Table,
         option(
             "--table",
-            "motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
+            "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs (CSV, "
+            "Parquet, JSON).",
         ),
     ] = Table.motion,
     force: shared.Force = False,
@@ -325,12 +355,22 @@ def _case_lines(summary: dict[str, Any]) -> list[str]:
         _motion_line("casing" if summary["bodies"] == "two" else "body", summary["casing"]),
     ]
     lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
+    if summary["inputs"]:
+        lines += ["", f"{'input':<10}{'samples':>9}{'time [s]':>20}{'value':>20}  unit"]
+        lines += [_input_line(name, i) for name, i in summary["inputs"].items()]
     for name, clip in summary["recordings"].items():
         lines += ["", f"clip '{name}'"]
         if "placement" in clip:
             lines.append(_placement_line(clip["placement"]))
         lines += _recording_lines(clip)
     return lines
+
+
+def _input_line(name: str, i: dict[str, Any]) -> str:
+    time, value = _span(i["t_start"], i["t_stop"], 3), _span(i["min"], i["max"], 4)
+    u = "" if i["median_u"] is None else f", u {i['median_u']:.2g}"
+    delay = f", acts {i['delay']:g} s later" if i["delay"] else ""
+    return f"{name:<10}{i['samples']:>9}{time:>20}{value:>20}  {i['unit']}{u}, {i['interpolation']}{delay}"
 
 
 def _inertia(summary: dict[str, Any]) -> str:

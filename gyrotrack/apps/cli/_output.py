@@ -261,10 +261,14 @@ _CANDIDATES = 8
 
 def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
     """Return a fit as text: verdict, goodness of fit, parameters."""
+    from fitting.inference._first_order import first_order, first_order_lines
     from fitting.inference._result import VERDICT_TEXT, summary_lines
     from fitting.study._serialisation import not_determined_together
 
     lines = [f"fit {fit_id}: {VERDICT_TEXT[fit.verdict]}", "", *summary_lines(fit)]
+    if fit.verdict != "not_converged":
+        response = first_order_lines(first_order(fit))
+        lines += ["", *response] if response else []
     for direction in not_determined_together(fit):
         parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
         lines += _wrapped(f"degenerate parameters: {parts}")

@@ -60,9 +60,10 @@ _PATHS = (
     "prior_rotor report"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: they replace or delete results, or set addresses, certificates, ports, processes
+# options that only the user may set: they replace or delete results, name files among other words, or set addresses,
+# certificates, ports, processes
 REFUSED = frozenset(
-    "answer browser delete force name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
+    "answer browser delete force input name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
 
 
@@ -317,6 +318,15 @@ Columns = Annotated[
         "--column QUANTITY=COLUMN",
         "Meaning of a column of a table, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
         "revolutions=3; of one of two bodies only: casing.revolutions=5.",
+    ),
+]
+Inputs = Annotated[
+    list[str] | None,
+    option(
+        "--input NAME=COLUMN",
+        "Recorded input of the motion, for laws such as 'casing: k*current': 'current=3 [A] +- 0.01', with "
+        "interpolation and dead time 'pwm=Command, hold, delay=0.02', from a table of its own 'torque=2 [N m], "
+        "file=torque.csv'.",
     ),
 ]
 PulsesPerTurn = Annotated[

@@ -31,6 +31,7 @@ JOINTS = {
     "bearing": "both bodies",
     "contact": "both bodies",
     "factor": "bearing × factor",
+    "input": "recorded input",
     "camera.casing": "camera (casing)",
     "camera.rotor": "camera (rotor)",
 }
@@ -76,6 +77,30 @@ def parameter_rows(view: StudyView) -> list[Row]:
             "is_new": effect in view.added,
         }
         rows.append(row)
+    return [*rows, *_response_rows(view)]
+
+
+def _response_rows(view: StudyView) -> list[Row]:
+    """Return time constant and gains of the final model as rows of the parameters, of a driven body."""
+    from fitting.inference._first_order import first_order
+
+    rows = []
+    for response in first_order(view.final):
+        numbers = [("τ", "", response.time_constant), *(("K", name, e) for name, e in response.gains.items())]
+        for symbol, index, e in numbers:
+            rows.append(
+                {
+                    "symbol": symbol,
+                    "index": index,
+                    "effect": "first-order response",
+                    "case": response.label if len(view.cases) > 1 else "",
+                    "value": with_uncertainty(e.value, e.stderr, e.unit),
+                    "relative": _relative(e),
+                    "before": "",
+                    "note": "derived",
+                    "is_new": False,
+                }
+            )
     return rows
 
 
@@ -252,7 +277,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
     found = []
     model = layout.model.smooth
     for effect in model.effects:
-        rest = Dynamics(model.without(effect.name))
+        rest = Dynamics(model.without(effect.name), inputs=record.inputs)
         if effect.joint == "inertia" or not set(rest.states) <= set(path.states):
             continue
         without = state[:, [path.states.index(s) for s in rest.states]]
@@ -307,7 +332,7 @@ def _may_supply(effect: Effect) -> bool:
     from fitting.effects._expression import symbols
 
     drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
-    return drives or effect.joint == "factor" or "t" in symbols(effect.expression)
+    return drives or bool(effect.inputs) or effect.joint == "factor" or "t" in symbols(effect.expression)
 
 
 UNPHYSICAL, CONSERVATIVE = "negative dissipation: unphysical", "conservative"

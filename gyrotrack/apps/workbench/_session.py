@@ -102,7 +102,7 @@ class Session:
             model, words = self.fit.model, []
             start = {k: e.value for k, e in self.fit.estimates.items()}
             if add:
-                effect = resolve(add.strip())
+                effect = resolve(add.strip(), self._data.record.inputs)
                 if effect.name in model.names:
                     raise GyrotrackError(f"{effect.name} is already in the model.")
                 model = model.with_effect(effect)

@@ -131,7 +131,8 @@ USES = (
     ),
     Use(
         "a motor with its voltage, current or PWM",
-        "no option; `gyrotrack spindown` fits the first-order response instead of friction",
+        "add `--input 'voltage=3 [V]'`, so that laws may depend on it; `gyrotrack spindown` needs no option and fits "
+        "the first-order response",
         (TEXT,),
     ),
     Use(

@@ -290,6 +290,7 @@ def import_case(
         quantity=quantity,
         warnings=tuple(notes + warnings),
         extra=_origins(tables, [*body, *windows], sense),
+        inputs=tuple(i for table in tables for i in table.inputs),
     )
 
 
@@ -343,13 +344,17 @@ def case_of_body(
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
     limits = limits or Limits()
+    if table.inputs:
+        # an input describes drive and brake
+        limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
     read, value = run_of(read, unwrapped(read, notes), limits)
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
     sense = 1
-    if not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
+    # the sign of an input belongs to that of the motion
+    if not read.inputs and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
@@ -364,6 +369,7 @@ def case_of_body(
         bodies="one",
         warnings=tuple(notes),
         extra=_origins([read], parts, sense),
+        inputs=read.inputs,
     )
     return case, read
 
@@ -377,7 +383,12 @@ def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
     date = datetime.fromtimestamp(origin, UTC).strftime("%Y-%m-%d %H:%M:%S")
     note = f"times are counted from {date} ({origin:.0f} s)"
     return [
-        replace(table, time=table.time - origin, notes=(*table.notes, f"{table.path.name}: {note}"))
+        replace(
+            table,
+            time=table.time - origin,
+            inputs=tuple(replace(i, time=i.time - origin) for i in table.inputs),
+            notes=(*table.notes, f"{table.path.name}: {note}"),
+        )
         for table in tables
     ]
 

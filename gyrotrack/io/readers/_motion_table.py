@@ -17,8 +17,9 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io._records import Floats, Input, Integers
 from gyrotrack.io.readers._clock import MIN_SAMPLES, ordered, refuse_slow_clock
+from gyrotrack.io.readers._inputs import InputOption, described
 from gyrotrack.io.readers._plausibility import (
     are_exchanged,
     counts_rows,
@@ -74,11 +75,12 @@ class ReadOptions:
     likelihood: float = 0.6  # minimum likelihood of the points that are used
     pulses_per_turn: float | None = None  # pulses per turn, for a file with times of pulses
     body: str = ""  # "casing" or "rotor", to choose between columns whose names contain these words
+    inputs: tuple[InputOption, ...] = ()  # recorded inputs
 
 
 @dataclass(frozen=True)
-class Input:
-    """A measured cause of the motion, such as a voltage or a commanded torque."""
+class Driver:
+    """A column that may drive the motion, such as a voltage or a commanded torque, at the times of the rows."""
 
     name: str
     unit: str
@@ -102,7 +104,8 @@ class MotionTable:
     # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
     doubts: tuple[str, ...] = ()  # why the values may be wrong by more than their uncertainty
-    inputs: tuple[Input, ...] = ()
+    drivers: tuple[Driver, ...] = ()
+    inputs: tuple[Input, ...] = ()  # those that the user records, with times of their own
     reading: Reading | None = None  # what each column was taken for
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
@@ -113,7 +116,7 @@ class MotionTable:
             value=self.value[keep],
             sigma=None if self.sigma is None else self.sigma[keep],
             line=self.line[keep],
-            inputs=tuple(replace(i, value=i.value[keep]) for i in self.inputs),
+            drivers=tuple(replace(i, value=i.value[keep]) for i in self.drivers),
             notes=(*self.notes, *notes),
         )
 
@@ -175,7 +178,7 @@ class Columns:
     unit: dict[str, str]  # its unit; "" if none is stated
     why: dict[str, str]  # the reason of the choice
     axes: list[int]  # all columns of the chosen quantity, if these are the axes of a sensor
-    inputs: list[int]  # measured causes of the motion
+    drivers: list[int]  # measured causes of the motion
 
     def taken(self, raw: RawTable, *roles: str) -> tuple[Taken, ...]:
         """Return what the columns of some quantities were taken for."""
@@ -205,6 +208,7 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
     given_names = {" ".join(_words(n)): r for n, r in (options.names or {}).items()} | dict(
         options.names or {}
     )
+    recorded = {place for o in options.inputs if o.file is None and (place := o.place(raw)) is not None}
     for index, name in enumerate(raw.names):
         base, unit = header_of(name)
         below = clean(raw.units[index])
@@ -249,6 +253,8 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
             }
         ):
             role = None
+        if index in recorded and why.get(index) != "by --column":
+            role = None
         if role is not None:
             found.setdefault(role, []).append(index)
     chosen: dict[str, int] = {}
@@ -276,7 +282,11 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
         {role: units[i] for role, i in chosen.items()},
         {role: why.get(i, "by its name") for role, i in chosen.items()},
         axes,
-        [i for i, n in enumerate(raw.names) if is_input(header_of(n)[0]) and i not in chosen.values()],
+        [
+            i
+            for i, n in enumerate(raw.names)
+            if is_input(header_of(n)[0]) and i not in recorded and i not in chosen.values()
+        ],
     )
 
 
@@ -459,23 +469,57 @@ def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> M
             f"'{_stem_without_axis(raw.names[place[quantity]])}', in which it varies most; the scale factor of the "
             "sensor is not determined"
         )
-    inputs = tuple(
-        Input(header_of(raw.names[i])[0], raw.units[i] or header_of(raw.names[i])[1], values)
-        for i in columns.inputs
-        if i not in used and (values := raw.numeric(i)) is not None
+    inputs, input_columns, as_inputs = _recorded_inputs(raw, options, time)
+    used |= set(input_columns)
+    drivers = tuple(
+        Driver(header_of(raw.names[i])[0], raw.units[i] or header_of(raw.names[i])[1], values)
+        for i in (*columns.drivers, *input_columns)
+        if (i in input_columns or i not in used) and (values := raw.numeric(i)) is not None
     )
     taken = columns.taken(raw, "t", "frame", quantity, "sigma")
     if not {"t", "frame"} & set(place):
         taken = (Taken("the number of the row", "time", "s", f"at {options.fps:g} rows/s"), *taken)
-    taken += tuple(Taken(f"'{i.name}'", "input", i.unit, "by its name") for i in inputs)
-    shown = {i.name for i in inputs}
+    proposed = [i for i in columns.drivers if i not in used and raw.numeric(i) is not None]
+    taken += as_inputs
+    taken += tuple(
+        Taken(f"'{header_of(raw.names[i])[0]}'", "input", raw.units[i] or header_of(raw.names[i])[1], BY_NAME)
+        for i in proposed
+    )
+    shown = {header_of(raw.names[i])[0] for i in proposed}
     left_out = tuple(
         column_name(raw, i) for i, n in enumerate(raw.names) if i not in used and header_of(n)[0] not in shown
     )
     least_sigma = resolution(value) * scale / float(np.sqrt(12))
-    made = checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma, inputs=inputs)
+    made = checked(raw, quantity, time, value * scale, sigma, notes, least_sigma=least_sigma, drivers=drivers)
     _refuse_unusual(raw, columns, made)
-    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, left_out))
+    return replace(made, inputs=inputs, reading=Reading(raw.path.name, "", len(raw.line), taken, left_out))
+
+
+BY_NAME = "by its name"
+
+
+def _recorded_inputs(
+    raw: RawTable, options: ReadOptions, time: Floats
+) -> tuple[tuple[Input, ...], list[int], tuple[Taken, ...]]:
+    """Return the inputs that the user records from a table, their columns, and what is said of them."""
+    inputs, places, taken = [], [], []
+    for option in (o for o in options.inputs if o.file is None):
+        place = option.place(raw)
+        if place is None:
+            raise DatasetError(
+                f"{raw.header_place}: there is no column '{option.column[:40]}' for the input {option.name} among "
+                f"{_listed(raw.names)}.",
+                "Give a header or a number: --input 'current=3 [A]'.",
+            )
+        found = option.made(raw, place, time)
+        inputs.append(found)
+        places.append(place)
+        taken.append(
+            Taken(
+                column_name(raw, place), f"input {option.name}", found.unit, f"by --input; {described(found)}"
+            )
+        )
+    return tuple(inputs), places, tuple(taken)
 
 
 def _refuse_unusual(raw: RawTable, columns: Columns, made: MotionTable) -> None:
@@ -616,7 +660,7 @@ def checked(
     notes: list[str],
     *,
     least_sigma: float = 0.0,
-    inputs: tuple[Input, ...] = (),
+    drivers: tuple[Driver, ...] = (),
 ) -> MotionTable:
     """Return a motion with repaired times and without empty rows."""
     name, line = raw.path.name, raw.line
@@ -648,7 +692,7 @@ def checked(
         raise DatasetError(what, "Check the column.")
     made = MotionTable(
         raw.path, raw.sha256, quantity, time[valid], value[valid], None if sigma is None else sigma[valid], line[valid],
-        (), least_sigma, inputs=tuple(replace(i, value=i.value[valid]) for i in inputs),
+        (), least_sigma, drivers=tuple(replace(i, value=i.value[valid]) for i in drivers),
     )  # fmt: skip
     made = in_order(made, notes)
     if len(made.time) < MIN_SAMPLES:
@@ -695,7 +739,7 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
             value=np.add.reduceat(table.value, first) / count,
             sigma=None if table.sigma is None else np.sqrt(np.add.reduceat(table.sigma**2, first)) / count,
             line=table.line[first],
-            inputs=tuple(replace(i, value=i.value[first]) for i in table.inputs),
+            drivers=tuple(replace(i, value=i.value[first]) for i in table.drivers),
         )
     return table
 
@@ -723,7 +767,12 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     variance = np.array([_residual_variance(time[i : i + _BLOCK], value[i : i + _BLOCK]) for i in starts])
     half = _NEIGHBOURS // 2
     smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
-    sigma = np.sqrt(np.interp(time, centre, np.asarray(smooth)) / _MEDIAN_OF_CHI2)
+    known = np.asarray(smooth)
+    # values that do not change at all, of a body at rest under a coarse resolution, do not show the noise
+    shows = known > floor**2
+    if shows.any():
+        known = np.where(shows, known, np.median(known[shows]))
+    sigma = np.sqrt(np.interp(time, centre, known) / _MEDIAN_OF_CHI2)
     return np.asarray(np.maximum(sigma, floor))
 
 

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrotrack._errors import DatasetError
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io._records import Input
 from gyrotrack.io.readers import _format_names as names
 from gyrotrack.io.readers._archives import read_zip
 from gyrotrack.io.readers._columnar import read_json, read_parquet
+from gyrotrack.io.readers._inputs import InputOption, described
 from gyrotrack.io.readers._matlab import read_matlab, read_matlab_hdf5
 from gyrotrack.io.readers._motion_table import (
     COORDINATES,
@@ -25,6 +27,7 @@ from gyrotrack.io.readers._motion_table import (
     find_columns,
     in_order,
     interpret,
+    scale_of,
     times_of,
     without_spikes,
 )
@@ -43,7 +46,7 @@ from gyrotrack.io.readers._pulses import (
     sampled_counts,
 )
 from gyrotrack.io.readers._raw_table import RawTable, read_bytes
-from gyrotrack.io.readers._reading import Reading
+from gyrotrack.io.readers._reading import Reading, Taken
 from gyrotrack.io.readers._sound import read_wav
 from gyrotrack.io.readers._spreadsheets import read_excel_97
 from gyrotrack.io.readers._text_table import content_lines, read_text
@@ -104,7 +107,59 @@ def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
     made = _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
     quantity = {"omega": "speed"}.get(made.quantity, made.quantity)
     check_motion(f"body in {made.path.name}", quantity, made.time, made.value, made.sigma)
+    made = _with_inputs(made, options)
     return made if made.reading is None else replace(made, reading=replace(made.reading, format=name))
+
+
+def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
+    """Return a motion with the inputs that have files of their own; a UsageError for a file without such columns."""
+    if made.reading is None or not options.inputs:
+        return made
+    missing = [o for o in options.inputs if o.file is None and o.name not in {i.name for i in made.inputs}]
+    if missing:
+        what = f"{made.path} is not a table of angles or speeds, from which --input reads a column."
+        raise UsageError(
+            what, f"Give the input in a table of its own: --input '{missing[0].name}=2, file=TABLE'."
+        )
+    inputs, taken, notes = [*made.inputs], [*made.reading.taken], [*made.notes]
+    for option in (o for o in options.inputs if o.file is not None):
+        found, of_file = _input_of_file(option)
+        inputs.append(found)
+        taken.append(of_file)
+        notes.append(f"the times of {of_file.column} are those of {made.path.name}: both are on one clock")
+    order = {o.name: k for k, o in enumerate(options.inputs)}
+    inputs.sort(key=lambda i: order[i.name])
+    reading = replace(made.reading, taken=tuple(taken))
+    return replace(made, inputs=tuple(inputs), reading=reading, notes=tuple(notes))
+
+
+def _input_of_file(option: InputOption) -> tuple[Input, Taken]:
+    """Return an input from a table of its own, and what is said of it."""
+    assert option.file is not None  # noqa: S101 - the caller selects these
+    _, raw = _content(option.file, ReadOptions())
+    if isinstance(raw, Points):
+        raise DatasetError(f"{option.file} contains points, not a table of an input.", "Give a table.")
+    columns = find_columns(raw, ReadOptions(inputs=(replace(option, file=None),)))
+    place = option.place(raw)
+    if place is None:
+        what = f"{raw.header_place}: there is no column '{option.column[:40]}' for the input {option.name}."
+        raise DatasetError(
+            what, f"Its columns: {', '.join(n or str(k + 1) for k, n in enumerate(raw.names))[:80]}."
+        )
+    clock = columns.place.get("t", 0)
+    if clock == place:
+        what = f"{raw.header_place}: the column of the input {option.name} is that of the time."
+        raise DatasetError(what, "Give another column.")
+    unit = columns.unit.get("t", "")
+    time = raw.numbers(clock, "t", times=True) * scale_of(raw, "t", unit)
+    found = option.made(raw, place, time)
+    name = raw.names[place] or str(place + 1)
+    return found, Taken(
+        f"'{name}' of {option.file.name}",
+        f"input {option.name}",
+        found.unit,
+        f"by --input; {described(found)}",
+    )
 
 
 def read_passages(path: Path, options: ReadOptions) -> Passages | None:

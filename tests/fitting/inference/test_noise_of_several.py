@@ -54,7 +54,9 @@ def test_recordings_with_a_common_level_keep_it(monkeypatch, common):
     monkeypatch.setattr(_problem, "_rows_at_rest", lambda *_: np.zeros((3, 0)))
     monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
     none = np.zeros((3, 0))
-    data = SimpleNamespace(nuisance=none, harmonic_responses=none, z=np.zeros(3), largest_torque=1.0)
+    data = SimpleNamespace(
+        nuisance=none, harmonic_responses=none, z=np.zeros(3), largest_torque=1.0, driven=False
+    )
     prediction = SimpleNamespace(columns=none, places=np.zeros(0, dtype=int), rows=np.zeros(3))
     layout = SimpleNamespace(
         at_bound=lambda _: np.zeros(0, dtype=bool), model=SimpleNamespace(restoring=False)

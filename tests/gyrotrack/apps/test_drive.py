@@ -10,7 +10,7 @@ from gyrotrack.apps._drive import drive_of
 from gyrotrack.apps._motion import motion_of_speeds
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io._records import Series
-from gyrotrack.io.readers._motion_table import Input
+from gyrotrack.io.readers._motion_table import Driver
 
 CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
 
@@ -43,7 +43,7 @@ def test_the_response_to_a_step_of_a_voltage():
     for seed in range(8):
         noise = np.random.default_rng(seed).normal(0, 0.5, len(TIME))
         made = series(TIME, response(TIME, STEP, 0.2, 8.0, 0.03) + noise, 0.5)
-        found = drive_of(made, "omega", [Input("voltage", "V", STEP)]).response
+        found = drive_of(made, "omega", [Driver("voltage", "V", STEP)]).response
         assert found.explained > 0.99
         assert found.gain.value == pytest.approx(8.0, abs=5 * found.gain.stderr)
         assert found.final.value == pytest.approx(96.0, abs=5 * found.final.stderr)
@@ -78,7 +78,7 @@ def test_the_ripple_of_an_unbalance_within_a_turn_is_no_drive():
 def test_an_input_that_stays_on_is_a_drive(level, driven):
     current = np.where(TIME < 0.1, 1.0, level)
     omega = 60 * np.exp(-TIME / 10)
-    found = drive_of(series(TIME, omega, 1e-3), "omega", [Input("current", "A", current)])
+    found = drive_of(series(TIME, omega, 1e-3), "omega", [Driver("current", "A", current)])
     assert (found is not None) is driven
 
 

@@ -1,0 +1,219 @@
+"""Recorded inputs of a motion: currents, voltages, commanded torques, temperatures.
+
+An input is a function of time, given by samples at times of its own. Between them it is linear, or it holds the last
+value. A torque that depends on it changes abruptly at the samples: in value where a held value changes, in slope where
+the slope of a linear one changes. The equations of motion are integrated from one such time to the next, on which they
+are smooth. An input with more changes than can be followed is replaced by its means over short cells, which give the
+body the same impulse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import ExpressionError, RecordError
+from fitting.effects._effect import input_symbol, parse_unit, refuse_input_name
+
+Array = NDArray[np.float64]
+Interpolation = Literal["linear", "hold"]
+
+INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
+# largest number of times at which an input changes value or slope
+MOST_CHANGES = 4000
+# changes of value or slope below this share of the largest value or slope are rounding
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, repr=False)
+class Input:
+    """A measured function of time on which torques may depend.
+
+    Parameters
+    ----------
+    name : str
+        Its name in laws: letters, digits and underscores.
+    time : ndarray, shape (n,)
+        Times of its samples on the clock of the record [s], strictly increasing.
+    value : ndarray, shape (n,)
+        Its values [unit].
+    unit : str
+        Unit in the style of CF: ``A``, ``V``, ``N m``, ``K``, ``1``.
+    u : ndarray, shape (n,), or None
+        Standard uncertainty of the values by the calibration of the instrument [unit]: an error that all samples have
+        in common, in proportion to `u`. Noise of the samples is not part of it.
+    interpolation : {"linear", "hold"}
+        Value between two samples: linear, or that of the last one.
+    delay : float
+        Dead time after which the input acts [s].
+    """
+
+    name: str
+    time: Array
+    value: Array
+    unit: str = "1"
+    u: Array | None = None
+    interpolation: Interpolation = "linear"
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        refuse_input_name(self.name)
+        if self.interpolation not in INTERPOLATIONS:
+            raise RecordError(
+                f"input {self.name}: the interpolation is {str(self.interpolation)[:20]!r}",
+                f"use {' or '.join(INTERPOLATIONS)}",
+            )
+        try:
+            parse_unit(self.unit)
+        except (ExpressionError, AttributeError):
+            raise RecordError(
+                f"input {self.name}: {str(self.unit)[:20]!r} is not a unit",
+                "write for example A, V, N m, K or 1",
+            ) from None
+        arrays = {"time": self.time, "value": self.value} | ({} if self.u is None else {"u": self.u})
+        for name, values in arrays.items():
+            object.__setattr__(self, name, self._checked(name, values))
+        if len(self.time) > 1 and not (np.diff(self.time) > 0).all():
+            raise RecordError(f"input {self.name}: the times are not strictly increasing")
+        if self.u is not None and (self.u < 0).any():
+            raise RecordError(f"input {self.name}: an uncertainty is negative")
+        if not math.isfinite(self.delay):
+            raise RecordError(f"input {self.name}: the delay is not finite", "give it in s")
+
+    def __repr__(self) -> str:
+        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
+        range_ = f"{self.value.min():.6g} to {self.value.max():.6g} {self.unit}"
+        late = f", acts {self.delay:g} s later" if self.delay else ""
+        return f"Input {self.name!r}: {range_}, {len(self.time)} samples, {span}, {self.interpolation}{late}"
+
+    def _checked(self, name: str, values: object) -> Array:
+        try:
+            array = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise RecordError(f"input {self.name}: {name} holds no numbers", "use a NumPy array") from None
+        if array.ndim != 1 or len(array) != len(np.atleast_1d(self.time)) or not len(array):
+            raise RecordError(
+                f"input {self.name}: {name} has the shape {array.shape}",
+                "use one-dimensional arrays of the same length",
+            )
+        if not np.isfinite(array).all():
+            raise RecordError(f"input {self.name}: {name} has values that are not finite", "leave them out")
+        array.flags.writeable = False
+        return array
+
+    @property
+    def symbol(self) -> str:
+        """Its symbol in the expression of a law."""
+        return input_symbol(self.name)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it has more than one value."""
+        return bool(np.ptp(self.value) > 0)
+
+    @cached_property
+    def _acting(self) -> Array:
+        """Times at which the samples act [s]."""
+        return np.asarray(self.time + self.delay)
+
+    def __call__(self, times: Array | float, late: float = 0.0) -> Array:
+        """Return its value at some times [s] if it acts `late` [s]; beyond its samples the first or the last one."""
+        return self._interpolated(self.value, times, late)
+
+    def slope(self, times: Array | float, late: float = 0.0) -> Array:
+        """Return its derivative at some times, to the right [unit/s]; zero for a held input, which jumps."""
+        t = np.asarray(times, dtype=np.float64)
+        if self.interpolation == "hold" or len(self.time) < 2:
+            return np.zeros(t.shape)
+        at = self._acting + late
+        slopes = np.concatenate([[0.0], np.diff(self.value) / np.diff(self.time), [0.0]])
+        return np.asarray(slopes[np.searchsorted(at, t, side="right")])
+
+    def uncertainty(self, times: Array | float) -> Array:
+        """Return its standard uncertainty at some times [s]; zero if it is not given."""
+        return self._interpolated(np.zeros(len(self.time)) if self.u is None else self.u, times)
+
+    def _interpolated(self, values: Array, times: Array | float, late: float = 0.0) -> Array:
+        # the times of the samples are shifted, and not those that are asked for: a change is then exactly at its time
+        t, at = np.asarray(times, dtype=np.float64), self._acting + late
+        if self.interpolation == "linear":
+            return np.asarray(np.interp(t, at, values))
+        # right-continuous, as heaviside(t - t0) of a law
+        return np.asarray(values[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)])
+
+    def integral(self, times: Array) -> Array:
+        """Return its integral from the first of some times on [unit s]."""
+        t = np.asarray(times, dtype=np.float64)
+        knots = np.unique(np.concatenate([self._acting, t]))
+        step = np.diff(knots)
+        value = self(knots)
+        mean = value[:-1] if self.interpolation == "hold" else 0.5 * (value[1:] + value[:-1])
+        total = np.concatenate([[0.0], np.cumsum(mean * step)])
+        found = total[np.searchsorted(knots, t)]
+        return np.asarray(found - found[0])
+
+    def means(self, edges: Array) -> Array:
+        """Return its mean in each cell between two successive times."""
+        return np.asarray(np.diff(self.integral(edges)) / np.diff(edges))
+
+    def jumps(self) -> tuple[Array, Array]:
+        """Return the times of all samples but the first [s], and the change of the value from the one before."""
+        change = np.diff(self.value)
+        return self._acting[1:], change
+
+    def changes(self, first: float, last: float, late: float = 0.0) -> Array:
+        """Return the times between two others at which its value (held) or slope (linear) changes [s]."""
+        if len(self.time) < 2:
+            return np.zeros(0)
+        if self.interpolation == "hold":
+            size = np.abs(np.diff(self.value))
+            at = self._acting[1:][size > _ROUNDING * float(np.abs(self.value).max())]
+        else:
+            # before the first and after the last sample the value is constant
+            slope = np.concatenate([[0.0], np.diff(self.value) / np.diff(self.time), [0.0]])
+            size = np.abs(np.diff(slope))
+            at = self._acting[size > _ROUNDING * max(float(np.abs(slope).max()), 1e-300)]
+        at = at + late
+        return np.asarray(at[(at > first) & (at < last)])
+
+    def followed(self, first: float, last: float, most: int = MOST_CHANGES) -> Input:
+        """Return the input with at most `most` changes between two times [s].
+
+        One with more of them is replaced by its means over equal cells, each of which holds.
+        """
+        if len(self.changes(first, last)) <= most:
+            return self
+        edges = np.linspace(first, last, most + 1)
+        u = None if self.u is None else self.uncertainty(edges[:-1])
+        return replace(self, time=edges[:-1] - self.delay, value=self.means(edges), u=u, interpolation="hold")
+
+    def refuse_uncovered(self, first: float, last: float) -> None:
+        """Raise a RecordError unless its samples cover the times of a record [s].
+
+        The last sample of a held input acts for good; any other end may lack one interval and the delay.
+        """
+        step = float(np.median(np.diff(self.time))) if len(self.time) > 1 else math.inf
+        slack = step + abs(self.delay)
+        late = self.interpolation == "linear" and self.time[-1] < last - slack
+        if self.time[0] > first + slack or late:
+            raise RecordError(
+                f"the input {self.name} is known from {self.time[0]:.6g} to {self.time[-1]:.6g} s, the motion from "
+                f"{first:.6g} to {last:.6g} s",
+                "give an input that covers the record, or a part of the record",
+            )
+
+
+def values_at(inputs: Iterable[Input], times: Array) -> dict[str, Array]:
+    """Return the value of each input at some times [s], by its symbol in laws."""
+    return {i.symbol: i(times) for i in inputs}
+
+
+def means_in(inputs: Iterable[Input], edges: Array) -> dict[str, Array]:
+    """Return the mean of each input between successive times [s], by its symbol in laws."""
+    return {i.symbol: i.means(edges) for i in inputs}
