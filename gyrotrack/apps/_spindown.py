@@ -25,6 +25,7 @@ from gyrotrack.apps._motion import (
     motion_of_speeds,
     start_of_motion,
 )
+from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
@@ -41,6 +42,7 @@ from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
+from gyrotrack.tracking._point_motion import TrackedPoint, follow_point, point_details
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked
 from gyrotrack.video._container import file_sha256, is_film
@@ -61,6 +63,10 @@ class SpindownOptions:
     """Options of `spindown`."""
 
     hub: tuple[float, float] | None = None  # centre of rotation (x, y) [px]
+    # point to follow in a film, by its position (x, y) in the first frame [px]; length of a pixel in its plane [m]
+    point: tuple[float, float] | None = None
+    colour: str | None = None  # colour of a point to follow
+    scale: float | None = None
     capture_fps: float | None = None  # frames per second of the camera
     # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
@@ -84,7 +90,9 @@ class Source:
     """What was read."""
 
     case: Case
-    film: tuple[Film, Tracked] | None = None  # the film of a body tracked by its texture
+    film: tuple[Film, Tracked | TrackedPoint] | None = (
+        None  # the film of a body tracked by its texture or by a point
+    )
     table: MotionTable | None = None  # the part of a table that is used
 
 
@@ -100,6 +108,9 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
+    if not filmed and (options.point or options.colour or options.scale):
+        what = "--point, --colour and --scale apply to films."
+        raise UsageError(what, "Select a column or a tracked point of a table by --column or --marker.")
     if filmed:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
@@ -197,10 +208,12 @@ def _recording_in(path: Path) -> Recording | None:
 
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
-) -> tuple[Recording, tuple[Film, Tracked] | None]:
+) -> tuple[Recording, tuple[Film, Tracked | TrackedPoint] | None]:
     """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
 
-    The paper's markers are first where one of their bodies is selected.
+    The paper's markers are first where one of their bodies is selected. A point is followed where one is selected,
+    where no body is found that turns, and where the hub is outside the picture: a ball on a thread shows its path
+    better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -210,6 +223,10 @@ def _film(
             body=options.body,
             progress=progress,
         ), None
+    if options.point is not None or options.colour is not None:
+        film = Film(source, colour=options.colour)
+        recording, point = point_recording(film, options, progress)
+        return recording, (film, point)
     film = Film(source)
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
@@ -222,9 +239,17 @@ def _film(
         if options.body is None and (found := _papers_markers(source, film, options, progress)) is not None:
             return found, None
         with suppress(TrackingError):
+            recording, point = point_recording(film, options, progress)
+            return recording, (film, point)
+        with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
         raise
+    x, y = tracked.ring.hub
+    if not (0 <= x < recording.width and 0 <= y < recording.height):
+        with suppress(TrackingError):
+            recording, point = point_recording(film, options, progress)
+            return recording, (film, point)
     return recording, (film, tracked)
 
 
@@ -264,8 +289,21 @@ def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
     """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
-    fps, origin, warnings = _rate(film, options.capture_fps)
     tracked = (track_free_body if free else track_body)(film, options.hub, progress)
+    return _recording_of(film, options, tracked), tracked
+
+
+def point_recording(
+    film: Film, options: SpindownOptions, progress: Progress | None = None
+) -> tuple[Recording, TrackedPoint]:
+    """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it."""
+    tracked = follow_point(film, options.point, options.hub, progress)
+    return _recording_of(film, options, tracked), tracked
+
+
+def _recording_of(film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint) -> Recording:
+    """Return the recording of a body or a point that was tracked."""
+    fps, origin, warnings = _rate(film, options.capture_fps)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
     time_all = times.seconds(fps)
     time = time_all[tracked.frame]
@@ -290,9 +328,25 @@ def film_recording(
     doubts = [*tracked.warnings[-1:]] if tracked.ambiguous else []
     unsure = track_doubts("body", body, count, "the picture of the body (.png)")
     centre = np.full((len(film), 2), np.nan)
-    centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
+    points = {}
+    if isinstance(tracked, TrackedPoint):
+        centre[tracked.frame] = tracked.hub
+        points = {"point": point_track("point", tracked, time, times.number, options.scale)}
+        details = point_details(tracked)
+    else:
+        centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
+        details = {
+            "method": "registration of the polar picture",
+            "hub_px": list(tracked.ring.hub),
+            "stretch": list(tracked.ring.stretch),
+            "ring_px": [tracked.ring.inner, tracked.ring.outer],
+            "explained": tracked.explained,
+            "scatter_over_bound": tracked.scale,
+            "correlated_rad": tracked.correlated,
+            "hub_motion_px": tracked.template.hub_sigma,
+        }
     rows, columns = next(iter(film.frames(0, 1))).shape
-    recording = Recording(
+    return Recording(
         source=film.path.name,
         source_sha256=file_sha256(film.path),
         width=columns,
@@ -317,19 +371,10 @@ def film_recording(
             "capture_rate_from": origin,
             "centre_from": tracked.way,
             "doubts": [*doubts, *unsure],
-            "tracking": {
-                "method": "registration of the polar picture",
-                "hub_px": list(tracked.ring.hub),
-                "stretch": list(tracked.ring.stretch),
-                "ring_px": [tracked.ring.inner, tracked.ring.outer],
-                "explained": tracked.explained,
-                "scatter_over_bound": tracked.scale,
-                "correlated_rad": tracked.correlated,
-                "hub_motion_px": tracked.template.hub_sigma,
-            },
+            "tracking": details,
         },
+        points=points,
     )
-    return recording, tracked
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
@@ -426,7 +471,12 @@ def _analysed(
     if drive is not None:
         motion = replace(motion, kind="driven", omega=drive.omega or motion.omega)
     if body is not None:
-        motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
+        recording = case.recordings["casing"]
+        motion = (
+            with_pivot_errors(motion, series, recording, body[1])
+            if isinstance(body[1], TrackedPoint)
+            else _with_view_errors(motion, series, recording, body[1])
+        )
     usual = float(np.median(series.sigma))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
@@ -439,6 +489,9 @@ def _analysed(
     settings = {
         "source": source,
         "hub": options.hub,
+        "point": options.point,
+        "colour": options.colour,
+        "scale": options.scale,
         "capture_fps": options.capture_fps,
         "inertia": options.inertia,
     }
@@ -449,7 +502,10 @@ def _analysed(
     if body is not None:
         picture = picture_path(source, target)
         assert picture is not None  # noqa: S101 - `body` is of a film
-        write_body_picture(picture, *body, force=force)
+        if isinstance(body[1], TrackedPoint):
+            write_point_picture(picture, body[0], body[1], force=force)
+        else:
+            write_body_picture(picture, body[0], body[1], force=force)
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None

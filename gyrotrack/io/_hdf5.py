@@ -22,7 +22,16 @@ from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file, refuse_special
-from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    GeneratedCurve,
+    MarkerTrack,
+    Placement,
+    PointTrack,
+    Recording,
+    Series,
+)
 from gyrotrack.io._tables import (
     attribute,
     check_tree,
@@ -163,6 +172,10 @@ def _write_recording_group(group: Any, recording: Recording) -> None:
         write_table(markers.create_group(name), layout.MARKER, marker, frame=index)
     for name, body in recording.bodies.items():
         write_table(bodies.create_group(name), layout.BODY, body)
+    if recording.points:
+        points = group.create_group("point")
+        for name, point in recording.points.items():
+            write_table(points.create_group(name), layout.POINT, point)
 
 
 def load_recording(group: Any) -> Recording:
@@ -178,7 +191,17 @@ def load_recording(group: Any) -> Recording:
         bodies={n: _load_body(g, n) for n, g in members(group, "body")},
         warnings=tuple(load_json(group, "warnings", [])),
         extra=dict(load_json(group, "extra", {})),
+        points=_load_points(group),
     )
+
+
+def _load_points(group: Any) -> dict[str, PointTrack]:
+    if "point" not in group.keys():  # noqa: SIM118 - `in group` follows links
+        return {}
+    return {
+        n: PointTrack(name=n, **_load_table(child_group(group, "point"), n, layout.POINT))
+        for n, _ in members(group, "point")
+    }
 
 
 def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:

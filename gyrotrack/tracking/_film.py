@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
 from gyrotrack._smoothing import running_quantile
+from gyrotrack.tracking._profile import chroma_direction
+from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import Reader
 
 Floats = npt.NDArray[np.float64]
@@ -242,9 +244,12 @@ _RELEASES = 2  # ... each of which is read in so many parts
 class Film:
     """The luma of a film's frames, at most `most`, in temporary files if it is small, else decoded for each pass."""
 
-    def __init__(self, path: Path, threads: int = 2, most: int | None = None) -> None:
+    def __init__(
+        self, path: Path, threads: int = 2, most: int | None = None, colour: str | None = None
+    ) -> None:
         self.path = path
         self._threads = threads
+        self._direction = None if colour is None else chroma_direction(colour)
         self._shake: Shake | None = None
         flicker = _Flicker()
         self._files: list[npt.NDArray[np.uint8]] = []
@@ -253,7 +258,7 @@ class Film:
         kept = True
         with Reader(path, threads) as reader:
             for count, frame in enumerate(islice(reader, most)):
-                plane = np.ascontiguousarray(frame.y)
+                plane = self._plane(frame)
                 small = plane[::4, ::4].astype(np.float32)
                 changes.append(255.0 if before is None else _change(before, small))
                 before = small
@@ -306,9 +311,23 @@ class Film:
                     if frame.index >= stop:
                         return
                     if frame.index >= first:
-                        yield self._still(np.ascontiguousarray(frame.y), frame.index)
+                        yield self._still(self._plane(frame), frame.index)
         finally:  # also if the consumer ends before
             release_memory()
+
+    def _plane(self, frame: Frame) -> Plane:
+        """Return the luma of a frame, or its chroma along a colour: 128 where it is grey, more where it has the colour.
+
+        A chroma sample is between the luma samples of its block, as JPEG and MPEG-1 define it; MPEG-2 and H.264 place
+        it 0.5 px to the left, which displaces all points alike.
+        """
+        if self._direction is None or self._direction == (0.0, 0.0):
+            return np.ascontiguousarray(frame.y)
+        u, v = self._direction
+        score = u * (frame.u.astype(np.float32) - 128.0) + v * (frame.v.astype(np.float32) - 128.0)
+        height, width = frame.y.shape
+        large = cv2.resize(score, (2 * score.shape[1], 2 * score.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(np.clip(128.0 + large[:height, :width], 0.0, 255.0).round(), dtype=np.uint8)
 
     def _still(self, plane: Plane, index: int) -> Plane:
         if self._gain is not None:

@@ -223,6 +223,7 @@ class Table(StrEnum):
     motion = "motion"
     markers = "markers"
     frames = "frames"
+    points = "points"
 
 
 def export_command(
@@ -233,7 +234,8 @@ def export_command(
         Table,
         option(
             "--table",
-            "motion: angles of the bodies; markers: every marker; frames: every frame (CSV, Parquet).",
+            "motion: angles of the bodies; markers: every marker; frames: every frame; points: paths of points "
+            "(CSV, Parquet).",
         ),
     ] = Table.motion,
     force: shared.Force = False,

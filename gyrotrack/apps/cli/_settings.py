@@ -21,12 +21,13 @@ no numerical library.
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, StrEnum
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -307,6 +308,42 @@ Hub = Annotated[
     str | None,
     option("--hub X,Y", "Centre of rotation [px], also outside of the image; by default detected."),
 ]
+Point = Annotated[
+    str | None,
+    option(
+        "--point X,Y", "Follow this point of the body, by its position in the first frame of a film [px]."
+    ),
+]
+
+
+class Colour(StrEnum):
+    """Colour of a point."""
+
+    red = "red"
+    orange = "orange"
+    yellow = "yellow"
+    green = "green"
+    cyan = "cyan"
+    blue = "blue"
+    magenta = "magenta"
+
+
+PointColour = Annotated[
+    Colour | None,
+    option("--colour NAME", "Follow a point of this colour; with --point, the one at that position."),
+]
+PixelScale = Annotated[
+    float | None, option("--scale M_PER_PX", "Length of a pixel [m]: `export --table points` is then in m.")
+]
+
+
+def checked_scale(scale: float | None) -> float | None:
+    """Return the length of a pixel [m]; a UsageError unless it is positive."""
+    if scale is not None and not 0.0 < scale < math.inf:
+        raise UsageError(f"Invalid scale: {scale:g} m per px.", "Give a positive number.")
+    return scale
+
+
 BodyInertia = Annotated[
     str | None,
     option("--inertia I", "Moment of inertia of the single body, such as '5.5e-5 +- 0.1e-5' (kg m2)."),

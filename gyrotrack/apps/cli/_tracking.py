@@ -437,6 +437,9 @@ def spindown_command(
         Path | None, option("--report FILE", "Report to write; by default next to the case.")
     ] = None,
     hub: shared.Hub = None,
+    point: shared.Point = None,
+    colour: shared.PointColour = None,
+    scale: shared.PixelScale = None,
     profile: Annotated[
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
@@ -472,11 +475,13 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no markers: each frame is registered to the mean image of the body. Without --inertia, torques are per
-    unit of inertia.
+    A film needs no markers: each frame is registered to the mean image of the body. A point about a pivot, such as the
+    bob of a pendulum, is followed with --point or --colour, or if it is the only compact body that moves. Without
+    --inertia, torques are per unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
+    from gyrotrack.apps._points import read_point
     from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -491,18 +496,21 @@ def spindown_command(
         what = f"{page} is the name of both the case and the report."
         raise UsageError(what, "Name the case with -o FILE.h5 and the report with --report.")
     options = SpindownOptions(
-        _position(hub),
-        capture_fps,
-        inertia,
-        pulses_per_turn,
-        Limits(start, stop, read_cuts(cut or ()), keep_all),
-        label,
-        profile,
-        body.value if body else None,
-        tuple(columns or ()),
-        marker,
-        centre,
-        likelihood,
+        hub=_position(hub),
+        capture_fps=capture_fps,
+        inertia=inertia,
+        pulses_per_turn=pulses_per_turn,
+        limits=Limits(start, stop, read_cuts(cut or ()), keep_all),
+        label=label,
+        profile=profile,
+        body=body.value if body else None,
+        columns=tuple(columns or ()),
+        marker=marker,
+        centre=centre,
+        likelihood=likelihood,
+        point=None if point is None else read_point(point),
+        colour=None if colour is None else colour.value,
+        scale=shared.checked_scale(scale),
     )
     outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
     with outputs, out.progress(f"tracking {source.name}", "frames") as progress:
