@@ -19,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 
 CELLS = 12  # parts of an arc, of which each has one error by place
 _FEWEST_IN_CELL = 3
+# smallest error by place [px]: interpolation, and blur that the learnt picture does not have (rendered bobs)
+BY_PLACE = 0.005
 # smallest curvature of a path that determines a hub, in standard uncertainties
 STRAIGHT = 4.0
 
@@ -97,7 +99,7 @@ def fit_arc(place: Floats, sigma: Floats) -> Arc:
     root = math.sqrt(max(1.0 + 4.0 * a * d, 1e-12))
     hub = np.array([-root * math.cos(phi), -root * math.sin(phi)]) / (2.0 * a if a else 1e-12)
     noise, by_place, covariance = _covariance(
-        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6)
+        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), BY_PLACE / scale
     )
     # derivatives of the hub by (a, phi, d)
     root_a, root_d = 2.0 * d / root, 2.0 * a / root
@@ -151,7 +153,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 
 
 def _covariance(
-    jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64]
+    jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
     """Return noise, error by place, and the covariance of the parameters with both."""
     count = max(len(rest) - 3, 1)
@@ -164,12 +166,12 @@ def _covariance(
     noise = inner or float(np.sqrt(np.sum(rest**2) / count))
     chi2 = max(noise / float(np.sqrt(np.mean(sigma**2))), 1e-12) ** 2
     covariance = inverse * chi2
-    by_place = 0.0
+    by_place = floor
     if len(members) > 4:
         mean = np.array([rest[m].mean() for m in members])
         expected = float(np.mean([noise**2 / len(m) for m in members]))
         # three parameters absorb a part of the errors by place
-        by_place = math.sqrt(max(float(np.sum(mean**2)) / (len(members) - 3) - expected, 0.0))
+        by_place = math.sqrt(max(float(np.sum(mean**2)) / (len(members) - 3) - expected, floor**2))
         response = inverse @ (jacobian * weight[:, None]).T
         grouped = np.stack([response[:, m].sum(axis=1) for m in members])
         covariance = covariance + by_place**2 * grouped.T @ grouped

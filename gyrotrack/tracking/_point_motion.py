@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,10 @@ TILT = 0.35
 _VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2  # rms of phi^2 / 2: relative error of all angles
 _VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2  # rms of phi^2: relative error of radius over distance of the hub
 _WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs from a circle
+# distance from the arc, in standard deviations of the residuals and at least [px], beyond which a frame shows something
+# else, and the smallest share of frames on the arc
+_OFF, _OFF_LEAST, _ON = 8.0, 0.5, 0.8
+_STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in standard deviations of its noise
 _CONTRADICTS = (
     4.0  # distance of the hub of the arc from the given one from which it is doubted, in standard deviations
 )
@@ -111,6 +115,7 @@ def follow_point(
     path = track_point(film, start, turn_of, progress)
     found = about_pivot(path, film.path.name, hub)
     warnings = list(film.warnings)
+    path = found.path
     lost = path.searched - len(path.frame)
     if lost:
         warnings.append(
@@ -130,10 +135,28 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
     """Return the motion of a path about the given pivot [px], or about the centre of its arc."""
     formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
     arc = fit_arc(path.place, formal)
+    if arc.determined:  # frames in which something else was matched
+        off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
+        on = off < max(_OFF * math.hypot(arc.noise, arc.by_place), _OFF_LEAST)
+        if hub is None and on.mean() < _ON:
+            raise TrackingError(
+                f"The path of the point in {name} is not an arc of a circle: {100 * (1 - on.mean()):.0f} % of its "
+                "positions are off the best one.",
+                "Give a point at a fixed distance from its pivot with --point X,Y, or the pivot with --hub X,Y.",
+            )
+        if on.mean() >= _ON:
+            path = replace(path, frame=path.frame[on], place=path.place[on], covariance=path.covariance[on])
+            formal = formal[on]
     # the noise of the position, from the radial residuals; not below the Cramer-Rao bound
     scale = max(arc.noise / float(np.sqrt(np.mean(formal**2))), 1.0)
+    extent = float(np.hypot(*np.ptp(path.place, axis=0)))
+    if extent < max(_STILL, _STILL_NOISE * arc.noise):
+        raise TrackingError(
+            f"The point in {name} does not move: its positions differ by {extent:.2g} px.",
+            "Give a point on the moving body with --point X,Y.",
+        )
     warnings = []
-    ambiguous = False
+    ambiguous = extent < path.radius
     centre, covariance, way = arc.hub, arc.covariance, "arc of a point"
     if hub is None:
         far = arc.radius > FARTHEST * max(float(np.abs(path.place).max()), 1.0)
@@ -182,6 +205,11 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
                 view = math.hypot(view, arc.curvature_u / arc.curvature / 2.0)
                 if abs(math.log(ratio)) > 3.0 * arc.curvature_u / arc.curvature:
                     warnings.append(_tilted(ratio, arc, view))
+    if extent < path.radius:
+        warnings.append(
+            f"The body moves by {extent:.0f} px only, less than its size: what is behind it is not seen, and the "
+            "amplitude may be wrong. Select a smaller detail with --point X,Y."
+        )
     angle = angles_about(centre, path.place)
     away = path.place - centre
     radius = np.hypot(*away.T)

@@ -40,17 +40,22 @@ _FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
 _SMALLEST = 1.5  # smallest radius of a spot [px]
 _OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
 _REACH = 12.0  # largest distance of a spot from the point that was given [px]
-_AS_LARGE = 0.7  # relative radius from which a second spot makes the choice ambiguous
+_AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
 _SHARP = 0.05  # standard uncertainty of the position that a patch must allow [px]
 _MATCHED = 0.35  # mean square difference of a match over the contrast of the patch, at most
 _ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
+# smallest mean square difference from the background of a match over that of the patch in the first frame
+_PRESENT = 0.4
 _COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
 _FOUND = 0.6  # smallest share of the frames in which a patch is found
 _LEARNT = 200  # frames from which the picture of the patch is learnt, at most
-_ROUNDS = 4
+_ROUNDS, _TURN_ROUNDS = 4, 3
 _STEPS, _SMALL_STEP = 8, 0.005  # Gauss-Newton steps, and the step that ends them [px]
 _LARGEST = 0.5  # largest displacement by Gauss-Newton steps [radii of the patch]
+# standard deviation of the coefficients of the second derivatives [px2]: L^2 / 24 for a motion blur of L = 8 px
+_BLUR = 2.7
+_BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
 _ROBUST = 4.0  # residual in standard deviations from which a pixel is rejected in part (P. Huber, 1964)
 _TURNS_WITH = 0.95  # residual of a patch that turns about the hub over that of one that does not
 _UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
@@ -131,7 +136,7 @@ def track_point(
         )
     else:
         spot = _only_spot(first, background, noise, film.path.name)
-    rough, found = _follow(film, usable, spot)
+    rough, found = _follow(film, usable, spot, background)
     if found.mean() < _FOUND or found.sum() < _FEWEST:
         raise TrackingError(
             f"The point at ({spot.place[0]:.0f}, {spot.place[1]:.0f}) px in {film.path.name} is followed through "
@@ -139,10 +144,14 @@ def track_point(
             "Give a more distinct point with --point X,Y, or cut the film to the motion.",
         )
     frame, place = usable[found], rough[found]
-    # the rotation of the patch follows from its path, which template matching shows too roughly
-    _, place = _learnt(film, frame, place, None, background, noise, spot.radius)
+    layers, place = _learnt(film, frame, place, None, background, noise, spot.radius)
     turn = turn_of(place)
-    layers, place = _learnt(film, frame, place, turn, background, noise, spot.radius)
+    # the rotation of the patch follows from its path, and its path from the rotation
+    for _ in range(_TURN_ROUNDS if turn is not None else 0):
+        layers, place = _learnt(film, frame, place, turn, background, noise, spot.radius)
+        turn = turn_of(place)
+        if turn is None or not layers.turns:
+            break
     return _measured(film, frame, place, turn, layers, len(usable), progress)
 
 
@@ -217,12 +226,16 @@ def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Sp
         if len(tops) > 50:
             break
     tops.sort(reverse=True)
-    spots = [s for _, top in tops[:3] if (s := _spot_of(region, top)) is not None]
+    spots = [
+        s
+        for depth, top in tops[:2]
+        if depth > _AS_LARGE * tops[0][0] and (s := _spot_of(region, top)) is not None
+    ]
     if not spots:
         raise TrackingError(
             f"No compact body moves in the first frame of {name}.", "Give a point to follow with --point X,Y."
         )
-    if len(spots) > 1 and spots[1].radius > _AS_LARGE * spots[0].radius:
+    if len(spots) > 1:
         (x, y), (u, v) = spots[0].place, spots[1].place
         raise TrackingError(
             f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame.",
@@ -268,9 +281,17 @@ def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Sp
     )
 
 
-def _matched(picture: Picture, template: Picture, mask: Picture) -> tuple[tuple[float, float], float]:
-    """Return the place of the best match in a picture, (x, y) of its centre, and its mean square difference."""
+def _matched(
+    picture: Picture, changed: Picture, template: Picture, mask: Picture, change: float
+) -> tuple[tuple[float, float], float]:
+    """Return the place of the best match in a picture, (x, y) of its centre, and its mean square difference.
+
+    `changed` is the square of the difference from the background. Where it is smaller than `change` on the average over
+    the mask, the background resembles the patch, and the difference is added to that of the match.
+    """
     square = cv2.matchTemplate(picture, template, cv2.TM_SQDIFF, mask=mask)
+    present = cv2.matchTemplate(changed, mask, cv2.TM_CCORR)
+    square = square + np.maximum(change * float(mask.sum()) - present, 0.0)
     square = np.where(np.isfinite(square), square, np.inf)
     row, column = np.unravel_index(int(np.argmin(square)), square.shape)
     place = []
@@ -285,7 +306,7 @@ def _matched(picture: Picture, template: Picture, mask: Picture) -> tuple[tuple[
     return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
 
 
-def _follow(film: Film, usable: Frames, spot: Spot) -> tuple[Floats, Bools]:
+def _follow(film: Film, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Bools]:
     """Follow a patch by template matching; returns its places (n, 2) and whether it was found (n,).
 
     It is searched where it is expected by its last steps, then in a reduced picture of the whole frame.
@@ -297,28 +318,31 @@ def _follow(film: Film, usable: Frames, spot: Spot) -> tuple[Floats, Bools]:
     place, found = np.full((len(usable), 2), np.nan), np.zeros(len(usable), dtype=np.bool_)
     anchor: Picture | None = None
     recent: Picture | None = None
-    limit, last, steps = 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
+    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
     wanted = set(usable.tolist())
+    behind = cv2.copyMakeBorder(background, half, half, half, half, cv2.BORDER_REPLICATE)
     for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
         picture = cv2.copyMakeBorder(frame, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
+        changed = (picture - behind) ** 2
         if anchor is None or recent is None:
             anchor = recent = _cut(picture, last + half, size)
             ring = cv2.dilate(spot.mask, np.ones((5, 5), np.uint8)) > spot.mask
             inside = anchor[spot.mask > 0]
             level = float(np.median(anchor[ring])) if ring.any() else float(inside.mean())
             limit = _MATCHED * max(float(np.mean((inside - level) ** 2)), float(inside.var()))
+            change = _PRESENT * float(np.mean(_cut(changed, last + half, size)[spot.mask > 0]))
             place[k], found[k] = last, True
             continue
         expected = last + _next_step(steps) if found[k - 1] else last
         reach = max(1.2 * spot.radius, 6.0) + (
             1.0 * float(np.hypot(*steps[-1])) if steps else 2.0 * spot.radius
         )
-        best, miss = _in_window(picture, expected + half, reach, anchor, mask)
+        best, miss = _in_window(picture, changed, expected + half, reach, anchor, mask, change)
         if miss > _ANCHORED * limit and recent is not anchor:
-            again, other = _in_window(picture, expected + half, reach, recent, mask)
+            again, other = _in_window(picture, changed, expected + half, reach, recent, mask, change)
             best, miss = (again, other) if other < miss else (best, miss)
         if miss > limit:
-            best, miss = _in_whole(picture, shrink, recent, mask, limit)
+            best, miss = _in_whole(picture, changed, shrink, recent, mask, change, limit)
         if miss > limit:
             steps.clear()
             continue
@@ -349,7 +373,13 @@ def _next_step(steps: Sequence[Floats]) -> Floats:
 
 
 def _in_window(
-    picture: Picture, place: Floats, reach: float, template: Picture, mask: Picture
+    picture: Picture,
+    changed: Picture,
+    place: Floats,
+    reach: float,
+    template: Picture,
+    mask: Picture,
+    change: float,
 ) -> tuple[tuple[float, float], float]:
     half, span = template.shape[0] // 2, math.ceil(reach)
     height, width = picture.shape
@@ -358,26 +388,34 @@ def _in_window(
     right, bottom = min(x + span + half + 1, width), min(y + span + half + 1, height)
     if right - left < template.shape[1] or bottom - top < template.shape[0]:
         return (0.0, 0.0), math.inf
-    (u, v), miss = _matched(picture[top:bottom, left:right], template, mask)
+    (u, v), miss = _matched(
+        picture[top:bottom, left:right], changed[top:bottom, left:right], template, mask, change
+    )
     return (u + left, v + top), miss
 
 
 def _in_whole(
-    picture: Picture, shrink: float, template: Picture, mask: Picture, limit: float
+    picture: Picture,
+    changed: Picture,
+    shrink: float,
+    template: Picture,
+    mask: Picture,
+    change: float,
+    limit: float,
 ) -> tuple[tuple[float, float], float]:
     """Search the whole frame, reduced by a factor, and refine the place in full resolution."""
-    small, one, inside = (
+    small, few, one, inside = (
         np.asarray(
             cv2.resize(p, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA), np.float32
         )
-        for p in (picture, template, mask)
+        for p in (picture, changed, template, mask)
     )
     odd = (one.shape[0] - 1) | 1
     one, inside = one[:odd, :odd], inside[:odd, :odd]
-    (u, v), miss = _matched(small, np.ascontiguousarray(one), np.ascontiguousarray(inside))
+    (u, v), miss = _matched(small, few, np.ascontiguousarray(one), np.ascontiguousarray(inside), change)
     if miss > 2.0 * limit:
         return (0.0, 0.0), math.inf
-    return _in_window(picture, np.array([u, v]) * shrink, 2.0 * shrink + 2.0, template, mask)
+    return _in_window(picture, changed, np.array([u, v]) * shrink, 2.0 * shrink + 2.0, template, mask, change)
 
 
 @dataclass(frozen=True)
@@ -403,7 +441,11 @@ class _Layers:
         return np.where(outside, np.float32(np.nan), found)
 
     def register(self, frame: Plane, place: Floats, turn: float) -> tuple[Floats, Floats, float]:
-        """Return the place of the patch in a frame, its covariance (2, 2), and the mean square normalised residual."""
+        """Return the place of the patch in a frame, its covariance (2, 2), and the mean square normalised residual.
+
+        The blur of a frame differs from that of the learnt picture by motion and focus: to second order, by a
+        combination of the second derivatives, which is fitted with the displacement.
+        """
         turn = turn if self.turns else 0.0
         around = _crop(frame, place, self.grid)
         if around is None:
@@ -413,27 +455,36 @@ class _Layers:
         here = place - np.array([left, top])
         rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         begin = here
-        (s_y, s_x), (q_y, q_x) = np.gradient(self.transparency), np.gradient(self.brightness)
+        by_s, by_q = _derivatives(self.transparency), _derivatives(self.brightness)
         for _ in range(_STEPS):
             back = self.sampled(behind, here, turn, cv2.INTER_LINEAR)
             rest = self.sampled(part, here, turn) - self.transparency * back - self.brightness
             use = np.isfinite(rest)
-            slope = -np.stack([s_x * back + q_x, s_y * back + q_y])[:, use]
+            slope = (by_s * back + by_q)[:, use]
+            slope[:2] *= -1.0
             size = np.abs(rest[use]) / np.sqrt(self.variance[use])
             weight = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9)) / self.variance[use]
-            left_side = (slope * weight) @ slope.T
-            if not use.any() or np.linalg.eigvalsh(left_side)[0] < 1e-9:
+            left_side = (slope * weight) @ slope.T + _BLUR_PRIOR
+            if not use.any() or np.linalg.eigvalsh(left_side[:2, :2])[0] < 1e-9:
                 return place, np.full((2, 2), np.nan), math.inf
-            step = rotation @ np.linalg.solve(left_side, (slope * weight) @ rest[use])
+            step = rotation @ np.linalg.solve(left_side, (slope * weight) @ rest[use])[:2]
             here = here + step
             if np.abs(step).max() < _SMALL_STEP:
                 break
-        covariance = rotation @ np.linalg.inv(left_side) @ rotation.T
+        covariance = rotation @ np.linalg.inv(left_side)[:2, :2] @ rotation.T
         misfit = float(np.mean(size**2))
         reach = _LARGEST * float(np.abs(self.grid).max())
         if np.hypot(*(here - begin)) > reach:
             misfit = math.inf
         return here + np.array([left, top]), covariance, misfit
+
+
+def _derivatives(picture: Picture) -> Picture:
+    """Return the derivatives by x, y, xx, xy, yy of a picture, (5, h, w)."""
+    by_y, by_x = np.gradient(picture)
+    by_yx, by_xx = np.gradient(by_x)
+    by_yy, _ = np.gradient(by_y)
+    return np.stack([by_x, by_y, by_xx, by_yx, by_yy])
 
 
 def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], Plane] | None:
