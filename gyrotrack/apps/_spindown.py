@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,7 +42,8 @@ from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
-from gyrotrack.tracking._point_motion import TrackedPoint, follow_point, point_details
+from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
+from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked
 from gyrotrack.video._container import file_sha256, is_film
@@ -301,38 +302,61 @@ def point_recording(
     return _recording_of(film, options, tracked), tracked
 
 
-def _recording_of(film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint) -> Recording:
+def points_recording(
+    film: Film,
+    starts: Sequence[tuple[float, float] | None],
+    options: SpindownOptions,
+    progress: Progress | None = None,
+) -> Recording:
+    """Follow several points of a film, each about its own pivot, and make one recording of them.
+
+    The body of the recording turns with the first point that has a pivot; without one, the recording holds paths alone.
+    """
+    found = [follow_path(film, start, options.hub, progress) for start in starts]
+    names = ["point"] if len(found) == 1 else [f"point_{k + 1}" for k in range(len(found))]
+    about = [p for p in found if isinstance(p, TrackedPoint)]
+    first = about[0] if about else None
+    recording = _recording_of(film, options, first or found[0])
+    tracks = {
+        n: point_track(n, p, recording.time[p.frame], recording.frame_index, options.scale)
+        for n, p in zip(names, found, strict=True)
+    }
+    warnings = list(recording.warnings)
+    for name, path in zip(names, found, strict=True):
+        if isinstance(path, TrackedPoint) and path is not first:
+            warnings += [f"{name}: {w}" for w in path.warnings if w not in recording.warnings]
+        elif not isinstance(path, TrackedPoint):
+            warnings.append(
+                f"{name}: the path does not determine a pivot; --hub X,Y gives it. It has no angle."
+            )
+    return replace(recording, points=tracks, warnings=tuple(warnings))
+
+
+def _recording_of(
+    film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint | PointPath
+) -> Recording:
     """Return the recording of a body or a point that was tracked."""
     fps, origin, warnings = _rate(film, options.capture_fps)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
     time_all = times.seconds(fps)
     time = time_all[tracked.frame]
-    sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
-    angle = sense * tracked.angle
-    width = smoothing_width(angle, tracked.sigma)
-    omega, omega_sigma = angular_velocity(time, angle, tracked.sigma, width)
-    body = BodyTrack(
-        name="casing",
-        time=time,
-        angle=angle,
-        sigma=tracked.sigma,
-        sigma_paper=np.full(len(time), np.nan),
-        n_markers=np.ones(len(time), dtype=np.int64),
-        omega=omega,
-        omega_sigma=omega_sigma,
-        smoothing_width=width,
-    )
-    # a body that enters or leaves the picture is not lost in the frames before and after
-    shown = fresh_frames(film)
-    count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
-    doubts = [*tracked.warnings[-1:]] if tracked.ambiguous else []
-    unsure = track_doubts("body", body, count, "the picture of the body (.png)")
+    sense, bodies, unsure = 1, dict[str, BodyTrack](), list[str]()
+    if not isinstance(tracked, PointPath):
+        sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
+        bodies["casing"] = body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        # a body that enters or leaves the picture is not lost in the frames before and after
+        shown = fresh_frames(film)
+        count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
+        unsure = track_doubts("body", body, count, "the picture of the body (.png)")
+    doubts = [*tracked.warnings[-1:]] if not isinstance(tracked, PointPath) and tracked.ambiguous else []
     centre = np.full((len(film), 2), np.nan)
     points = {}
     if isinstance(tracked, TrackedPoint):
         centre[tracked.frame] = tracked.hub
         points = {"point": point_track("point", tracked, time, times.number, options.scale)}
         details = point_details(tracked)
+    elif isinstance(tracked, PointPath):
+        details = {"method": "registration of a patch"}
     else:
         centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
         details = {
@@ -364,16 +388,32 @@ def _recording_of(film: Film, options: SpindownOptions, tracked: Tracked | Track
         centre=centre,
         centre_sigma=np.full(len(film), np.nan),
         markers={},
-        bodies={"casing": body},
-        warnings=(*warnings, *tracked.warnings, *unsure, *times.warnings),
+        bodies=bodies,
+        warnings=(*warnings, *getattr(tracked, "warnings", film.warnings), *unsure, *times.warnings),
         extra={
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
-            "centre_from": tracked.way,
+            "centre_from": getattr(tracked, "way", "none"),
             "doubts": [*doubts, *unsure],
             "tracking": details,
         },
         points=points,
+    )
+
+
+def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
+    width = smoothing_width(angle, sigma)
+    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
+    return BodyTrack(
+        name="casing",
+        time=time,
+        angle=angle,
+        sigma=sigma,
+        sigma_paper=np.full(len(time), np.nan),
+        n_markers=np.ones(len(time), dtype=np.int64),
+        omega=omega,
+        omega_sigma=omega_sigma,
+        smoothing_width=width,
     )
 
 

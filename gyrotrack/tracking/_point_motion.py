@@ -13,7 +13,7 @@ from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._hub_search import FARTHEST
 from gyrotrack.tracking._pivot import Arc, angles_about, fit_arc
-from gyrotrack.tracking._point_tracker import PointPath, Progress, track_point
+from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._tracked import white_noise
 
@@ -101,6 +101,31 @@ def follow_point(
     TrackingError
         There is nothing to follow, or the path does not determine the pivot.
     """
+    path = track_point(film, start, _turn_about(hub), progress)
+    return _of_path(film, path, start, hub)
+
+
+def follow_path(
+    film: Film,
+    start: tuple[float, float] | None,
+    hub: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> TrackedPoint | PointPath:
+    """Follow a point as `follow_point`; return its path alone where that does not determine the pivot."""
+    path = track_point(film, start, _turn_about(hub), progress)
+    try:
+        return _of_path(film, path, start, hub)
+    except TrackingError:
+        if start is None:  # what nobody selected must move about a pivot
+            raise
+        formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
+        noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
+        scale = max(*noise, 1.0)
+        return replace(path, covariance=scale**2 * path.covariance)
+
+
+def _turn_about(hub: tuple[float, float] | None) -> Turn:
+    """Return the function that gives the rotation of a patch, clockwise as seen, about a hub or that of its path."""
 
     def turn_of(place: Floats) -> Floats | None:
         centre = np.array(hub) if hub is not None else None
@@ -112,7 +137,12 @@ def follow_point(
         turn = -angles_about(centre, place)
         return np.asarray(turn - turn[0])
 
-    path = track_point(film, start, turn_of, progress)
+    return turn_of
+
+
+def _of_path(
+    film: Film, path: PointPath, start: tuple[float, float] | None, hub: tuple[float, float] | None
+) -> TrackedPoint:
     found = about_pivot(path, film.path.name, hub)
     warnings = list(film.warnings)
     path = found.path
