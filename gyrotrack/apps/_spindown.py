@@ -45,7 +45,7 @@ from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
-from gyrotrack.tracking._tracked import Tracked
+from gyrotrack.tracking._tracked import Tracked, white_noise
 from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
@@ -226,9 +226,11 @@ def _film(
         ), None
     if options.point is not None or options.colour is not None:
         film = Film(source, colour=options.colour)
+        _rate(film, options.capture_fps)  # an unknown rate is told before the film is tracked
         recording, point = point_recording(film, options, progress)
         return recording, (film, point)
     film = Film(source)
+    _rate(film, options.capture_fps)
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
@@ -508,7 +510,9 @@ def _analysed(
     else:
         motion = motion_of(series.time, series.angle, series.sigma)
     drive = None if motion.kind == "oscillation" else _drive(read)
-    if drive is not None:
+    if drive is not None and motion.kind == "fluctuating":
+        drive = replace(drive, response=None)
+    elif drive is not None:
         motion = replace(motion, kind="driven", omega=drive.omega or motion.omega)
     if body is not None:
         recording = case.recordings["casing"]
@@ -517,12 +521,13 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
-    usual = float(np.median(series.sigma))
+    # the uncertainty that all angles share, such as that of the distance of the hub, scales the range as well
+    usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
-        hint = (
-            "give the hub of a film with --hub X,Y." if body is not None else "state the unit of the angle."
-        )
+        hint = "state the unit of the angle."
+        if body is not None:
+            hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check --hub X,Y."
         raise TrackingError(
             f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
         )
@@ -561,10 +566,11 @@ def _analysed(
         "reading": case.extra.get("reading", []),
         "ambiguous": ambiguous,
     }
-    if drive is not None:
-        warnings.append(
-            f"No torque law: the body is driven ({drive.reason}), so its friction is not determined."
-        )
+    if drive is not None or motion.kind == "fluctuating":
+        reason = "its speed rises and falls repeatedly"
+        if drive is not None and motion.kind == "driven":
+            reason = drive.reason
+        warnings.append(f"No torque law: the body is driven ({reason}), so its friction is not determined.")
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
         return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
     try:

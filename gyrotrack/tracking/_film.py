@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from gyrotrack._smoothing import running_quantile
 from gyrotrack.tracking._profile import chroma_direction
 from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import Reader
+from gyrotrack.video._fields import field, first_field
 
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
@@ -256,9 +257,9 @@ class Film:
         before: npt.NDArray[np.float32] | None = None
         changes = []
         kept = True
+        self._first_field = _interlacing(path)
         with Reader(path, threads) as reader:
-            for count, frame in enumerate(islice(reader, most)):
-                plane = self._plane(frame)
+            for count, (plane, _) in enumerate(islice(self._pictures(reader), most)):
                 small = plane[::4, ::4].astype(np.float32)
                 changes.append(255.0 if before is None else _change(before, small))
                 before = small
@@ -276,6 +277,8 @@ class Film:
             self.info = reader.info
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
+        if self._first_field is not None:
+            self._count_fields(len(changes))
         self._gain = flicker.gain
         if self._gain is not None:
             text = (
@@ -307,13 +310,37 @@ class Film:
             return
         try:
             with Reader(self.path, self._threads) as reader:
-                for frame in reader:
-                    if frame.index >= stop:
+                for plane, index in self._pictures(reader):
+                    if index >= stop:
                         return
-                    if frame.index >= first:
-                        yield self._still(self._plane(frame), frame.index)
+                    if index >= first:
+                        yield self._still(plane, index)
         finally:  # also if the consumer ends before
             release_memory()
+
+    def _pictures(self, frames: Iterable[Frame]) -> Iterator[tuple[Plane, int]]:
+        """Yield the pictures of the frames, two of an interlaced one, and their numbers."""
+        for frame in frames:
+            plane = self._plane(frame)
+            if self._first_field is None:
+                yield plane, frame.index
+                continue
+            for later in (False, True):
+                yield field(plane, odd=bool(self._first_field) != later), 2 * frame.index + later
+
+    def _count_fields(self, count: int) -> None:
+        """Replace rate and timestamps of the frames by those of the fields."""
+        step = np.diff(self.stamps)
+        period = float(np.median(step)) if len(step) else float("nan")
+        self.stamps = np.stack([self.stamps, self.stamps + 0.5 * period], axis=1).ravel()[:count]
+        self.info = replace(
+            self.info,
+            container_fps=2.0 * self.info.container_fps,
+            frames_declared=2 * self.info.frames_declared,
+            time_base=self.info.time_base / 2,
+        )
+        text = f"The film is interlaced: its {count} fields are measured, at twice the rate of its frames."
+        self.warnings = (*self.warnings, text)
 
     def _plane(self, frame: Frame) -> Plane:
         """Return the luma of a frame, or its chroma along a colour: 128 where it is grey, more where it has the colour.
@@ -342,6 +369,20 @@ class Film:
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
         return StoredPictures.of(len(wanted), chosen)
+
+
+_EXAMINED = 12  # frames that show whether a film is interlaced
+
+
+def _interlacing(path: Path) -> int | None:
+    """Return which field of a film comes first, 0 or 1; None for a film that is not interlaced."""
+    with Reader(path) as reader:
+        frames = []
+        for frame in islice(reader, _EXAMINED):
+            if not frame.interlaced:
+                return None
+            frames.append(frame.y.copy())
+    return first_field(frames)
 
 
 _DARK, _BRIGHT = 32, 235  # grey levels between which brightness is proportional to a power of the light

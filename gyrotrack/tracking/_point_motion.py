@@ -19,7 +19,9 @@ from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
 
-HUB_U = 1.0  # standard uncertainty of a hub that is given, per axis [px]: a place that was clicked
+# standard uncertainty of a hub that is given, per axis [px], and over its distance: a place that was clicked, or
+# extrapolated from the thread to outside the picture (the prior of a displaced hub of `apps._motion.VIEW`)
+HUB_U, HUB_SHARE = 1.0, 0.02
 # standard deviation of the tilt of a camera by hand [rad]. Seen at a tilt phi, a circle is an ellipse with the axes a
 # and a cos(phi); a short arc of it resembles a circle whose radius is larger by 1 / cos(phi), or smaller by cos(phi)^2
 TILT = 0.35
@@ -208,15 +210,16 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
     else:
         given = np.array(hub, dtype=np.float64)
         way = "given, for a point"
-        centre, covariance = given, HUB_U**2 * np.eye(2)
-        distance = float(np.hypot(*(path.place.mean(axis=0) - given)))
+        distance = float(np.median(np.hypot(*(path.place - given).T)))
+        prior = (HUB_U**2 + (HUB_SHARE * distance) ** 2) * np.eye(2)
+        centre, covariance = given, prior
         wide = float(np.ptp(angles_about(given, path.place))) > _WIDE
         view = 0.0 if wide else _VIEW_OF_ANGLE
         if arc.determined:
             towards = (arc.hub - path.place.mean(axis=0)) / max(
                 float(np.hypot(*(arc.hub - path.place.mean(axis=0)))), 1e-9
             )
-            spread = arc.covariance + HUB_U**2 * np.eye(2)
+            spread = arc.covariance + prior
             if not wide:
                 spread = spread + (_VIEW_OF_RADIUS * max(arc.radius, distance)) ** 2 * np.outer(
                     towards, towards
@@ -227,7 +230,7 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
                 ambiguous = True
                 warnings.append(_two_hubs(arc, given, path.place))
             elif wide:  # both are measurements of the same place
-                centre, covariance = _combined(given, HUB_U**2 * np.eye(2), arc.hub, arc.covariance)
+                centre, covariance = _combined(given, prior, arc.hub, arc.covariance)
                 way = "given and arc of a point"
             else:
                 # a tilt phi: distance of the hub a cos(phi), radius of curvature a / cos(phi), or exchanged

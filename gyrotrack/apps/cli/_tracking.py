@@ -606,7 +606,7 @@ def spindown_command(
         return NOT_TRUSTED
     if document["diagnosis"] is None:
         motion = document["motion"]
-        free = motion.kind == "steady" or motion.period is not None
+        free = motion.kind in ("steady", "fluctuating") or motion.period is not None
         return DONE if free or document["response"] is not None else NOT_TRUSTED
     return NOT_TRUSTED if verdict == "unexplained" else DONE
 
@@ -689,9 +689,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
 
     motion = document["motion"]
     own = next((found for reading in document["reading"] if (found := units_of_file(reading))), {})
-    faster = motion.kind == "spin-down" and abs(motion.omega["last"]) > abs(motion.omega["first"])
-    kind = "spin-up" if faster else motion.kind
-    lines = [kind if math.isnan(motion.turns) else f"{kind}, {motion.turns:.3f} turns"]
+    lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
         quantities = [
             ("period", motion.period, "s", ""),
@@ -711,7 +709,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
             ("alpha", motion.alpha, "rad/s2", "alpha"),
         ]
         # the polynomial of a free motion does not describe a driven one
-        quantities = quantities if motion.kind != "driven" else []
+        quantities = {"driven": [], "fluctuating": quantities[:1]}.get(motion.kind, quantities)
     for name, q, unit, kind in quantities:
         if q is not None:
             lines.append(f"{name:<9}  {rounded(q.value, q.stderr, unit)}")

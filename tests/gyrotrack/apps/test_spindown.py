@@ -441,6 +441,7 @@ def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch, swing):
     found = SimpleNamespace(bodies={"casing": shirt})
     monkeypatch.setattr(_spindown, "Film", lambda _: Frames())
     monkeypatch.setattr(_spindown, "film_recording", none)
+    monkeypatch.setattr(_spindown, "point_recording", none)
     monkeypatch.setattr(_spindown, "extract", lambda *_, **__: found)
     with pytest.raises(TrackingError, match="No body that turns"):
         _spindown._film(Path("shirt.mp4"), _spindown.SpindownOptions(), None)
