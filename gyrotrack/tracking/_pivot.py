@@ -19,8 +19,6 @@ Floats = npt.NDArray[np.float64]
 
 CELLS = 12  # parts of an arc, of which each has one error by place
 _FEWEST_IN_CELL = 3
-# smallest error by place [px]: interpolation, and blur that the learnt picture does not have (rendered bobs)
-BY_PLACE = 0.005
 # smallest curvature of a path that determines a hub, in standard uncertainties
 STRAIGHT = 4.0
 
@@ -59,12 +57,12 @@ class Arc:
         return self.curvature > STRAIGHT * self.curvature_u
 
 
-def fit_arc(place: Floats, sigma: Floats) -> Arc:
+def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
     The covariance contains the noise of the residuals, and errors that repeat with the place (lens, view,
     interpolation): one independent error in each of `CELLS` parts of the arc, of the variance by which the means of the
-    parts scatter beyond noise.
+    parts scatter beyond noise, at least `least` [px].
     """
     origin = place.mean(axis=0)
     x, y = (place - origin).T
@@ -99,7 +97,7 @@ def fit_arc(place: Floats, sigma: Floats) -> Arc:
     root = math.sqrt(max(1.0 + 4.0 * a * d, 1e-12))
     hub = np.array([-root * math.cos(phi), -root * math.sin(phi)]) / (2.0 * a if a else 1e-12)
     noise, by_place, covariance = _covariance(
-        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), BY_PLACE / scale
+        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), least / scale
     )
     # derivatives of the hub by (a, phi, d)
     root_a, root_d = 2.0 * d / root, 2.0 * a / root
@@ -170,8 +168,11 @@ def _covariance(
     if len(members) > 4:
         mean = np.array([rest[m].mean() for m in members])
         expected = float(np.mean([noise**2 / len(m) for m in members]))
-        # three parameters absorb a part of the errors by place
-        by_place = math.sqrt(max(float(np.sum(mean**2)) / (len(members) - 3) - expected, floor**2))
+        # three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
+        free = len(members) - 3
+        scatter = float(np.sum(mean**2)) / free
+        if scatter > expected * (1.0 + 2.0 * math.sqrt(2.0 / free)):
+            by_place = max(math.sqrt(scatter - expected), floor)
         response = inverse @ (jacobian * weight[:, None]).T
         grouped = np.stack([response[:, m].sum(axis=1) for m in members])
         covariance = covariance + by_place**2 * grouped.T @ grouped

@@ -32,9 +32,11 @@ _WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs fro
 # else, and the smallest share of frames on the arc
 _OFF, _OFF_LEAST, _ON = 8.0, 0.5, 0.8
 _STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in standard deviations of its noise
-_CONTRADICTS = (
-    4.0  # distance of the hub of the arc from the given one from which it is doubted, in standard deviations
-)
+# smallest error by place of a learnt picture and background: of interpolation and blur [px], and over the noise of a
+# position (rendered bobs: 0.003 to 0.005 px, and 0.3 to 0.8)
+_BY_PLACE, _LEARNT = 0.005, 0.4
+# distance of the hub of the arc from the given one from which it is doubted, in standard deviations
+_CONTRADICTS = 3.0
 # a point that nobody selected: share of the frames in which it must be found, largest radial scatter over the extent
 # of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
 _ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
@@ -166,7 +168,7 @@ def _of_path(
 def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = None) -> TrackedPoint:
     """Return the motion of a path about the given pivot [px], or about the centre of its arc."""
     formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
-    arc = fit_arc(path.place, formal)
+    arc = fit_arc(path.place, formal, math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal))))
     if arc.determined:  # frames in which something else was matched
         off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
         on = off < max(_OFF * math.hypot(arc.noise, arc.by_place), _OFF_LEAST)
@@ -246,16 +248,19 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
     angle = angles_about(centre, path.place)
     away = path.place - centre
     radius = np.hypot(*away.T)
-    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / radius[:, None]
-    along = np.sqrt(np.einsum("ni,nij,nj->n", across, path.covariance, across))
+    outward = away / radius[:, None]
+    across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
+    # along the path, blur by the motion and an uneven clock add to the noise
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
-    tangential = max(scatter / float(np.median(along)), 1.0)
+    along = along * max(scatter / float(np.median(along)), 1.0)
+    place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
     return TrackedPoint(
         frame=path.frame,
         place=path.place,
-        place_sigma=scale * np.sqrt(np.stack([path.covariance[:, 0, 0], path.covariance[:, 1, 1]], axis=1)),
+        place_sigma=place_sigma,
         angle=angle,
-        sigma=tangential * along / radius,
+        sigma=along / radius,
         hub=centre,
         hub_covariance=covariance,
         view=view,
