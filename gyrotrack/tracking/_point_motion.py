@@ -168,7 +168,8 @@ def _of_path(
 def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = None) -> TrackedPoint:
     """Return the motion of a path about the given pivot [px], or about the centre of its arc."""
     formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
-    arc = fit_arc(path.place, formal, math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal))))
+    least = math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal)))
+    arc = fit_arc(path.place, formal, least)
     if arc.determined:  # frames in which something else was matched
         off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
         on = off < max(_OFF * math.hypot(arc.noise, arc.by_place), _OFF_LEAST)
@@ -254,11 +255,11 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
     # along the path, blur by the motion and an uneven clock add to the noise
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
     along = along * max(scatter / float(np.median(along)), 1.0)
-    place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
+    of_noise = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
     return TrackedPoint(
         frame=path.frame,
         place=path.place,
-        place_sigma=place_sigma,
+        place_sigma=np.hypot(of_noise, least),
         angle=angle,
         sigma=along / radius,
         hub=centre,

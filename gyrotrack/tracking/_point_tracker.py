@@ -58,7 +58,6 @@ _BLUR = 2.7
 _BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
 _ROBUST = 4.0  # residual in standard deviations from which a pixel is rejected in part (P. Huber, 1964)
 _TURNS_WITH = 0.95  # residual of a patch that turns about the hub over that of one that does not
-_SURE = 3.0  # standard uncertainties of a transparency from which it is neither 0 nor 1
 _UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
 HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the patch
 
@@ -558,9 +557,7 @@ def _regressed(
     off, off_behind = (shown - mean) * known, (behind - mean_behind) * known
     # a background that varies by less than the noise determines no transparency
     slope = (off * off_behind).sum(axis=0) / ((off_behind**2).sum(axis=0) + noise**2 * count)
-    # the body hides the background or shows it; noise of the transparency would leave a part of the background in it
-    error = _SURE * noise / np.sqrt((off_behind**2).sum(axis=0) + noise**2)
-    slope = np.where(slope < error, 0.0, np.where(slope > 1.0 - error, 1.0, slope))
+    slope = np.clip(slope, 0.0, 1.0)
     brightness = mean - slope * mean_behind
     rest = (shown - slope * behind - brightness) * known
     variance = cv2.blur(((rest**2).sum(axis=0) / count).astype(np.float32), (3, 3))
