@@ -255,11 +255,11 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
     # along the path, blur by the motion and an uneven clock add to the noise
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
     along = along * max(scatter / float(np.median(along)), 1.0)
-    of_noise = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
+    place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
     return TrackedPoint(
         frame=path.frame,
         place=path.place,
-        place_sigma=np.hypot(of_noise, least),
+        place_sigma=place_sigma,
         angle=angle,
         sigma=along / radius,
         hub=centre,

@@ -555,8 +555,8 @@ def _regressed(
     shown, behind = np.where(known, shown, 0.0), np.where(known, behind, 0.0)
     mean, mean_behind = shown.sum(axis=0) / count, behind.sum(axis=0) / count
     off, off_behind = (shown - mean) * known, (behind - mean_behind) * known
-    # a background that varies by less than the noise determines no transparency
-    slope = (off * off_behind).sum(axis=0) / ((off_behind**2).sum(axis=0) + noise**2 * count)
+    # prior of the transparency: a standard deviation of 1, for a background that hardly varies
+    slope = (off * off_behind).sum(axis=0) / ((off_behind**2).sum(axis=0) + noise**2)
     slope = np.clip(slope, 0.0, 1.0)
     brightness = mean - slope * mean_behind
     rest = (shown - slope * behind - brightness) * known
