@@ -15,12 +15,13 @@ from gyrotrack._errors import UsageError
 from gyrotrack.apps._motion import BodyMotion, Value, motion_of
 from gyrotrack.io._records import PointTrack, Recording, Series
 from gyrotrack.plotting._frames import write_tiles
-from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._film import Film, Tilt
 from gyrotrack.tracking._point_motion import TrackedPoint
 from gyrotrack.tracking._point_tracker import PointPath
 
 Floats = npt.NDArray[np.float64]
 
+_STEEPEST = 75.0  # largest tilt that can be corrected [degrees]: a circle is four times as long as wide
 _PATH, _HUB, _PATCH = (0, 200, 255), (0, 0, 255), (0, 255, 0)
 
 
@@ -29,9 +30,10 @@ def point_track(
     path: TrackedPoint | PointPath,
     time: Floats,
     number: npt.NDArray[np.int64],
+    film: Film,
     scale: float | None,
 ) -> PointTrack:
-    """Return the record of a point, with the times [s] of its frames and the numbers of all frames.
+    """Return the record of a point, with the times [s] of its frames and the numbers of all frames of the film.
 
     `scale` is the length of a pixel [m].
     """
@@ -39,12 +41,17 @@ def point_track(
         sigma, radius = path.place_sigma, path.path.radius
     else:
         sigma, radius = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1)), path.radius
+    place = path.place
+    if film.tilt is not None:
+        place = film.seen(place)
+        back = np.linalg.inv(film.tilt.matrix(film.info.width, film.info.height)[:, :2])
+        sigma = np.sqrt(sigma**2 @ (back**2).T)
     return PointTrack(
         name=name,
         time=time,
         frame_number=number[path.frame],
-        x=path.place[:, 0],
-        y=path.place[:, 1],
+        x=place[:, 0],
+        y=place[:, 1],
         sigma_x=sigma[:, 0],
         sigma_y=sigma[:, 1],
         radius=radius,
@@ -108,6 +115,19 @@ def write_point_picture(path: Path, film: Film, point: TrackedPoint, *, force: b
     x, y = point.hub
     text = f"path of a point, its patch, and the line to the pivot ({x:.1f}, {y:.1f}) px ({point.way})."
     write_tiles(path, tiles, text, force=force)
+
+
+def read_tilt(text: str) -> Tilt:
+    """Read a tilt such as "30" or "30,90": its angle, and the direction of the short axis of the ellipse [degrees]."""
+    try:
+        angle, azimuth = (float(part) for part in (*text.split(","), "90")[:2])
+    except ValueError as error:
+        what = f"--tilt {text[:40]!r} is not a tilt."
+        raise UsageError(what, "Give one or two angles in degrees, such as 30 or 30,90.") from error
+    if text.count(",") > 1 or not (0.0 <= angle <= _STEEPEST and math.isfinite(azimuth)):
+        what = f"--tilt {text[:40]!r} is not possible: the tilt is between 0 and {_STEEPEST:g} degrees."
+        raise UsageError(what, "Give the tilt and the direction of the short axis of the ellipse in degrees.")
+    return Tilt(math.radians(angle), math.radians(azimuth))
 
 
 def read_point(text: str, option: str = "--point") -> tuple[float, float]:

@@ -40,7 +40,7 @@ from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, Tilt, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
 from gyrotrack.tracking._point_tracker import PointPath
@@ -68,6 +68,7 @@ class SpindownOptions:
     point: tuple[float, float] | None = None
     colour: str | None = None  # colour of a point to follow
     scale: float | None = None
+    tilt: Tilt | None = None  # of the axis of rotation against the line of sight
     capture_fps: float | None = None  # frames per second of the camera
     # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
@@ -109,8 +110,8 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
-    if not filmed and (options.point or options.colour or options.scale):
-        what = "--point, --colour and --scale apply to films."
+    if not filmed and (options.point or options.colour or options.scale or options.tilt):
+        what = "--point, --colour, --scale and --tilt apply to films."
         raise UsageError(what, "Select a column or a tracked point of a table by --column or --marker.")
     if filmed:
         recording, body = _film(source, options, progress)
@@ -225,11 +226,11 @@ def _film(
             progress=progress,
         ), None
     if options.point is not None or options.colour is not None:
-        film = Film(source, colour=options.colour)
+        film = Film(source, colour=options.colour, tilt=options.tilt)
         _rate(film, options.capture_fps)  # an unknown rate is told before the film is tracked
         recording, point = point_recording(film, options, progress)
         return recording, (film, point)
-    film = Film(source)
+    film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
     _rate(film, options.capture_fps)
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
@@ -260,7 +261,7 @@ def _papers_markers(
     source: Path, film: Film, options: SpindownOptions, progress: Progress | None
 ) -> Recording | None:
     """Track the paper's markers; None with a hub, or where no body is tracked that turns."""
-    if options.hub is not None:
+    if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
     with suppress(GyrotrackError):
@@ -292,7 +293,7 @@ def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
     """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
-    tracked = (track_free_body if free else track_body)(film, options.hub, progress)
+    tracked = (track_free_body if free else track_body)(film, _levelled(film, options.hub), progress)
     return _recording_of(film, options, tracked), tracked
 
 
@@ -300,8 +301,13 @@ def point_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None
 ) -> tuple[Recording, TrackedPoint]:
     """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it."""
-    tracked = follow_point(film, options.point, options.hub, progress)
+    point, hub = (_levelled(film, place) for place in (options.point, options.hub))
+    tracked = follow_point(film, point, hub, progress)
     return _recording_of(film, options, tracked), tracked
+
+
+def _levelled(film: Film, place: tuple[float, float] | None) -> tuple[float, float] | None:
+    return place if place is None or film.tilt is None else film.levelled(place)
 
 
 def points_recording(
@@ -314,13 +320,14 @@ def points_recording(
 
     The body of the recording turns with the first point that has a pivot; without one, the recording holds paths alone.
     """
-    found = [follow_path(film, start, options.hub, progress) for start in starts]
+    hub = _levelled(film, options.hub)
+    found = [follow_path(film, _levelled(film, start), hub, progress) for start in starts]
     names = ["point"] if len(found) == 1 else [f"point_{k + 1}" for k in range(len(found))]
     about = [p for p in found if isinstance(p, TrackedPoint)]
     first = about[0] if about else None
     recording = _recording_of(film, options, first or found[0])
     tracks = {
-        n: point_track(n, p, recording.time[p.frame], recording.frame_index, options.scale)
+        n: point_track(n, p, recording.time[p.frame], recording.frame_index, film, options.scale)
         for n, p in zip(names, found, strict=True)
     }
     warnings = list(recording.warnings)
@@ -355,7 +362,7 @@ def _recording_of(
     points = {}
     if isinstance(tracked, TrackedPoint):
         centre[tracked.frame] = tracked.hub
-        points = {"point": point_track("point", tracked, time, times.number, options.scale)}
+        points = {"point": point_track("point", tracked, time, times.number, film, options.scale)}
         details = point_details(tracked)
     elif isinstance(tracked, PointPath):
         details = {"method": "registration of a patch"}
@@ -371,6 +378,7 @@ def _recording_of(
             "correlated_rad": tracked.correlated,
             "hub_motion_px": tracked.template.hub_sigma,
         }
+    centre = film.seen(centre)
     rows, columns = next(iter(film.frames(0, 1))).shape
     return Recording(
         source=film.path.name,
@@ -397,6 +405,7 @@ def _recording_of(
             "capture_rate_from": origin,
             "centre_from": getattr(tracked, "way", "none"),
             "doubts": [*doubts, *unsure],
+            "tilt_given": None if film.tilt is None else vars(film.tilt),
             "tracking": details,
         },
         points=points,
@@ -537,6 +546,7 @@ def _analysed(
         "point": options.point,
         "colour": options.colour,
         "scale": options.scale,
+        "tilt": None if options.tilt is None else vars(options.tilt),
         "capture_fps": options.capture_fps,
         "inertia": options.inertia,
     }

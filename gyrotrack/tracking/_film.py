@@ -237,6 +237,31 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     )
 
 
+@dataclass(frozen=True)
+class Tilt:
+    """The direction from which a plane of motion is seen, far from the camera.
+
+    Attributes
+    ----------
+    angle : float
+        Angle between the axis of rotation and the line of sight [rad]: a circle is an ellipse with the ratio
+        cos(angle) of its axes.
+    azimuth : float
+        Direction of the short axis of the ellipse in the picture, counter-clockwise from the right [rad].
+    """
+
+    angle: float
+    azimuth: float = math.pi / 2
+
+    def matrix(self, width: int, height: int) -> Floats:
+        """Return the map (2, 3) of the picture onto the plane: the long axis shrinks, so that nothing is lost."""
+        short = np.array([math.cos(self.azimuth), -math.sin(self.azimuth)])
+        along = np.outer(short, short)
+        linear = along + math.cos(self.angle) * (np.eye(2) - along)
+        centre = 0.5 * np.array([width - 1.0, height - 1.0])
+        return np.column_stack([linear, centre - linear @ centre])
+
+
 _HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
 _FILE = 32_000_000  # ... of this size
 _RELEASES = 2  # ... each of which is read in so many parts
@@ -246,10 +271,16 @@ class Film:
     """The luma of a film's frames, at most `most`, in temporary files if it is small, else decoded for each pass."""
 
     def __init__(
-        self, path: Path, threads: int = 2, most: int | None = None, colour: str | None = None
+        self,
+        path: Path,
+        threads: int = 2,
+        most: int | None = None,
+        colour: str | None = None,
+        tilt: Tilt | None = None,
     ) -> None:
         self.path = path
         self._threads = threads
+        self.tilt = tilt
         self._direction = None if colour is None else chroma_direction(colour)
         self._shake: Shake | None = None
         flicker = _Flicker()
@@ -283,6 +314,12 @@ class Film:
         if self._gain is not None:
             text = (
                 f"The illumination flickers by {100 * self._gain[1].std():.2g} % rms, which is compensated."
+            )
+            self.warnings = (*self.warnings, text)
+        if tilt is not None:
+            text = (
+                f"The film is corrected for a tilt of {math.degrees(tilt.angle):.3g} degrees; places in messages are "
+                "those of the corrected picture."
             )
             self.warnings = (*self.warnings, text)
         release_pages()
@@ -349,12 +386,38 @@ class Film:
         it 0.5 px to the left, which displaces all points alike.
         """
         if self._direction is None or self._direction == (0.0, 0.0):
-            return np.ascontiguousarray(frame.y)
+            return self._level(np.ascontiguousarray(frame.y))
         u, v = self._direction
         score = u * (frame.u.astype(np.float32) - 128.0) + v * (frame.v.astype(np.float32) - 128.0)
         height, width = frame.y.shape
         large = cv2.resize(score, (2 * score.shape[1], 2 * score.shape[0]), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(np.clip(128.0 + large[:height, :width], 0.0, 255.0).round(), dtype=np.uint8)
+        return self._level(
+            np.asarray(np.clip(128.0 + large[:height, :width], 0.0, 255.0).round(), dtype=np.uint8)
+        )
+
+    def _level(self, plane: Plane) -> Plane:
+        if self.tilt is None:
+            return plane
+        height, width = plane.shape
+        shown = cv2.warpAffine(
+            plane, self.tilt.matrix(width, height), (width, height), flags=cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        return np.asarray(shown, dtype=np.uint8)
+
+    def levelled(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return where a place (x, y) of the picture is in the frames, which are corrected for the tilt [px]."""
+        if self.tilt is None:
+            return place
+        x, y = self.tilt.matrix(self.info.width, self.info.height) @ np.array([*place, 1.0])
+        return float(x), float(y)
+
+    def seen(self, places: Floats) -> Floats:
+        """Return where places (n, 2) of the corrected frames are in the picture [px]."""
+        if self.tilt is None:
+            return places
+        matrix = self.tilt.matrix(self.info.width, self.info.height)
+        return np.asarray((places - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T)
 
     def _still(self, plane: Plane, index: int) -> Plane:
         if self._gain is not None:

@@ -27,6 +27,7 @@ HUB_U, HUB_SHARE = 1.0, 0.02
 TILT = 0.35
 _VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2  # rms of phi^2 / 2: relative error of all angles
 _VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2  # rms of phi^2: relative error of radius over distance of the hub
+_TILT_U = 0.05  # standard uncertainty of a tilt that is given [rad]
 _WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs from a circle
 # distance from the arc, in standard deviations of the residuals and at least [px], beyond which a frame shows something
 # else, and the smallest share of frames on the arc
@@ -147,7 +148,7 @@ def _turn_about(hub: tuple[float, float] | None) -> Turn:
 def _of_path(
     film: Film, path: PointPath, start: tuple[float, float] | None, hub: tuple[float, float] | None
 ) -> TrackedPoint:
-    found = about_pivot(path, film.path.name, hub)
+    found = about_pivot(path, film.path.name, hub, None if film.tilt is None else film.tilt.angle)
     warnings = list(film.warnings)
     path = found.path
     lost = path.searched - len(path.frame)
@@ -165,8 +166,18 @@ def _of_path(
     return TrackedPoint(**{**vars(found), "warnings": (*warnings, *found.warnings)})
 
 
-def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = None) -> TrackedPoint:
-    """Return the motion of a path about the given pivot [px], or about the centre of its arc."""
+def about_pivot(
+    path: PointPath, name: str, hub: tuple[float, float] | None = None, tilt: float | None = None
+) -> TrackedPoint:
+    """Return the motion of a path about the given pivot [px], or about the centre of its arc.
+
+    `tilt` is the tilt of the camera for which the path is corrected [rad]; None if it is not known.
+    """
+    # relative errors of all angles, and of the radius of curvature over the distance of the hub
+    of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
+    if tilt is not None:
+        of_angle = 0.5 * math.tan(tilt) * _TILT_U
+        of_radius = 2.0 * of_angle
     formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
     least = math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal)))
     arc = fit_arc(path.place, formal, least)
@@ -201,14 +212,14 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
                 "Give the pivot with --hub X,Y; it may be outside the picture.",
             )
         wide = float(np.ptp(angles_about(centre, path.place))) > _WIDE
-        view = 0.0 if wide else _VIEW_OF_ANGLE
+        view = 0.0 if wide else of_angle
         if not wide:
             x, y = arc.hub
             u = math.hypot(arc.curvature_u / arc.curvature, view)
             warnings.append(
                 f"The arc of the path gives the pivot ({x:.0f}, {y:.0f}) px, at a distance of {arc.radius:.0f} px; all "
                 f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is for a camera "
-                "that may be tilted. --hub X,Y gives the pivot."
+                "that may be tilted. --hub X,Y gives the pivot, --tilt the tilt."
             )
     else:
         given = np.array(hub, dtype=np.float64)
@@ -217,16 +228,14 @@ def about_pivot(path: PointPath, name: str, hub: tuple[float, float] | None = No
         prior = (HUB_U**2 + (HUB_SHARE * distance) ** 2) * np.eye(2)
         centre, covariance = given, prior
         wide = float(np.ptp(angles_about(given, path.place))) > _WIDE
-        view = 0.0 if wide else _VIEW_OF_ANGLE
+        view = 0.0 if wide else of_angle
         if arc.determined:
             towards = (arc.hub - path.place.mean(axis=0)) / max(
                 float(np.hypot(*(arc.hub - path.place.mean(axis=0)))), 1e-9
             )
             spread = arc.covariance + prior
             if not wide:
-                spread = spread + (_VIEW_OF_RADIUS * max(arc.radius, distance)) ** 2 * np.outer(
-                    towards, towards
-                )
+                spread = spread + (of_radius * max(arc.radius, distance)) ** 2 * np.outer(towards, towards)
             off = arc.hub - given
             ratio = arc.radius / max(distance, 1e-9)
             if float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS**2:
@@ -300,7 +309,7 @@ def _tilted(ratio: float, arc: Arc, view: float) -> str:
         f"The path is curved as about a pivot at {arc.radius:.0f} px, {100 * abs(ratio - 1):.0f} % "
         f"{'farther' if ratio > 1 else 'nearer'} than the given hub: a camera tilted by {tilt:.0f} degrees explains "
         f"both. The angles about the given hub share a relative uncertainty of {100 * view:.2g} % for this; "
-        "--tilt corrects them."
+        f"--tilt {tilt:.0f} corrects them if the axis of the tilt is horizontal."
     )
 
 

@@ -336,6 +336,15 @@ PixelScale = Annotated[
     float | None, option("--scale M_PER_PX", "Length of a pixel [m]: `export --table points` is then in m.")
 ]
 
+PlaneTilt = Annotated[
+    str | None,
+    option(
+        "--tilt ANGLE[,DIRECTION]",
+        "Correct a film for the tilt of the axis of rotation against the line of sight [degrees]; DIRECTION is that of "
+        "the short axis of the ellipse, counter-clockwise from the right (90 by default).",
+    ),
+]
+
 
 def checked_scale(scale: float | None) -> float | None:
     """Return the length of a pixel [m]; a UsageError unless it is positive."""

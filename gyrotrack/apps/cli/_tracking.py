@@ -517,6 +517,7 @@ def spindown_command(
     point: shared.Point = None,
     colour: shared.PointColour = None,
     scale: shared.PixelScale = None,
+    tilt: shared.PlaneTilt = None,
     profile: Annotated[
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
@@ -558,7 +559,7 @@ def spindown_command(
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
-    from gyrotrack.apps._points import read_point
+    from gyrotrack.apps._points import read_point, read_tilt
     from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -588,6 +589,7 @@ def spindown_command(
         point=None if point is None else read_point(point),
         colour=None if colour is None else colour.value,
         scale=shared.checked_scale(scale),
+        tilt=None if tilt is None else read_tilt(tilt),
     )
     outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
     with outputs, out.progress(f"tracking {source.name}", "frames") as progress:

@@ -19,7 +19,7 @@ class Rendered:
     def __init__(self, frames):
         self._frames = frames
         self.path = Path("rendered.mp4")
-        self.warnings = ()
+        self.warnings, self.tilt = (), None
         self.changes = np.array([255.0] + [np.abs(b - a + 0.0).mean() for a, b in itertools.pairwise(frames)])
 
     def __len__(self):

@@ -3,6 +3,7 @@
 import csv
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -68,7 +69,9 @@ def test_a_scale_gives_metres(film, tmp_path, capsys):
     assert run(["export", str(target), "--table", "points", "-o", str(table)]) == 0
     found = rows(table)
     y = np.array([float(row["y [m]"]) for row in found])
-    assert np.abs(y / 0.002 - drawn.place[:, 1]).max() < 1.5  # of chroma, which has half the resolution
+    exact = drawn.place[[int(row["frame_number"]) for row in found], 1]
+    assert len(found) > 80
+    assert np.abs(y / 0.002 - exact).max() < 1.5  # of chroma, which has half the resolution
     assert run(["info", str(target)]) == 0
     assert "NOT SOUND" not in capsys.readouterr().out
 
@@ -122,6 +125,54 @@ def test_points_are_of_films_and_a_table_says_so(tmp_path, capsys):
     assert run(["spindown", str(table), "--point", "3,4", "-o", str(tmp_path / "o.h5")]) == 2
     assert "apply to films" in capsys.readouterr().err
     assert run(["export", str(tmp_path / "no.h5"), "--table", "points", "-o", str(tmp_path / "o.csv")]) == 1
+
+
+@pytest.fixture(scope="module")
+def tilted(bob, made_once):
+    """A pendulum seen from above at 36.9 degrees: all heights shrink to 0.8."""
+    drawn = bob(frames=90, texture=0.0, thread=False)
+
+    class Squeezed(bob):
+        def pictures(self):
+            return [cv2.resize(p, (160, 96), interpolation=cv2.INTER_AREA) for p in drawn.pictures()]
+
+    return made_once(
+        "film-tilted", lambda folder: Squeezed(size=(96, 160), frames=90).write(folder / "t.mp4")
+    )
+
+
+@pytest.mark.parametrize(("tilt", "right"), [("36.87", True), (None, False)])
+def test_a_given_tilt_corrects_the_angles(tilted, bob, tmp_path, tilt, right):
+    """Without it, the hub at 0.8 of its height gives angles that are larger by 1 / 0.8."""
+    from gyrotrack.apps._points import read_tilt
+    from gyrotrack.apps._spindown import SpindownOptions, point_recording
+    from gyrotrack.tracking._film import Film
+
+    drawn = bob(frames=90)
+    hub, start = ((x, 0.8 * (y + 0.5) - 0.5) for x, y in (drawn.hub, drawn.place[0]))
+    options = SpindownOptions(point=start, hub=hub, capture_fps=50.0, tilt=tilt and read_tilt(tilt))
+    recording, found = point_recording(Film(tilted / "t.mp4", tilt=options.tilt), options)
+    exact = np.ptp(drawn.angle(drawn.time))
+    assert np.ptp(found.angle) == pytest.approx(exact if right else exact / 0.8, rel=0.015)
+    assert (found.view < 0.03) == right
+    place = recording.points["point"]  # in the picture, not in the corrected one
+    assert np.abs(place.x - drawn.place[:, 0]).max() < 2.0
+    assert recording.centre[0] == pytest.approx(hub, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [("30", False), ("75,0", False), ("76", True), ("-1", True), ("steep", True), ("1,2,3", True)],
+)
+def test_a_tilt_is_between_0_and_75_degrees(text, refused):
+    from gyrotrack._errors import UsageError
+    from gyrotrack.apps._points import read_tilt
+
+    if refused:
+        with pytest.raises(UsageError, match="tilt"):
+            read_tilt(text)
+    else:
+        assert np.degrees(read_tilt(text).angle) == pytest.approx(float(text.split(",")[0]))
 
 
 @pytest.mark.slow
