@@ -120,7 +120,7 @@ def track_point(
             f"{film.path.name} has only {len(usable)} different frames; {_FEWEST} are required to track a motion.",
             "Give a longer film.",
         )
-    sample = list(film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))]))
+    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
     noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
     background = _median(sample)
     first = film.some(usable[:1])[0]
