@@ -17,7 +17,9 @@ def tables() -> str:
     parts += [
         "",
         "`profile`, `extract` and `spindown` read films. The header of a Photron camera states the capture rate; its",
-        "frames are shown in grey, also those of a Bayer sensor.",
+        "frames are shown in grey, also those of a Bayer sensor. A TIFF stack states it if ImageJ or an OME program",
+        "wrote it; grey values are scaled by the darkest and the brightest one. `spindown` reads interlaced film as",
+        "two fields.",
         "",
         *("| film | usual suffixes |", "|---|---|", *_suffixes(names.FILMS)),
     ]

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from gyrotrack._correlated_noise import Estimate, correlated_least_squares
 from gyrotrack._errors import DatasetError
+from gyrotrack.io.readers._plausibility import rises
 from gyrotrack.io.readers._pulses import Passages
 from gyrotrack.io.readers._run import start_of_oscillation, upward_crossings
 from gyrotrack.tracking._tracked import white_noise
@@ -34,6 +35,9 @@ _TRACKED_ORDERS = _WAVE_ORDERS[2]
 # highest degree of the polynomials for times and durations of passages through a light gate
 _PASSAGE_ORDER = 4
 _END = 0.05  # share of a record from which the angular velocity at its ends is determined
+# a fluctuating speed: smallest number of turns, rises over the largest speed and in standard errors, and their number
+_FLUCTUATING_TURNS, _RISE, _RISE_SIGMA, _FEWEST_RISES = 2.0, 0.05, 6.0, 2
+_ALIKE = 4  # neighbouring deviations from a mean speed that count as one
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
@@ -54,7 +58,8 @@ class Value:
 class BodyMotion:
     """The motion of one body."""
 
-    kind: str  # kind of motion: "spin-down" or "oscillation" or "steady" or "driven"
+    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "fluctuating" or "driven"
+    kind: str
     # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
     omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
@@ -88,7 +93,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is no such oscillation (beats, a drive), has no period, amplitude or decay rate.
+    repeatedly, but is no such oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation whose
+    speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and
+    its mean is that of the angles.
     """
     if len(time) < _MIN_SAMPLES:
         what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
@@ -106,9 +113,65 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), _HYSTERESIS)
         if len(passages) >= _PASSAGES:
             return BodyMotion("oscillation", turns, omega, mean, alpha)
-    change = abs(omega["last"] - omega["first"])
-    steady = abs(alpha.value) < 3 * alpha.stderr or change < 0.01 * abs(mean.value)
-    return BodyMotion("steady" if steady else "spin-down", turns, omega, mean, alpha, omega_u=omega_u)
+    if fluctuates(time, angle, sigma):
+        omega, omega_u = _ends(*(_slope_at(t, angle, place) for place in (0, -1)))
+        return BodyMotion(
+            "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
+        )
+    return BodyMotion(_kind(omega, mean, alpha), turns, omega, mean, alpha, omega_u=omega_u)
+
+
+def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:
+    """Return the kind of a rotation by its acceleration and the speeds at its ends."""
+    change = abs(omega["last"]) - abs(omega["first"])
+    if abs(alpha.value) < 3 * alpha.stderr or abs(change) < 0.01 * abs(mean.value):
+        return "steady"
+    return "spin-up" if change > 0 else "spin-down"
+
+
+def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
+    """Return whether the speed of a rotation in one sense rises repeatedly, as that of a motor or a swimming cell.
+
+    Friction never makes a body faster. Harmonics of the angle, from an unbalance, a displaced hub or a tilted camera,
+    do, with an amplitude that changes slowly; they are removed. Two rises by more than 5 % of the largest speed and 6
+    standard errors are required, of mean speeds over windows of a fiftieth of the record.
+    """
+    if np.ptp(angle) < _FLUCTUATING_TURNS * TURN:
+        return False
+    x = np.linspace(-1.0, 1.0, len(angle))
+    even = (time - time[0]) / (time[-1] - time[0]) * 2.0 - 1.0
+    smooth = np.polynomial.Polynomial.fit(even, angle, 6)(even)
+    waves = [f(k * angle) * x**j for k in range(1, 4) for f in (np.cos, np.sin) for j in range(3)]
+    rows = np.stack([*waves, *(even**k for k in range(7))], axis=1)
+    if len(angle) < 4 * rows.shape[1]:
+        return False
+    found = np.linalg.lstsq(rows, angle - smooth, rcond=None)[0]
+    windows = _speeds(time, angle - rows[:, : len(waves)] @ found[: len(waves)], sigma)
+    if windows is None:
+        return False
+    _, speed, error = windows
+    if _turns_back(speed, error):
+        return False
+    size = np.abs(speed)
+    return rises(size, max(_RISE * float(size.max()), _RISE_SIGMA * error)) >= _FEWEST_RISES
+
+
+def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
+    """Return the mean angular velocity over the first (0) or last (-1) twentieth of a record."""
+    count = max(int((np.abs(t - t[place]) < _END * (t[-1] - t[0])).sum()), _MIN_SAMPLES)
+    near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
+    (slope, _), covariance = np.polyfit(t[near], angle[near], 1, cov="unscaled")
+    rest = angle[near] - np.polyval(np.polyfit(t[near], angle[near], 1), t[near])
+    # the deviations from a constant speed are no noise: neighbours have the same sign
+    variance = float(rest @ rest) / max(count - 2, 1) * min(count, _ALIKE)
+    return Value(float(slope), math.sqrt(float(covariance[0, 0]) * variance))
+
+
+def _mean_speed(time: Floats, angle: Floats, sigma: Floats) -> Value:
+    """Return the turned angle over the time, with the uncertainties of both angles."""
+    length = float(time[-1] - time[0])
+    error = math.hypot(sigma[0], sigma[-1], math.sqrt(2.0) * VIEW[0])
+    return Value(float(angle[-1] - angle[0]) / length, error / length)
 
 
 def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]]:
@@ -137,9 +200,8 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     first, last = (_averaged(fits, [np.power(float(e), k).astype(float) for k in orders]) for e in (-1, 1))
     mean = _averaged(fits, [np.where(k % 2 == 0, 1.0 / (k + 1), 0.0).astype(float) for k in orders])
     alpha = _averaged(fits, [np.where(k == 1, 1.0 / half, 0.0) for k in orders])
-    steady = abs(alpha.value) < 3 * alpha.stderr or abs(last.value - first.value) < 0.01 * abs(mean.value)
     ends, ends_u = _ends(first, last)
-    return BodyMotion("steady" if steady else "spin-down", whole.turns, ends, mean, alpha, omega_u=ends_u)
+    return BodyMotion(_kind(ends, mean, alpha), whole.turns, ends, mean, alpha, omega_u=ends_u)
 
 
 def motion_of_passages(passages: Passages) -> BodyMotion:
@@ -480,8 +542,9 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     """Return the first sample of the free motion, after a drive by hand or motor.
 
     A rotation is driven up to the maximum of its speed (means over 1/50 of the record, at least 5 samples) if it is in
-    the first half and exceeds the initial speed by more than 5 % and 5 standard errors. An oscillation is free where
-    its periods and amplitudes are those of a free one.
+    the first half and exceeds the initial speed by more than 5 % and 5 standard errors, and if the speed does not rise
+    by half as much again later, as that of a motor does. The end of the drive is then found to the sample. An
+    oscillation is free where its periods and amplitudes are those of a free one.
     """
     windows = _speeds(time, angle, sigma)
     if windows is None:
@@ -492,17 +555,24 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
         return start_of_oscillation(time, angle)
     top = int(np.argmax(size))
     late = float(np.median(size[len(size) // 2 :]))
-    rises = size[top] - size[0] > max(0.05 * size[top], 5 * error)
-    if top == 0 or top > len(size) // 2 or not rises or late > 0.98 * size[top]:
+    higher = size[top] - size[0] > max(0.05 * size[top], 5 * error)
+    if top == 0 or top > len(size) // 2 or not higher or late > 0.98 * size[top]:
         return 0
-    return int(edges[top])
+    if rises(size[top:], max(_AGAIN * float(size[top] - size[0]), 5 * error)):
+        return 0
+    # the window before may be free in part, and the first one driven in part
+    width = int(edges[1] - edges[0])
+    first, last = int(edges[top - 1]), min(int(edges[top]) + (_FREE + 1) * width, len(time))
+    start = last - _joins(time[first:last][::-1], angle[first:last][::-1], _FREE * width)
+    return start if first < start < last else int(edges[top])
 
 
 def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     """Return the sample from which a body that does not turn back is at rest to the end, else their number.
 
     At rest the speed over every window of a fiftieth of the record is below 2 % of its largest, or below 5 standard
-    errors. Rest of less than a twentieth of the record counts as motion.
+    errors. Rest of less than a twentieth of the record counts as motion. A body that is stopped, whose speed falls to
+    rest within one window, moves freely up to the sample before.
     """
     windows = _speeds(time, angle, sigma)
     if windows is None or _turns_back(*windows[1:]):
@@ -511,7 +581,38 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     size = np.abs(speed)
     moving = np.flatnonzero(size > max(0.02 * size.max(), 5 * error))
     last = int(edges[moving[-1] + 1]) if len(moving) and moving[-1] + 1 < len(edges) else len(time)
-    return last if len(time) - last > len(time) / 20 and last >= _MIN_SAMPLES else len(time)
+    if len(time) - last <= len(time) / 20 or last < _MIN_SAMPLES:
+        return len(time)
+    width = int(edges[1] - edges[0])
+    stop = int(moving[-1])
+    if stop > _FREE and size[stop - 1] > _ABRUPT * size.max():
+        first = int(edges[stop]) - _FREE * width
+        return first + _joins(time[first:last], angle[first:last], _FREE * width) or last
+    return last
+
+
+# windows from which a free motion is extrapolated; speed before a stop over the largest one
+_FREE, _ABRUPT = 3, 0.1
+_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is no drive by hand
+
+
+def _joins(time: Floats, angle: Floats, known: int) -> int:
+    """Return how many samples continue the smooth motion of the first `known` ones; 0 if these are too few.
+
+    The motion is a cubic. A sample is off if it deviates by more than 6 standard uncertainties of the extrapolation,
+    and with it all later ones.
+    """
+    if known < _MIN_SAMPLES or known > len(time):
+        return 0
+    x = (time - time[0]) / (time[known - 1] - time[0])
+    rows = x[:, None] ** np.arange(4)
+    found = np.linalg.lstsq(rows[:known], angle[:known], rcond=None)[0]
+    off = angle - rows @ found
+    variance = float(off[:known] @ off[:known]) / (known - 4)
+    inverse = np.linalg.inv(rows[:known].T @ rows[:known])
+    error = np.sqrt(variance * (1.0 + np.einsum("ni,ij,nj->n", rows, inverse, rows)))
+    away = np.flatnonzero(np.abs(off[known:]) > 6.0 * error[known:])
+    return known + int(away[0]) if len(away) else len(time)
 
 
 def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from gyrotrack.apps._motion import (
     motion_of_speeds,
     start_of_motion,
 )
+from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
@@ -39,10 +40,12 @@ from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, Tilt, fresh_frames
 from gyrotrack.tracking._moving_hub import track_free_body
+from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
+from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
-from gyrotrack.tracking._tracked import Tracked
+from gyrotrack.tracking._tracked import Tracked, white_noise
 from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
@@ -61,6 +64,11 @@ class SpindownOptions:
     """Options of `spindown`."""
 
     hub: tuple[float, float] | None = None  # centre of rotation (x, y) [px]
+    # point to follow in a film, by its position (x, y) in the first frame [px]; length of a pixel in its plane [m]
+    point: tuple[float, float] | None = None
+    colour: str | None = None  # colour of a point to follow
+    scale: float | None = None
+    tilt: Tilt | None = None  # of the axis of rotation against the line of sight
     capture_fps: float | None = None  # frames per second of the camera
     # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
@@ -84,7 +92,9 @@ class Source:
     """What was read."""
 
     case: Case
-    film: tuple[Film, Tracked] | None = None  # the film of a body tracked by its texture
+    film: tuple[Film, Tracked | TrackedPoint] | None = (
+        None  # the film of a body tracked by its texture or by a point
+    )
     table: MotionTable | None = None  # the part of a table that is used
 
 
@@ -100,6 +110,9 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
+    if not filmed and (options.point or options.colour or options.scale or options.tilt):
+        what = "--point, --colour, --scale and --tilt apply to films."
+        raise UsageError(what, "Select a column or a tracked point of a table by --column or --marker.")
     if filmed:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
@@ -197,10 +210,12 @@ def _recording_in(path: Path) -> Recording | None:
 
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
-) -> tuple[Recording, tuple[Film, Tracked] | None]:
+) -> tuple[Recording, tuple[Film, Tracked | TrackedPoint] | None]:
     """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
 
-    The paper's markers are first where one of their bodies is selected.
+    The paper's markers are first where one of their bodies is selected. A point is followed where one is selected,
+    where no body is found that turns, and where the hub is outside the picture: a ball on a thread shows its path
+    better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -210,7 +225,13 @@ def _film(
             body=options.body,
             progress=progress,
         ), None
-    film = Film(source)
+    if options.point is not None or options.colour is not None:
+        film = Film(source, colour=options.colour, tilt=options.tilt)
+        _rate(film, options.capture_fps)  # an unknown rate is told before the film is tracked
+        recording, point = point_recording(film, options, progress)
+        return recording, (film, point)
+    film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
+    _rate(film, options.capture_fps)
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
@@ -222,9 +243,17 @@ def _film(
         if options.body is None and (found := _papers_markers(source, film, options, progress)) is not None:
             return found, None
         with suppress(TrackingError):
+            recording, point = point_recording(film, options, progress)
+            return recording, (film, point)
+        with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
         raise
+    x, y = tracked.ring.hub
+    if not (0 <= x < recording.width and 0 <= y < recording.height):
+        with suppress(TrackingError):
+            recording, point = point_recording(film, options, progress)
+            return recording, (film, point)
     return recording, (film, tracked)
 
 
@@ -232,7 +261,7 @@ def _papers_markers(
     source: Path, film: Film, options: SpindownOptions, progress: Progress | None
 ) -> Recording | None:
     """Track the paper's markers; None with a hub, or where no body is tracked that turns."""
-    if options.hub is not None:
+    if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
     with suppress(GyrotrackError):
@@ -264,35 +293,94 @@ def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
     """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
+    tracked = (track_free_body if free else track_body)(film, _levelled(film, options.hub), progress)
+    return _recording_of(film, options, tracked), tracked
+
+
+def point_recording(
+    film: Film, options: SpindownOptions, progress: Progress | None = None
+) -> tuple[Recording, TrackedPoint]:
+    """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it."""
+    point, hub = (_levelled(film, place) for place in (options.point, options.hub))
+    tracked = follow_point(film, point, hub, progress)
+    return _recording_of(film, options, tracked), tracked
+
+
+def _levelled(film: Film, place: tuple[float, float] | None) -> tuple[float, float] | None:
+    return place if place is None or film.tilt is None else film.levelled(place)
+
+
+def points_recording(
+    film: Film,
+    starts: Sequence[tuple[float, float] | None],
+    options: SpindownOptions,
+    progress: Progress | None = None,
+) -> Recording:
+    """Follow several points of a film, each about its own pivot, and make one recording of them.
+
+    The body of the recording turns with the first point that has a pivot; without one, the recording holds paths alone.
+    """
+    hub = _levelled(film, options.hub)
+    found = [follow_path(film, _levelled(film, start), hub, progress) for start in starts]
+    names = ["point"] if len(found) == 1 else [f"point_{k + 1}" for k in range(len(found))]
+    about = [p for p in found if isinstance(p, TrackedPoint)]
+    first = about[0] if about else None
+    recording = _recording_of(film, options, first or found[0])
+    tracks = {
+        n: point_track(n, p, recording.time[p.frame], recording.frame_index, film, options.scale)
+        for n, p in zip(names, found, strict=True)
+    }
+    warnings = list(recording.warnings)
+    for name, path in zip(names, found, strict=True):
+        if isinstance(path, TrackedPoint) and path is not first:
+            warnings += [f"{name}: {w}" for w in path.warnings if w not in recording.warnings]
+        elif not isinstance(path, TrackedPoint):
+            warnings.append(
+                f"{name}: the path does not determine a pivot; --hub X,Y gives it. It has no angle."
+            )
+    return replace(recording, points=tracks, warnings=tuple(warnings))
+
+
+def _recording_of(
+    film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint | PointPath
+) -> Recording:
+    """Return the recording of a body or a point that was tracked."""
     fps, origin, warnings = _rate(film, options.capture_fps)
-    tracked = (track_free_body if free else track_body)(film, options.hub, progress)
     times = Timing("auto", fps).of(film.stamps, float(film.info.time_base))
     time_all = times.seconds(fps)
     time = time_all[tracked.frame]
-    sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
-    angle = sense * tracked.angle
-    width = smoothing_width(angle, tracked.sigma)
-    omega, omega_sigma = angular_velocity(time, angle, tracked.sigma, width)
-    body = BodyTrack(
-        name="casing",
-        time=time,
-        angle=angle,
-        sigma=tracked.sigma,
-        sigma_paper=np.full(len(time), np.nan),
-        n_markers=np.ones(len(time), dtype=np.int64),
-        omega=omega,
-        omega_sigma=omega_sigma,
-        smoothing_width=width,
-    )
-    # a body that enters or leaves the picture is not lost in the frames before and after
-    shown = fresh_frames(film)
-    count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
-    doubts = [*tracked.warnings[-1:]] if tracked.ambiguous else []
-    unsure = track_doubts("body", body, count, "the picture of the body (.png)")
+    sense, bodies, unsure = 1, dict[str, BodyTrack](), list[str]()
+    if not isinstance(tracked, PointPath):
+        sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
+        bodies["casing"] = body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        # a body that enters or leaves the picture is not lost in the frames before and after
+        shown = fresh_frames(film)
+        count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
+        unsure = track_doubts("body", body, count, "the picture of the body (.png)")
+    doubts = [*tracked.warnings[-1:]] if not isinstance(tracked, PointPath) and tracked.ambiguous else []
     centre = np.full((len(film), 2), np.nan)
-    centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
+    points = {}
+    if isinstance(tracked, TrackedPoint):
+        centre[tracked.frame] = tracked.hub
+        points = {"point": point_track("point", tracked, time, times.number, film, options.scale)}
+        details = point_details(tracked)
+    elif isinstance(tracked, PointPath):
+        details = {"method": "registration of a patch"}
+    else:
+        centre[tracked.frame] = np.array(tracked.ring.hub) + tracked.hub_path
+        details = {
+            "method": "registration of the polar picture",
+            "hub_px": list(tracked.ring.hub),
+            "stretch": list(tracked.ring.stretch),
+            "ring_px": [tracked.ring.inner, tracked.ring.outer],
+            "explained": tracked.explained,
+            "scatter_over_bound": tracked.scale,
+            "correlated_rad": tracked.correlated,
+            "hub_motion_px": tracked.template.hub_sigma,
+        }
+    centre = film.seen(centre)
     rows, columns = next(iter(film.frames(0, 1))).shape
-    recording = Recording(
+    return Recording(
         source=film.path.name,
         source_sha256=file_sha256(film.path),
         width=columns,
@@ -310,26 +398,34 @@ def film_recording(
         centre=centre,
         centre_sigma=np.full(len(film), np.nan),
         markers={},
-        bodies={"casing": body},
-        warnings=(*warnings, *tracked.warnings, *unsure, *times.warnings),
+        bodies=bodies,
+        warnings=(*warnings, *getattr(tracked, "warnings", film.warnings), *unsure, *times.warnings),
         extra={
             "times_from": "frames" if times.place is None else "stamps",
             "capture_rate_from": origin,
-            "centre_from": tracked.way,
+            "centre_from": getattr(tracked, "way", "none"),
             "doubts": [*doubts, *unsure],
-            "tracking": {
-                "method": "registration of the polar picture",
-                "hub_px": list(tracked.ring.hub),
-                "stretch": list(tracked.ring.stretch),
-                "ring_px": [tracked.ring.inner, tracked.ring.outer],
-                "explained": tracked.explained,
-                "scatter_over_bound": tracked.scale,
-                "correlated_rad": tracked.correlated,
-                "hub_motion_px": tracked.template.hub_sigma,
-            },
+            "tilt_given": None if film.tilt is None else vars(film.tilt),
+            "tracking": details,
         },
+        points=points,
     )
-    return recording, tracked
+
+
+def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
+    width = smoothing_width(angle, sigma)
+    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
+    return BodyTrack(
+        name="casing",
+        time=time,
+        angle=angle,
+        sigma=sigma,
+        sigma_paper=np.full(len(time), np.nan),
+        n_markers=np.ones(len(time), dtype=np.int64),
+        omega=omega,
+        omega_sigma=omega_sigma,
+        smoothing_width=width,
+    )
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
@@ -423,22 +519,34 @@ def _analysed(
     else:
         motion = motion_of(series.time, series.angle, series.sigma)
     drive = None if motion.kind == "oscillation" else _drive(read)
-    if drive is not None:
+    if drive is not None and motion.kind == "fluctuating":
+        drive = replace(drive, response=None)
+    elif drive is not None:
         motion = replace(motion, kind="driven", omega=drive.omega or motion.omega)
     if body is not None:
-        motion = _with_view_errors(motion, series, case.recordings["casing"], body[1])
-    usual = float(np.median(series.sigma))
+        recording = case.recordings["casing"]
+        motion = (
+            with_pivot_errors(motion, series, recording, body[1])
+            if isinstance(body[1], TrackedPoint)
+            else _with_view_errors(motion, series, recording, body[1])
+        )
+    # the uncertainty that all angles share, such as that of the distance of the hub, scales the range as well
+    usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
-        hint = (
-            "give the hub of a film with --hub X,Y." if body is not None else "state the unit of the angle."
-        )
+        hint = "state the unit of the angle."
+        if body is not None:
+            hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check --hub X,Y."
         raise TrackingError(
             f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
         )
     settings = {
         "source": source,
         "hub": options.hub,
+        "point": options.point,
+        "colour": options.colour,
+        "scale": options.scale,
+        "tilt": None if options.tilt is None else vars(options.tilt),
         "capture_fps": options.capture_fps,
         "inertia": options.inertia,
     }
@@ -449,7 +557,10 @@ def _analysed(
     if body is not None:
         picture = picture_path(source, target)
         assert picture is not None  # noqa: S101 - `body` is of a film
-        write_body_picture(picture, *body, force=force)
+        if isinstance(body[1], TrackedPoint):
+            write_point_picture(picture, body[0], body[1], force=force)
+        else:
+            write_body_picture(picture, body[0], body[1], force=force)
         body = None  # releases its pictures
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
@@ -465,10 +576,11 @@ def _analysed(
         "reading": case.extra.get("reading", []),
         "ambiguous": ambiguous,
     }
-    if drive is not None:
-        warnings.append(
-            f"No torque law: the body is driven ({drive.reason}), so its friction is not determined."
-        )
+    if drive is not None or motion.kind == "fluctuating":
+        reason = "its speed rises and falls repeatedly"
+        if drive is not None and motion.kind == "driven":
+            reason = drive.reason
+        warnings.append(f"No torque law: the body is driven ({reason}), so its friction is not determined.")
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
         return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
     try:

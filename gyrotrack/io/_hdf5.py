@@ -29,6 +29,7 @@ from gyrotrack.io._records import (
     Input,
     MarkerTrack,
     Placement,
+    PointTrack,
     Recording,
     Series,
 )
@@ -172,6 +173,10 @@ def _write_recording_group(group: Any, recording: Recording) -> None:
         write_table(markers.create_group(name), layout.MARKER, marker, frame=index)
     for name, body in recording.bodies.items():
         write_table(bodies.create_group(name), layout.BODY, body)
+    if recording.points:
+        points = group.create_group("point")
+        for name, point in recording.points.items():
+            write_table(points.create_group(name), layout.POINT, point)
 
 
 def load_recording(group: Any) -> Recording:
@@ -187,7 +192,17 @@ def load_recording(group: Any) -> Recording:
         bodies={n: _load_body(g, n) for n, g in members(group, "body")},
         warnings=tuple(load_json(group, "warnings", [])),
         extra=dict(load_json(group, "extra", {})),
+        points=_load_points(group),
     )
+
+
+def _load_points(group: Any) -> dict[str, PointTrack]:
+    if "point" not in group.keys():  # noqa: SIM118 - `in group` follows links
+        return {}
+    return {
+        n: PointTrack(name=n, **_load_table(child_group(group, "point"), n, layout.POINT))
+        for n, _ in members(group, "point")
+    }
 
 
 def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:

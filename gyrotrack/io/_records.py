@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import UsageError
-from gyrotrack.io._schema import BODY, FRAME, INPUT, MARKER, SERIES, STATUS, Table
+from gyrotrack.io._schema import BODY, FRAME, INPUT, MARKER, POINT, SERIES, STATUS, Table
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -33,8 +33,8 @@ class _Tabular:
 
         Parameters
         ----------
-        table : {"motion", "markers", "frames", "inputs"}
-            Motion of the bodies, every marker, every frame, or recorded inputs.
+        table : {"motion", "markers", "frames", "inputs", "points"}
+            Motion of the bodies, every marker, every frame, recorded inputs, or the points that were followed.
 
         Raises
         ------
@@ -136,6 +136,37 @@ class BodyTrack:
 
 
 @dataclass(frozen=True)
+class PointTrack:
+    """The path of one point; frames in which it was not found are omitted.
+
+    Attributes
+    ----------
+    name : str
+        Name of the point.
+    time : ndarray, shape (m,)
+        Time on the clock of the clip [s].
+    frame_number : ndarray of int64, shape (m,)
+        Numbers of the frames.
+    x, y, sigma_x, sigma_y : ndarray, shape (m,)
+        Position and its standard uncertainty [px].
+    radius : float
+        Radius of the patch that was followed [px].
+    m_per_px : float
+        Length of a pixel [m]; NaN if it is not given.
+    """
+
+    name: str
+    time: Floats
+    frame_number: Integers
+    x: Floats
+    y: Floats
+    sigma_x: Floats
+    sigma_y: Floats
+    radius: float
+    m_per_px: float = math.nan
+
+
+@dataclass(frozen=True)
 class Recording(_Tabular):
     """One clip: n decoded frames, the detected markers, and the angles of the bodies.
 
@@ -149,8 +180,8 @@ class Recording(_Tabular):
         Centre of rotation and its standard uncertainty [px].
     sense : {1, -1}
         Factor that was applied to the angles in the image.
-    markers, bodies : dict
-        Markers and bodies by name.
+    markers, bodies, points : dict
+        Markers, bodies and points by name.
     extra : dict
         Further metadata, serialisable as JSON.
     """
@@ -174,6 +205,7 @@ class Recording(_Tabular):
     bodies: dict[str, BodyTrack]
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
+    points: dict[str, PointTrack] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -401,10 +433,10 @@ _READABLE = {"rad s-1": "rad/s"}
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
     """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Lengths are in px. The table is "motion" (angles and speeds of the bodies), "markers" (every marker in every
-    frame), "frames" (of each clip) or "inputs" (recorded inputs of a case, each in its unit). Several bodies, markers
-    or clips are concatenated and identified by the first columns; NaN where not measured. A UsageError says that the
-    table is unknown or empty.
+    Lengths are in px, those of points with a scale in m. The table is "motion" (angles and speeds of the bodies),
+    "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case, each in its
+    unit) or "points" (paths of points). Several bodies, markers, points or clips are concatenated and identified by the
+    first columns; NaN where not measured. A UsageError says that the table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
@@ -459,11 +491,27 @@ def _inputs(content: Recording | Case) -> list[list[Column]]:
     return made
 
 
+def _points(content: Recording | Case) -> list[list[Column]]:
+    return [
+        [_scaled(c, p.m_per_px) for c in _part({"clip": clip, "point": name}, POINT, vars(p))]
+        for clip, r in _clips(content).items()
+        for name, p in r.points.items()
+    ]
+
+
+def _scaled(column: Column, m_per_px: float) -> Column:
+    """Return a column of lengths in m, if the length of a pixel is known."""
+    if column.unit != "px" or math.isnan(m_per_px):
+        return column
+    return Column(column.name, "m", column.values * m_per_px)
+
+
 TABLES: dict[str, Callable[[Recording | Case], list[list[Column]]]] = {
     "motion": _motion,
     "markers": _markers,
     "frames": _frames,
     "inputs": _inputs,
+    "points": _points,
 }
 
 

@@ -137,6 +137,22 @@ BODY = Table(
     ),
 )
 
+POINT = Table(
+    (
+        Field("time", _T, "s", "capture time since the first frame"),
+        Field("frame_number", _T, "1", "number of the frame in the clip", "i8"),
+        Field("x", _T, "px", "position to the right of the centre of the first pixel"),
+        Field("y", _T, "px", "position below the centre of the first pixel"),
+        Field("sigma_x", _T, "px", "standard uncertainty of x"),
+        Field("sigma_y", _T, "px", "standard uncertainty of y"),
+    ),
+    signal="x",
+    attributes=(
+        Attribute("radius", float, "px", "radius of the patch that was followed"),
+        Attribute("m_per_px", float, "m", "length of a pixel; absent if not given", math.nan),
+    ),
+)
+
 _SIGMA_SOURCE = Attribute(
     "sigma_source",
     str,
@@ -245,6 +261,7 @@ GROUPS = (
     ("`/frame`: the clip, frame by frame", FRAME),
     ("`/marker/<name>`: one marker", MARKER),
     ("`/body/<name>`: casing or rotor, from all its markers", BODY),
+    ("`/point/<name>`: one point, only of films in which points were followed", POINT),
     ("`/casing` of a case", SERIES),
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),

@@ -372,6 +372,17 @@ def write_body_picture(path: Path, film: TrackedFilm, tracked: Tracked, *, force
     _write_png(path, _body_rows(film, tracked, 1600), force=force)
 
 
+def write_tiles(path: Path, tiles: Sequence[Picture], text: str, *, force: bool = False) -> None:
+    """Write a PNG of pictures of the same size side by side, with a text above."""
+    width = 1600
+    each = width // len(tiles)
+    size = (each, round(tiles[0].shape[0] * each / tiles[0].shape[1]))
+    row = np.hstack(
+        [np.asarray(cv2.resize(t, size, interpolation=cv2.INTER_AREA), dtype=np.uint8) for t in tiles]
+    )
+    _write_png(path, [_text_panel([text], row.shape[1]), row], force=force)
+
+
 def _body_rows(film: TrackedFilm, tracked: Tracked, width: int) -> list[Picture]:
     ring = tracked.ring
     p, q = ring.stretch

@@ -61,6 +61,8 @@ _FEWEST_STEPS = 4.0
 _DISPLACED = 0.05
 # error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
 _PATH_ERROR = 0.1
+# what a film may be measured with in which no hub is found
+_GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
 _COARSE = 48.0
 _FINE = 200.0
 _EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
@@ -73,6 +75,9 @@ _WHOLE = 0.9
 # refused. Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say
 # nothing about each other
 _UNDETERMINED = 0.25
+# what another hub leaves unexplained over what the best one does, up to which both are told, and the relative
+# difference of the range of their angles
+_AS_MUCH, _OTHER_RANGE = 1.1, 0.05
 # explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
 _AS_GOOD = 0.8
 _HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the slowest step
@@ -181,7 +186,7 @@ def _track(
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
-    where, hint = "about a hub", "Give the centre of rotation with --hub X,Y."
+    where, hint = "about a hub", _GIVE_HUB
     if hub is not None:
         where = f"about the hub ({hub[0]:g}, {hub[1]:g}) px"
         hint = "Check the hub. The axis of rotation must point at the camera, and the body must show marks or texture."
@@ -215,10 +220,40 @@ def _track(
             "Give the centre of the body to track with --hub X,Y.",
         )
     tracked = _measure(film, usable, first, best, motion, progress)
-    if hub is None:
-        return tracked
-    doubt = _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
+    doubt = (
+        rival_hub(
+            [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],
+            refined.index(best),
+        )
+        if hub is None
+        else _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
+    )
     return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
+
+
+def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]], chosen: int) -> str | None:
+    """Return a warning if rotation about another hub explains the film as well as the chosen one, with both answers.
+
+    `found` has the hub [px], the outer radius of the ring [px], the angles [rad] and the explained share of each
+    candidate. Another hub counts if what it leaves unexplained is at most `_AS_MUCH` times as large, and if the range
+    of the angle differs by more than `_OTHER_RANGE`.
+    """
+    (x, y), outer, angle, score = found[chosen]
+    for k, ((u, v), _, other, share) in enumerate(found):
+        apart = math.hypot(u - x, v - y) > _DISPLACED * outer
+        ratio = float(np.ptp(other)) / max(float(np.ptp(angle)), 1e-12)
+        if (
+            k != chosen
+            and apart
+            and 1.0 - share < _AS_MUCH * (1.0 - score)
+            and abs(ratio - 1.0) > _OTHER_RANGE
+        ):
+            return (
+                f"Two hubs explain the film: ({x:.0f}, {y:.0f}) px, {100 * score:.0f} %, with angles over "
+                f"{np.ptp(angle):.3g} rad in the frames compared, and ({u:.0f}, {v:.0f}) px, {100 * share:.0f} %, over "
+                f"{np.ptp(other):.3g} rad. The first one is used; --hub X,Y selects."
+            )
+    return None
 
 
 def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
@@ -485,7 +520,8 @@ def _measure(
         raise TrackingError(
             f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
             f"{100 * max(share, 0):.0f} % of the change of brightness; {100 * _EXPLAINED:.0f} % are required.",
-            "Cut the film to the motion, or give the centre of rotation with --hub X,Y.",
+            "Cut the film to the motion"
+            + (". Check --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )
     best = replace(best, score=share)
     ring = replace(
@@ -519,7 +555,7 @@ def _measure(
         if not math.isfinite(distance):
             raise TrackingError(
                 f"The body in {film.path.name} moves along a straight line; its rotation is not that about a hub.",
-                "Give the centre of rotation with --hub X,Y.",
+                _GIVE_HUB,
             )
         angle = np.asarray(np.polyval(np.polyfit(before, after, 1), angle), dtype=np.float64)
         allowed = ring.inside(area)
@@ -690,7 +726,8 @@ def _finish(
     if np.sum(steps) ** 2 < _FEWEST_STEPS * np.sum(steps**2):
         raise TrackingError(
             f"The picture of the body in {film.path.name} changes between a few frames only: this is no rotation.",
-            "Check that it is the right film, or give the centre of rotation with --hub X,Y.",
+            "Check that it is the right film"
+            + (", and --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
     motion = float(np.std(angle[kept]))
@@ -698,7 +735,7 @@ def _finish(
         raise TrackingError(
             f"The centre of rotation of the body in {film.path.name} is not determined: with the best candidate, the "
             f"angles have an error of {100 * correlated / motion:.0f} % of the motion.",
-            "Give the centre of rotation with --hub X,Y.",
+            _GIVE_HUB,
         )
     if distance * motion > correlated:
         correlated = distance * motion

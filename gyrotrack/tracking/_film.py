@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -20,7 +20,10 @@ import numpy.typing as npt
 
 from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
 from gyrotrack._smoothing import running_quantile
+from gyrotrack.tracking._profile import chroma_direction
+from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import Reader
+from gyrotrack.video._fields import field, first_field
 
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
@@ -234,6 +237,31 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     )
 
 
+@dataclass(frozen=True)
+class Tilt:
+    """The direction from which a plane of motion is seen, far from the camera.
+
+    Attributes
+    ----------
+    angle : float
+        Angle between the axis of rotation and the line of sight [rad]: a circle is an ellipse with the ratio
+        cos(angle) of its axes.
+    azimuth : float
+        Direction of the short axis of the ellipse in the picture, counter-clockwise from the right [rad].
+    """
+
+    angle: float
+    azimuth: float = math.pi / 2
+
+    def matrix(self, width: int, height: int) -> Floats:
+        """Return the map (2, 3) of the picture onto the plane: the long axis shrinks, so that nothing is lost."""
+        short = np.array([math.cos(self.azimuth), -math.sin(self.azimuth)])
+        along = np.outer(short, short)
+        linear = along + math.cos(self.angle) * (np.eye(2) - along)
+        centre = 0.5 * np.array([width - 1.0, height - 1.0])
+        return np.column_stack([linear, centre - linear @ centre])
+
+
 _HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
 _FILE = 32_000_000  # ... of this size
 _RELEASES = 2  # ... each of which is read in so many parts
@@ -242,18 +270,27 @@ _RELEASES = 2  # ... each of which is read in so many parts
 class Film:
     """The luma of a film's frames, at most `most`, in temporary files if it is small, else decoded for each pass."""
 
-    def __init__(self, path: Path, threads: int = 2, most: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        threads: int = 2,
+        most: int | None = None,
+        colour: str | None = None,
+        tilt: Tilt | None = None,
+    ) -> None:
         self.path = path
         self._threads = threads
+        self.tilt = tilt
+        self._direction = None if colour is None else chroma_direction(colour)
         self._shake: Shake | None = None
         flicker = _Flicker()
         self._files: list[npt.NDArray[np.uint8]] = []
         before: npt.NDArray[np.float32] | None = None
         changes = []
         kept = True
+        self._first_field = _interlacing(path)
         with Reader(path, threads) as reader:
-            for count, frame in enumerate(islice(reader, most)):
-                plane = np.ascontiguousarray(frame.y)
+            for count, (plane, _) in enumerate(islice(self._pictures(reader), most)):
                 small = plane[::4, ::4].astype(np.float32)
                 changes.append(255.0 if before is None else _change(before, small))
                 before = small
@@ -271,10 +308,18 @@ class Film:
             self.info = reader.info
             self.stamps = reader.pts_seconds()
             self.warnings = reader.warnings
+        if self._first_field is not None:
+            self._count_fields(len(changes))
         self._gain = flicker.gain
         if self._gain is not None:
             text = (
                 f"The illumination flickers by {100 * self._gain[1].std():.2g} % rms, which is compensated."
+            )
+            self.warnings = (*self.warnings, text)
+        if tilt is not None:
+            text = (
+                f"The film is corrected for a tilt of {math.degrees(tilt.angle):.3g} degrees; places in messages are "
+                "those of the corrected picture."
             )
             self.warnings = (*self.warnings, text)
         release_pages()
@@ -302,13 +347,77 @@ class Film:
             return
         try:
             with Reader(self.path, self._threads) as reader:
-                for frame in reader:
-                    if frame.index >= stop:
+                for plane, index in self._pictures(reader):
+                    if index >= stop:
                         return
-                    if frame.index >= first:
-                        yield self._still(np.ascontiguousarray(frame.y), frame.index)
+                    if index >= first:
+                        yield self._still(plane, index)
         finally:  # also if the consumer ends before
             release_memory()
+
+    def _pictures(self, frames: Iterable[Frame]) -> Iterator[tuple[Plane, int]]:
+        """Yield the pictures of the frames, two of an interlaced one, and their numbers."""
+        for frame in frames:
+            plane = self._plane(frame)
+            if self._first_field is None:
+                yield plane, frame.index
+                continue
+            for later in (False, True):
+                yield field(plane, odd=bool(self._first_field) != later), 2 * frame.index + later
+
+    def _count_fields(self, count: int) -> None:
+        """Replace rate and timestamps of the frames by those of the fields."""
+        step = np.diff(self.stamps)
+        period = float(np.median(step)) if len(step) else float("nan")
+        self.stamps = np.stack([self.stamps, self.stamps + 0.5 * period], axis=1).ravel()[:count]
+        self.info = replace(
+            self.info,
+            container_fps=2.0 * self.info.container_fps,
+            frames_declared=2 * self.info.frames_declared,
+            time_base=self.info.time_base / 2,
+        )
+        text = f"The film is interlaced: its {count} fields are measured, at twice the rate of its frames."
+        self.warnings = (*self.warnings, text)
+
+    def _plane(self, frame: Frame) -> Plane:
+        """Return the luma of a frame, or its chroma along a colour: 128 where it is grey, more where it has the colour.
+
+        A chroma sample is between the luma samples of its block, as JPEG and MPEG-1 define it; MPEG-2 and H.264 place
+        it 0.5 px to the left, which displaces all points alike.
+        """
+        if self._direction is None or self._direction == (0.0, 0.0):
+            return self._level(np.ascontiguousarray(frame.y))
+        u, v = self._direction
+        score = u * (frame.u.astype(np.float32) - 128.0) + v * (frame.v.astype(np.float32) - 128.0)
+        height, width = frame.y.shape
+        large = cv2.resize(score, (2 * score.shape[1], 2 * score.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return self._level(
+            np.asarray(np.clip(128.0 + large[:height, :width], 0.0, 255.0).round(), dtype=np.uint8)
+        )
+
+    def _level(self, plane: Plane) -> Plane:
+        if self.tilt is None:
+            return plane
+        height, width = plane.shape
+        shown = cv2.warpAffine(
+            plane, self.tilt.matrix(width, height), (width, height), flags=cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        return np.asarray(shown, dtype=np.uint8)
+
+    def levelled(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return where a place (x, y) of the picture is in the frames, which are corrected for the tilt [px]."""
+        if self.tilt is None:
+            return place
+        x, y = self.tilt.matrix(self.info.width, self.info.height) @ np.array([*place, 1.0])
+        return float(x), float(y)
+
+    def seen(self, places: Floats) -> Floats:
+        """Return where places (n, 2) of the corrected frames are in the picture [px]."""
+        if self.tilt is None:
+            return places
+        matrix = self.tilt.matrix(self.info.width, self.info.height)
+        return np.asarray((places - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T)
 
     def _still(self, plane: Plane, index: int) -> Plane:
         if self._gain is not None:
@@ -323,6 +432,20 @@ class Film:
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
         return StoredPictures.of(len(wanted), chosen)
+
+
+_EXAMINED = 12  # frames that show whether a film is interlaced
+
+
+def _interlacing(path: Path) -> int | None:
+    """Return which field of a film comes first, 0 or 1; None for a film that is not interlaced."""
+    with Reader(path) as reader:
+        frames = []
+        for frame in islice(reader, _EXAMINED):
+            if not frame.interlaced:
+                return None
+            frames.append(frame.y.copy())
+    return first_field(frames)
 
 
 _DARK, _BRIGHT = 32, 235  # grey levels between which brightness is proportional to a power of the light

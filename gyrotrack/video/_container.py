@@ -23,8 +23,11 @@ import numpy.typing as npt
 
 from gyrotrack._errors import VideoError
 from gyrotrack.io.readers._format_names import FILMS
+from gyrotrack.video._frame_stream import FrameStream
 from gyrotrack.video._photron import SUFFIX as PHOTRON
 from gyrotrack.video._photron import GreyFrames, raw_file, read_header
+from gyrotrack.video._tiff import SUFFIXES as TIFF
+from gyrotrack.video._tiff import TiffFrames, TiffStack, read_stack
 
 Plane = npt.NDArray[np.uint8]
 
@@ -42,10 +45,13 @@ class Frame:
     u: Plane
     v: Plane
     corrupt: bool = False  # whether the decoder marks the frame as damaged
+    interlaced: bool = False  # whether the stream declares it as two fields
 
     def copy(self) -> Frame:
         """Return a copy of the frame that is independent of the decoder."""
-        return Frame(self.index, self.pts, self.y.copy(), self.u.copy(), self.v.copy(), self.corrupt)
+        return Frame(
+            self.index, self.pts, self.y.copy(), self.u.copy(), self.v.copy(), self.corrupt, self.interlaced
+        )
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,8 @@ def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
     y, u, v = map(_view, frame.planes)
     if orientation.quarters or orientation.mirrored:
         y, u, v = map(orientation.apply, (y, u, v))
-    return Frame(index, pts, y, u, v, bool(getattr(frame, "is_corrupt", False)))
+    damaged, interlaced = (bool(getattr(frame, name, False)) for name in ("is_corrupt", "interlaced_frame"))
+    return Frame(index, pts, y, u, v, damaged, interlaced)
 
 
 def orientation_of(frame: Any, stream: Any) -> Orientation:
@@ -165,7 +172,7 @@ class ClipInfo:
 @contextlib.contextmanager
 def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
     """Open a film and yield (container, video stream); raise `VideoError` if it cannot be read."""
-    source: str | GreyFrames = str(path.resolve())
+    source: str | FrameStream = str(path.resolve())
     form, own_options = None, dict[str, str]()
     if path.is_dir():
         source, own_options = _numbered_pictures(path)
@@ -174,6 +181,9 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         _check_file(path)
     if _is_photron(path):
         source, own_options = _raw_frames(path)
+        form = "rawvideo"
+    elif _is_stack(path):
+        source, own_options = _stack_frames(path)
         form = "rawvideo"
     try:
         container = av.open(
@@ -188,7 +198,7 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
             f"{path} is not a film that can be read ({_reason(error)}).",
             f"Films: {', '.join(FILMS)}. A truncated copy has no index; copy it again.",
         ) from error
-    frames = contextlib.closing(source) if isinstance(source, GreyFrames) else contextlib.nullcontext()
+    frames = contextlib.closing(source) if isinstance(source, FrameStream) else contextlib.nullcontext()
     with frames, container:
         if not container.streams.video:
             raise VideoError(f"{path} contains no video stream.", "Give the film itself.")
@@ -210,7 +220,9 @@ def probe(path: Path) -> ClipInfo:
         without = _WITHOUT_RATE & set(str(container.format.name).split(","))
         rate = None if without else _nominal_rate(stream)
         width, height = Orientation(aspect=_pixel_aspect(stream)).size(context.width, context.height)
-        header = read_header(path) if _is_photron(path) else None
+        header = read_header(path) if _is_photron(path) else read_stack(path) if _is_stack(path) else None
+        if isinstance(header, TiffStack) and header.fps is None:
+            rate = None  # that of the stream of raw pixels is arbitrary
         return ClipInfo(
             path=path,
             width=width,
@@ -279,6 +291,20 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
 
 def _is_photron(path: Path) -> bool:
     return path.suffix.lower() == PHOTRON and path.is_file()
+
+
+def _is_stack(path: Path) -> bool:
+    return path.suffix.lower() in TIFF and path.is_file()
+
+
+def _stack_frames(path: Path) -> tuple[TiffFrames, dict[str, str]]:
+    """Return the pictures of a TIFF stack, and how they are to be read."""
+    stack = read_stack(path)
+    _check_sides(path, stack.width, stack.height)
+    rate = Fraction(stack.fps or 1.0).limit_denominator(100_000)
+    pixels = "rgb24" if stack.colour else "gray"
+    options = {"video_size": f"{stack.width}x{stack.height}", "pixel_format": pixels, "framerate": str(rate)}
+    return TiffFrames(stack), options
 
 
 def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import VideoError
+from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIX = ".cih"
 _LONGEST_HEADER = 2**16  # [bytes]; those of cameras have 3 to 10 kB
@@ -122,46 +123,20 @@ def _rate(path: Path, entry: dict[str, str]) -> float:
     return rate
 
 
-class GreyFrames:
-    """The frames as a stream of 8 bit grey pixels, of which one frame at a time is in memory.
-
-    It has the methods of a file that the demultiplexer of raw video uses.
-    """
+class GreyFrames(FrameStream):
+    """The frames as grey pixels of 8 bits."""
 
     def __init__(self, header: PhotronHeader) -> None:
+        super().__init__(header.frames, header.width * header.height)
         self._header = header
         self._file = header.raw.open("rb")
-        self._place = 0
-        self._size = header.width * header.height
-        self._number = -1  # of the frame in memory
-        self._frame = b""
-
-    def read(self, size: int) -> bytes:
-        """Return up to `size` pixels of one frame."""
-        number, first = divmod(self._place, self._size)
-        if number >= self._header.frames:
-            return b""
-        if number != self._number:
-            self._frame, self._number = self._read_frame(number), number
-        found = self._frame[first : first + size]
-        self._place += len(found)
-        return found
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Move to a pixel."""
-        start = (0, self._place, self._header.frames * self._size)[whence]
-        self._place = max(start + offset, 0)
-        return self._place
-
-    def tell(self) -> int:
-        """Return the number of the next pixel."""
-        return self._place
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    def _read_frame(self, number: int) -> bytes:
+    def frame(self, number: int) -> bytes:
+        """Return the pixels of a frame."""
         h = self._header
         self._file.seek(number * h.frame_bytes)
         grey = grey_of(np.frombuffer(self._file.read(h.frame_bytes), np.uint8), h.bits, h.first_bit)

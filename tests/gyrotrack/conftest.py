@@ -24,6 +24,12 @@ def foreign():
 
 
 @pytest.fixture(scope="session")
+def bob():
+    """The class `Bob` of the module `bob_film`: films of a bob about a pivot."""
+    return _load("bob_film").Bob
+
+
+@pytest.fixture(scope="session")
 def draw(foreign, made_once, tmp_path_factory):
     """Draw a film once a session: draw(casing=..., frames=...) -> (path, film); name edited ones by `key`.
 

@@ -252,6 +252,7 @@ class Table(StrEnum):
     markers = "markers"
     frames = "frames"
     inputs = "inputs"
+    points = "points"
 
 
 def export_command(
@@ -262,8 +263,8 @@ def export_command(
         Table,
         option(
             "--table",
-            "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs (CSV, "
-            "Parquet, JSON).",
+            "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs; "
+            "points: paths of points (CSV, Parquet, JSON).",
         ),
     ] = Table.motion,
     force: shared.Force = False,

@@ -21,12 +21,13 @@ no numerical library.
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, StrEnum
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,11 +49,12 @@ NONE = "none"  # file name that disables settings
 
 # options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
-    "add all beyond_library body bound capture_fps casing casing_fps centre centre_offset clock_rate column cut data "
-    "drop duration dry_run fix format from hide hold_out hub improve inertia inertia_casing inertia_rotor joint json "
-    "keep_all label law likelihood loss marker model omega_casing omega_rotor per_case profile pulses_per_turn quiet "
-    "recordings resume rotor rotor_fps rotor_start seed set share sigma size speed_scale start_u strength surface "
-    "table timeout times to torque_noise torque_time until verbose verify window window_length"
+    "add all beyond_library body bound capture_fps casing casing_fps centre centre_offset clock_rate colour "
+    "column cut data drop dry_run duration fix format from hide hold_out hub improve inertia inertia_casing "
+    "inertia_rotor joint json keep_all label law likelihood loss marker model omega_casing omega_rotor per_case "
+    "point profile pulses_per_turn quiet recordings resume rotor rotor_fps rotor_start scale seed set share sigma "
+    "size speed_scale start_u strength surface table tilt timeout times to torque_noise torque_time until verbose "
+    "verify window window_length"
 )
 # options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (
@@ -308,6 +310,51 @@ Hub = Annotated[
     str | None,
     option("--hub X,Y", "Centre of rotation [px], also outside of the image; by default detected."),
 ]
+Point = Annotated[
+    str | None,
+    option(
+        "--point X,Y", "Follow this point of the body, by its position in the first frame of a film [px]."
+    ),
+]
+
+
+class Colour(StrEnum):
+    """Colour of a point."""
+
+    red = "red"
+    orange = "orange"
+    yellow = "yellow"
+    green = "green"
+    cyan = "cyan"
+    blue = "blue"
+    magenta = "magenta"
+
+
+PointColour = Annotated[
+    Colour | None,
+    option("--colour NAME", "Follow a point of this colour; with --point, the one at that position."),
+]
+PixelScale = Annotated[
+    float | None, option("--scale M_PER_PX", "Length of a pixel [m]: `export --table points` is then in m.")
+]
+
+PlaneTilt = Annotated[
+    str | None,
+    option(
+        "--tilt ANGLE[,DIRECTION]",
+        "Correct a film for the tilt of the axis of rotation against the line of sight [degrees]; DIRECTION is that of "
+        "the short axis of the ellipse, counter-clockwise from the right (90 by default).",
+    ),
+]
+
+
+def checked_scale(scale: float | None) -> float | None:
+    """Return the length of a pixel [m]; a UsageError unless it is positive."""
+    if scale is not None and not 0.0 < scale < math.inf:
+        raise UsageError(f"Invalid scale: {scale:g} m per px.", "Give a positive number.")
+    return scale
+
+
 BodyInertia = Annotated[
     str | None,
     option("--inertia I", "Moment of inertia of the single body, such as '5.5e-5 +- 0.1e-5' (kg m2)."),

@@ -206,6 +206,17 @@ def extract_command(
         Path | None, option("--profile P.toml", "Markers and colours; by default those of the paper.")
     ] = None,
     body: Annotated[Body | None, option("--body", "Track this body only; by default all bodies.")] = None,
+    points: Annotated[
+        list[str] | None,
+        option(
+            "--point --points X,Y",
+            "Follow points in place of markers, by their positions in the first frame [px]; repeat the option, or give "
+            "several positions in quotes.",
+        ),
+    ] = None,
+    colour: shared.PointColour = None,
+    hub: shared.Hub = None,
+    scale: shared.PixelScale = None,
     overlay: Annotated[
         Path | None,
         option("--overlay FILE", "Also draw the detections: film (.mp4) or contact sheet (.png)."),
@@ -236,7 +247,8 @@ def extract_command(
 ) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
-    A checkpoint (OUT.h5.unfinished) is kept until the output is written; the same command continues from it.
+    A checkpoint (OUT.h5.unfinished) is kept until the output is written; the same command continues from it. With
+    --point or --colour, points are followed: `gyrotrack export OUT.h5 --table points` gives their paths.
 
     Example: gyrotrack extract rotor_1.mp4 --capture-fps 1000 -o rotor_1.h5
     """
@@ -253,6 +265,23 @@ def extract_command(
 
     out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
+    if points or colour is not None:
+        if profile is not None or body is not None or overlay is not None or contact_sheet is not None:
+            what = "--profile, --body, --overlay and --contact-sheet apply to markers, not to points."
+            raise UsageError(what, "Leave out one of them, or --point and --colour.")
+        return _extract_points(
+            out,
+            video,
+            target,
+            points,
+            colour,
+            _position(hub),
+            capture_fps,
+            shared.checked_scale(scale),
+            force=force,
+        )
+    if hub is not None or scale is not None:
+        raise UsageError("--hub and --scale apply to points.", "Select a point with --point X,Y or --colour.")
     chosen = load(profile) if profile is not None else PAPER
     task = ExtractionJob(
         video, target, chosen, capture_fps, body.value if body else None, times.value, workers
@@ -292,6 +321,54 @@ def extract_command(
         raise
     out.result(document)
     out.show(_extraction_lines(document))
+    return NOT_TRUSTED if doubts_of(recording) else DONE
+
+
+def _extract_points(
+    out: Output,
+    video: Path,
+    target: Path,
+    points: list[str] | None,
+    colour: shared.Colour | None,
+    hub: tuple[float, float] | None,
+    capture_fps: float | None,
+    scale: float | None,
+    *,
+    force: bool,
+) -> int:
+    """Follow points of a film and write their paths and angles."""
+    import numpy as np
+
+    from gyrotrack.apps._points import read_point
+    from gyrotrack.apps._spindown import SpindownOptions, points_recording
+    from gyrotrack.io._atomic import refuse_existing
+    from gyrotrack.io._hdf5 import write_recording
+    from gyrotrack.io._records import doubts_of
+    from gyrotrack.tracking._film import Film
+
+    refuse_existing(target, force=force, reads=[video])
+    starts = [read_point(word) for text in points or [] for word in text.replace(";", " ").split()]
+    name = None if colour is None else colour.value
+    options = SpindownOptions(hub=hub, capture_fps=capture_fps, colour=name, scale=scale)
+    with out.progress(f"following points in {video.name}", "frames") as progress:
+        recording = points_recording(Film(video, colour=name), starts or [None], options, progress)
+    settings = {"video": video, "points": starts, "colour": name, "hub": hub, "capture_fps": capture_fps}
+    write_recording(target, recording, command=command_line(), settings=settings, force=force)
+    for warning in recording.warnings:
+        out.warn(warning)
+    document = {
+        **_extraction_document(target, recording, math.nan),
+        "points": {
+            p.name: {"samples": len(p.time), "median_sigma_px": float(np.median([p.sigma_x, p.sigma_y]))}
+            for p in recording.points.values()
+        },
+    }
+    out.result(document)
+    lines = [
+        f"{name}: {part['samples']} positions, median uncertainty {part['median_sigma_px']:.2g} px"
+        for name, part in document["points"].items()
+    ]
+    out.show("\n".join([*lines, *_extraction_lines(document).splitlines()[1:]]))
     return NOT_TRUSTED if doubts_of(recording) else DONE
 
 
@@ -437,6 +514,10 @@ def spindown_command(
         Path | None, option("--report FILE", "Report to write; by default next to the case.")
     ] = None,
     hub: shared.Hub = None,
+    point: shared.Point = None,
+    colour: shared.PointColour = None,
+    scale: shared.PixelScale = None,
+    tilt: shared.PlaneTilt = None,
     profile: Annotated[
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
@@ -472,11 +553,13 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no markers: each frame is registered to the mean image of the body. Without --inertia, torques are per
-    unit of inertia.
+    A film needs no markers: each frame is registered to the mean image of the body. A point about a pivot, such as the
+    bob of a pendulum, is followed with --point or --colour, or if it is the only compact body that moves. Without
+    --inertia, torques are per unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
+    from gyrotrack.apps._points import read_point, read_tilt
     from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -491,18 +574,22 @@ def spindown_command(
         what = f"{page} is the name of both the case and the report."
         raise UsageError(what, "Name the case with -o FILE.h5 and the report with --report.")
     options = SpindownOptions(
-        _position(hub),
-        capture_fps,
-        inertia,
-        pulses_per_turn,
-        Limits(start, stop, read_cuts(cut or ()), keep_all),
-        label,
-        profile,
-        body.value if body else None,
-        tuple(columns or ()),
-        marker,
-        centre,
-        likelihood,
+        hub=_position(hub),
+        capture_fps=capture_fps,
+        inertia=inertia,
+        pulses_per_turn=pulses_per_turn,
+        limits=Limits(start, stop, read_cuts(cut or ()), keep_all),
+        label=label,
+        profile=profile,
+        body=body.value if body else None,
+        columns=tuple(columns or ()),
+        marker=marker,
+        centre=centre,
+        likelihood=likelihood,
+        point=None if point is None else read_point(point),
+        colour=None if colour is None else colour.value,
+        scale=shared.checked_scale(scale),
+        tilt=None if tilt is None else read_tilt(tilt),
     )
     outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
     with outputs, out.progress(f"tracking {source.name}", "frames") as progress:
@@ -521,7 +608,7 @@ def spindown_command(
         return NOT_TRUSTED
     if document["diagnosis"] is None:
         motion = document["motion"]
-        free = motion.kind == "steady" or motion.period is not None
+        free = motion.kind in ("steady", "fluctuating") or motion.period is not None
         return DONE if free or document["response"] is not None else NOT_TRUSTED
     return NOT_TRUSTED if verdict == "unexplained" else DONE
 
@@ -604,9 +691,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
 
     motion = document["motion"]
     own = next((found for reading in document["reading"] if (found := units_of_file(reading))), {})
-    faster = motion.kind == "spin-down" and abs(motion.omega["last"]) > abs(motion.omega["first"])
-    kind = "spin-up" if faster else motion.kind
-    lines = [kind if math.isnan(motion.turns) else f"{kind}, {motion.turns:.3f} turns"]
+    lines = [motion.kind if math.isnan(motion.turns) else f"{motion.kind}, {motion.turns:.3f} turns"]
     if motion.kind == "oscillation":
         quantities = [
             ("period", motion.period, "s", ""),
@@ -626,7 +711,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
             ("alpha", motion.alpha, "rad/s2", "alpha"),
         ]
         # the polynomial of a free motion does not describe a driven one
-        quantities = quantities if motion.kind != "driven" else []
+        quantities = {"driven": [], "fluctuating": quantities[:1]}.get(motion.kind, quantities)
     for name, q, unit, kind in quantities:
         if q is not None:
             lines.append(f"{name:<9}  {rounded(q.value, q.stderr, unit)}")

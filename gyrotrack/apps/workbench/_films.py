@@ -294,7 +294,7 @@ def preview(
         excerpt = folder / f"excerpt{film.suffix.lower()}"
         copy_excerpt(film, excerpt, frames)
         if single:
-            recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, 1.0))
+            recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, capture_fps=1.0))
             markers = _rotated_points(recording, tracked, points)
         else:
             chosen = PAPER if profile is None else load(profile)

@@ -43,6 +43,7 @@ FILMS = {
     "H.264 and H.265": (".h264", ".264", ".h265", ".265", ".hevc"),
     "MJPEG": (".mjpeg", ".mjpg"),
     "Photron (.cih beside .mraw)": (".cih",),
+    "TIFF (a stack of pictures)": (".tif", ".tiff"),
     "a folder of numbered pictures": (),
 }
 

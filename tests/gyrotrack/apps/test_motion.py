@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrotrack._correlated_noise import Estimate
-from gyrotrack.apps._motion import _averaged, end_of_motion, motion_of, motion_of_speeds
+from gyrotrack.apps._motion import _averaged, end_of_motion, motion_of, motion_of_speeds, start_of_motion
 
 SIGMA = 1e-3
 
@@ -106,3 +106,60 @@ def test_an_oscillation_states_no_uncertainty_of_its_end_speeds():
     found = motion_of(t, 0.3 * np.cos(2 * np.pi * t / 1.7), np.full(len(t), 1e-3))
     assert found.kind == "oscillation"
     assert np.isnan(list(found.omega_u.values())).all()
+
+
+def test_a_body_that_speeds_up_spins_up():
+    t = np.arange(0, 10, 0.01)
+    for sign in (1, -1):
+        motion = motion_of(t, *noisy(sign * (5.0 * t + 0.3 * t**2)))
+        assert motion.kind == "spin-up"
+        assert motion_of(t, *noisy(sign * (11.0 * t - 0.3 * t**2))).kind == "spin-down"
+
+
+@pytest.mark.parametrize(("wave", "kind"), [(0.03, "spin-down"), (0.3, "fluctuating")])
+def test_a_speed_that_rises_repeatedly_fluctuates(wave, kind):
+    """A motor whose speed of 12 to 8 rad/s waves five times, by 1.5 % and by 15 % to each side."""
+    t = np.arange(0, 10, 0.01)
+    angle = 12 * t - 0.2 * t**2 + 0.5 * wave * 10 / np.pi * np.sin(np.pi * t + 0.3)
+    motion = motion_of(t, *noisy(angle))
+    assert motion.kind == kind
+    if kind == "fluctuating":
+        speed = 12 - 0.4 * t + 5 * wave * np.cos(np.pi * t + 0.3)
+        assert abs(motion.omega["first"] - speed[:50].mean()) < 3 * motion.omega_u["first"]
+        assert abs(motion.omega["last"] - speed[-50:].mean()) < 3 * motion.omega_u["last"]
+        assert motion.omega_mean.value == pytest.approx((angle[-1] - angle[0]) / t[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize(("once", "twice"), [(0.05, 0.02), (0.0, 0.1)])
+def test_an_unbalance_or_a_tilted_view_does_not_fluctuate(once, twice):
+    """Within each turn the speed rises and falls by up to 20 %, as a harmonic of the angle."""
+    t = np.arange(0, 10, 0.005)
+    angle = 12 * t - 0.3 * t**2
+    angle = angle + once * np.sin(angle) + twice * np.sin(2 * angle + 1)
+    assert motion_of(t, *noisy(angle)).kind == "spin-down"
+
+
+def push(stop=5.4, end=1.4):
+    """At rest to 1 s, pushed to `end`, free to `stop`, then stopped; at 60 Hz."""
+    t = np.arange(390) / 60
+    pushed = np.clip(t - 1.0, 0, end - 1.0)
+    free = np.clip(t - end, 0, stop - end)
+    fast = 30.0 * (end - 1.0)
+    angle = 15.0 * pushed**2 + fast / 0.24 * (1 - np.exp(-0.24 * free))
+    return t, angle + np.random.default_rng(2).normal(0, 1e-4, len(t)), np.full(len(t), 1e-4)
+
+
+@pytest.mark.parametrize("end", [1.4, 1.43, 1.47])
+def test_a_push_and_a_stop_are_found_to_the_frame(end):
+    t, angle, sigma = push(end=end)
+    assert t[start_of_motion(t, angle, sigma)] == pytest.approx(end, abs=1.6 / 60)
+    assert t[end_of_motion(t, angle, sigma) - 1] == pytest.approx(5.4, abs=1.6 / 60)
+
+
+def test_a_motor_that_is_faster_again_later_is_not_pushed_by_hand():
+    """Without the second rise, the first one is a drive by hand."""
+    t = np.arange(0, 10, 0.01)
+    for again, driven in ((0.0, True), (1.0, False)):
+        speed = 10 - 6 * np.exp(-3 * t) - 0.3 * t + again * 3.0 * np.exp(-((t - 7) ** 2))
+        angle, sigma = noisy(np.cumsum(speed) * 0.01)
+        assert (start_of_motion(t, angle, sigma) > 0) == driven

@@ -417,7 +417,8 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
     def never(*_, **__):
         pytest.fail("the film is tracked by its markers")
 
-    monkeypatch.setattr(_spindown, "Film", lambda _: None)
+    film = SimpleNamespace(info=SimpleNamespace(tag_fps=30.0))
+    monkeypatch.setattr(_spindown, "Film", lambda _: film)
     monkeypatch.setattr(_spindown, "film_recording", two)
     monkeypatch.setattr(_spindown, "extract", never)
     with pytest.raises(SeveralBodiesError):
@@ -441,6 +442,7 @@ def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch, swing):
     found = SimpleNamespace(bodies={"casing": shirt})
     monkeypatch.setattr(_spindown, "Film", lambda _: Frames())
     monkeypatch.setattr(_spindown, "film_recording", none)
+    monkeypatch.setattr(_spindown, "point_recording", none)
     monkeypatch.setattr(_spindown, "extract", lambda *_, **__: found)
     with pytest.raises(TrackingError, match="No body that turns"):
         _spindown._film(Path("shirt.mp4"), _spindown.SpindownOptions(), None)

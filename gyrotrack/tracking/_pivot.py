@@ -1,0 +1,185 @@
+"""The pivot of a point that moves on a circle, and the angles about it, with their uncertainties.
+
+The circle is fitted by its geometric distances in the parameters of N. Chernov (Circular and Linear Regression, 2010,
+section 3.2): A (x^2 + y^2) + B x + C y + D = 0 with B^2 + C^2 - 4 A D = 1, which pass through a straight line (A = 0)
+without a singularity. A short arc determines the curvature 2 A = 1 / R with a symmetric uncertainty, and the hub and
+the radius with a large, correlated one: the sagitta L^2 / (8 R) of an arc of length L must exceed the noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+
+Floats = npt.NDArray[np.float64]
+
+CELLS = 12  # parts of an arc, of which each has one error by place
+_FEWEST_IN_CELL = 3
+# smallest curvature of a path that determines a hub, in standard uncertainties
+STRAIGHT = 4.0
+
+
+@dataclass(frozen=True)
+class Arc:
+    """The circle of a path.
+
+    Attributes
+    ----------
+    hub : ndarray, shape (2,)
+        Its centre (x, y) [px].
+    covariance : ndarray, shape (2, 2)
+        Covariance of the centre [px2].
+    radius : float
+        Its radius [px].
+    curvature, curvature_u : float
+        1 / radius and its standard uncertainty [1/px].
+    noise : float
+        Standard deviation of the radial residuals [px].
+    by_place : float
+        Standard deviation of the radial residuals that repeat with the place on the arc [px].
+    """
+
+    hub: Floats
+    covariance: Floats
+    radius: float
+    curvature: float
+    curvature_u: float
+    noise: float
+    by_place: float
+
+    @property
+    def determined(self) -> bool:
+        """Whether the path is curved beyond its uncertainty."""
+        return self.curvature > STRAIGHT * self.curvature_u
+
+
+def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
+    """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
+
+    The covariance contains the noise of the residuals, and errors that repeat with the place (lens, view,
+    interpolation): one independent error in each of `CELLS` parts of the arc, of the variance by which the means of the
+    parts scatter beyond noise, at least `least` [px].
+    """
+    origin = place.mean(axis=0)
+    x, y = (place - origin).T
+    scale = max(float(np.hypot(x, y).max()), 1e-9)
+    x, y, s = x / scale, y / scale, sigma / scale
+
+    def distance(c: Floats) -> Floats:
+        a, phi, d = c
+        root = math.sqrt(max(1.0 + 4.0 * a * d, 1e-12))
+        p = a * (x * x + y * y) + root * (math.cos(phi) * x + math.sin(phi) * y) + d
+        return np.asarray(2.0 * p / (1.0 + np.sqrt(np.maximum(1.0 + 4.0 * a * p, 1e-12))))
+
+    starts = _starts(x, y)
+
+    def normalised(c: Floats) -> Floats:
+        return distance(c) / s
+
+    fits = [least_squares(normalised, c, loss="soft_l1", f_scale=3.0) for c in starts]
+    best = min(fits, key=lambda f: float(f.cost)).x
+    rest = distance(best)
+    # outliers, such as frames in which something else was matched, have been given little weight
+    typical = max(1.4826 * float(np.median(np.abs(rest / s))), 1e-12)
+    use = np.abs(rest / s) < 5.0 * typical
+
+    def of_used(c: Floats) -> Floats:
+        return np.asarray(normalised(c)[use])
+
+    fit = least_squares(of_used, best)
+    rest = distance(fit.x)
+    jacobian = np.asarray(fit.jac) * s[use, None]  # derivatives of the distances
+    a, phi, d = (float(v) for v in fit.x)
+    root = math.sqrt(max(1.0 + 4.0 * a * d, 1e-12))
+    hub = np.array([-root * math.cos(phi), -root * math.sin(phi)]) / (2.0 * a if a else 1e-12)
+    noise, by_place, covariance = _covariance(
+        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), least / scale
+    )
+    # derivatives of the hub by (a, phi, d)
+    root_a, root_d = 2.0 * d / root, 2.0 * a / root
+    unit, across = np.array([math.cos(phi), math.sin(phi)]), np.array([-math.sin(phi), math.cos(phi)])
+    curve = 2.0 * a if a else 1e-12
+    slope = np.stack(
+        [
+            -unit * root_a / curve + 2.0 * root * unit / curve**2,
+            -root * across / curve,
+            -unit * root_d / curve,
+        ],
+        axis=1,
+    )
+    return Arc(
+        hub=origin + scale * hub,
+        covariance=scale**2 * slope @ covariance @ slope.T,
+        radius=scale / abs(curve),
+        curvature=abs(curve) / scale,
+        curvature_u=2.0 * math.sqrt(covariance[0, 0]) / scale,
+        noise=scale * noise,
+        by_place=scale * by_place,
+    )
+
+
+def _starts(x: Floats, y: Floats) -> list[Floats]:
+    """Return initial values (A, phi, D): the algebraic circle, and the line along the path."""
+    rows = np.stack([x * x + y * y, x, y, np.ones_like(x)], axis=1)
+    found = []
+    # smallest singular vector, normalised to B^2 + C^2 - 4 A D = 1
+    a, b, c, d = np.linalg.svd(rows, full_matrices=False)[2][-1]
+    size = b * b + c * c - 4.0 * a * d
+    if size > 1e-12:
+        a, b, c, d = np.array([a, b, c, d]) / math.sqrt(size)
+        found.append(np.array([a, math.atan2(c, b), d]))
+    _, _, axes = np.linalg.svd(np.stack([x, y], axis=1), full_matrices=False)
+    normal = math.atan2(axes[1, 1], axes[1, 0])
+    found += [np.array([bend, normal, -bend * float(np.mean(x * x + y * y))]) for bend in (-0.05, 0.05)]
+    return found
+
+
+def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[np.int64]:
+    """Return the part of the arc of each position."""
+    if straight:
+        _, _, axes = np.linalg.svd(np.stack([x, y], axis=1), full_matrices=False)
+        along = np.stack([x, y], axis=1) @ axes[0]
+    else:
+        away = np.exp(-1j * np.angle(complex(*(np.array([x.mean(), y.mean()]) - hub))))
+        along = np.angle(((x - hub[0]) + 1j * (y - hub[1])) * away)
+    share = (along - along.min()) / max(float(np.ptp(along)), 1e-12)
+    return np.asarray(np.minimum((CELLS * share).astype(np.int64), CELLS - 1))
+
+
+def _covariance(
+    jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
+) -> tuple[float, float, Floats]:
+    """Return noise, error by place, and the covariance of the parameters with both."""
+    count = max(len(rest) - 3, 1)
+    weight = 1.0 / sigma**2
+    inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)
+    members = [np.flatnonzero(cell == k) for k in range(CELLS)]
+    members = [m for m in members if len(m) >= _FEWEST_IN_CELL]
+    within = sum(float(np.sum((rest[m] - rest[m].mean()) ** 2)) for m in members)
+    inner = math.sqrt(within / max(sum(len(m) - 1 for m in members), 1)) if members else 0.0
+    noise = inner or float(np.sqrt(np.sum(rest**2) / count))
+    chi2 = max(noise / float(np.sqrt(np.mean(sigma**2))), 1e-12) ** 2
+    covariance = inverse * chi2
+    by_place = floor
+    if len(members) > 4:
+        mean = np.array([rest[m].mean() for m in members])
+        expected = float(np.mean([noise**2 / len(m) for m in members]))
+        # three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
+        free = len(members) - 3
+        scatter = float(np.sum(mean**2)) / free
+        if scatter > expected * (1.0 + 2.0 * math.sqrt(2.0 / free)):
+            by_place = max(math.sqrt(scatter - expected), floor)
+        response = inverse @ (jacobian * weight[:, None]).T
+        grouped = np.stack([response[:, m].sum(axis=1) for m in members])
+        covariance = covariance + by_place**2 * grouped.T @ grouped
+    return noise, by_place, np.asarray(covariance)
+
+
+def angles_about(hub: Floats, place: Floats) -> Floats:
+    """Return the unwrapped angles of positions (n, 2) about a hub, counter-clockwise as seen [rad]."""
+    away = place - hub
+    return np.asarray(-np.unwrap(np.arctan2(away[:, 1], away[:, 0])))

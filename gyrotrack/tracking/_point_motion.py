@@ -1,0 +1,347 @@
+"""The motion of a point about a pivot: its path, the pivot with its uncertainty, and the angles about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._hub_search import FARTHEST
+from gyrotrack.tracking._pivot import Arc, angles_about, fit_arc
+from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
+from gyrotrack.tracking._registration import TURN
+from gyrotrack.tracking._tracked import white_noise
+
+Floats = npt.NDArray[np.float64]
+
+# standard uncertainty of a hub that is given, per axis [px], and over its distance: a place that was clicked, or
+# extrapolated from the thread to outside the picture (the prior of a displaced hub of `apps._motion.VIEW`)
+HUB_U, HUB_SHARE = 1.0, 0.02
+# standard deviation of the tilt of a camera by hand [rad]. Seen at a tilt phi, a circle is an ellipse with the axes a
+# and a cos(phi); a short arc of it resembles a circle whose radius is larger by 1 / cos(phi), or smaller by cos(phi)^2
+TILT = 0.35
+_VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2  # rms of phi^2 / 2: relative error of all angles
+_VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2  # rms of phi^2: relative error of radius over distance of the hub
+_TILT_U = 0.05  # standard uncertainty of a tilt that is given [rad]
+_WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs from a circle
+# distance from the arc, in standard deviations of the residuals and at least [px], beyond which a frame shows something
+# else, and the smallest share of frames on the arc
+_OFF, _OFF_LEAST, _ON = 8.0, 0.5, 0.8
+_STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in standard deviations of its noise
+# smallest error by place of a learnt picture and background: of interpolation and blur [px], and over the noise of a
+# position (rendered bobs: 0.003 to 0.005 px, and 0.3 to 0.8)
+_BY_PLACE, _LEARNT = 0.005, 0.4
+# distance of the hub of the arc from the given one from which it is doubted, in standard deviations
+_CONTRADICTS = 3.0
+# a point that nobody selected: share of the frames in which it must be found, largest radial scatter over the extent
+# of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
+_ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
+
+
+@dataclass(frozen=True)
+class TrackedPoint:
+    """The motion of a point about a pivot.
+
+    Attributes
+    ----------
+    frame : ndarray of int64, shape (m,)
+        Frames in which it was measured.
+    place, place_sigma : ndarray, shape (m, 2)
+        Position (x, y) and its standard uncertainty [px].
+    angle, sigma : ndarray, shape (m,)
+        Unwrapped angle about the hub, counter-clockwise as seen, and its uncertainty from the position [rad].
+    hub : ndarray, shape (2,)
+        Pivot (x, y) [px].
+    hub_covariance : ndarray, shape (2, 2)
+        Covariance of the pivot [px2]: an error that all angles share, beside `sigma`.
+    view : float
+        Relative standard uncertainty of all angles due to the unknown tilt of the camera.
+    """
+
+    frame: npt.NDArray[np.int64]
+    place: Floats
+    place_sigma: Floats
+    angle: Floats
+    sigma: Floats
+    hub: Floats
+    hub_covariance: Floats
+    view: float
+    way: str
+    path: PointPath
+    arc: Arc
+    warnings: tuple[str, ...]
+    ambiguous: bool = False
+
+    def displaced(self) -> list[Floats]:
+        """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis."""
+        values, axes = np.linalg.eigh(self.hub_covariance)
+        shifts = [math.sqrt(max(float(v), 0.0)) * a for v, a in zip(values, axes.T, strict=True)]
+        return [angles_about(self.hub + s, self.place) for s in shifts]
+
+
+def follow_point(
+    film: Film,
+    start: tuple[float, float] | None,
+    hub: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> TrackedPoint:
+    """Follow a point of a film and measure its angle about a pivot.
+
+    Parameters
+    ----------
+    film : Film
+        The film.
+    start : tuple of float, optional
+        Position (x, y) in the first frame [px]; without it, the only compact body that moves.
+    hub : tuple of float, optional
+        The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
+
+    Raises
+    ------
+    TrackingError
+        There is nothing to follow, or the path does not determine the pivot.
+    """
+    path = track_point(film, start, _turn_about(hub), progress)
+    return _of_path(film, path, start, hub)
+
+
+def follow_path(
+    film: Film,
+    start: tuple[float, float] | None,
+    hub: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> TrackedPoint | PointPath:
+    """Follow a point as `follow_point`; return its path alone where that does not determine the pivot."""
+    path = track_point(film, start, _turn_about(hub), progress)
+    try:
+        return _of_path(film, path, start, hub)
+    except TrackingError:
+        if start is None:  # what nobody selected must move about a pivot
+            raise
+        formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
+        noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
+        scale = max(*noise, 1.0)
+        return replace(path, covariance=scale**2 * path.covariance)
+
+
+def _turn_about(hub: tuple[float, float] | None) -> Turn:
+    """Return the function that gives the rotation of a patch, clockwise as seen, about a hub or that of its path."""
+
+    def turn_of(place: Floats) -> Floats | None:
+        centre = np.array(hub) if hub is not None else None
+        if centre is None:
+            rough = fit_arc(place, np.full(len(place), 0.5))
+            centre = rough.hub if rough.determined else None
+        if centre is None:
+            return None
+        turn = -angles_about(centre, place)
+        return np.asarray(turn - turn[0])
+
+    return turn_of
+
+
+def _of_path(
+    film: Film, path: PointPath, start: tuple[float, float] | None, hub: tuple[float, float] | None
+) -> TrackedPoint:
+    found = about_pivot(path, film.path.name, hub, None if film.tilt is None else film.tilt.angle)
+    warnings = list(film.warnings)
+    path = found.path
+    lost = path.searched - len(path.frame)
+    if lost:
+        warnings.append(
+            f"The point is occluded, lost or outside the picture in {lost} of {path.searched} frames."
+        )
+    if start is None:
+        _check_unselected(found, film.path.name)
+        x, y = path.place[0]
+        warnings.append(
+            f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
+            "--point X,Y selects another one."
+        )
+    return TrackedPoint(**{**vars(found), "warnings": (*warnings, *found.warnings)})
+
+
+def about_pivot(
+    path: PointPath, name: str, hub: tuple[float, float] | None = None, tilt: float | None = None
+) -> TrackedPoint:
+    """Return the motion of a path about the given pivot [px], or about the centre of its arc.
+
+    `tilt` is the tilt of the camera for which the path is corrected [rad]; None if it is not known.
+    """
+    # relative errors of all angles, and of the radius of curvature over the distance of the hub
+    of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
+    if tilt is not None:
+        of_angle = 0.5 * math.tan(tilt) * _TILT_U
+        of_radius = 2.0 * of_angle
+    formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
+    least = math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal)))
+    arc = fit_arc(path.place, formal, least)
+    if arc.determined:  # frames in which something else was matched
+        off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
+        on = off < max(_OFF * math.hypot(arc.noise, arc.by_place), _OFF_LEAST)
+        if hub is None and on.mean() < _ON:
+            raise TrackingError(
+                f"The path of the point in {name} is not an arc of a circle: {100 * (1 - on.mean()):.0f} % of its "
+                "positions are off the best one.",
+                "Give a point at a fixed distance from its pivot with --point X,Y, or the pivot with --hub X,Y.",
+            )
+        if on.mean() >= _ON:
+            path = replace(path, frame=path.frame[on], place=path.place[on], covariance=path.covariance[on])
+            formal = formal[on]
+    # the noise of the position, from the radial residuals; not below the Cramer-Rao bound
+    scale = max(arc.noise / float(np.sqrt(np.mean(formal**2))), 1.0)
+    extent = float(np.hypot(*np.ptp(path.place, axis=0)))
+    if extent < max(_STILL, _STILL_NOISE * arc.noise):
+        raise TrackingError(
+            f"The point in {name} does not move: its positions differ by {extent:.2g} px.",
+            "Give a point on the moving body with --point X,Y.",
+        )
+    warnings = []
+    ambiguous = extent < path.radius
+    centre, covariance, way = arc.hub, arc.covariance, "arc of a point"
+    if hub is None:
+        far = arc.radius > FARTHEST * max(float(np.abs(path.place).max()), 1.0)
+        if not arc.determined or far:
+            raise TrackingError(
+                f"The path of the point in {name} is straight within its uncertainty: the pivot is not determined.",
+                "Give the pivot with --hub X,Y; it may be outside the picture.",
+            )
+        wide = float(np.ptp(angles_about(centre, path.place))) > _WIDE
+        view = 0.0 if wide else of_angle
+        if not wide:
+            x, y = arc.hub
+            u = math.hypot(arc.curvature_u / arc.curvature, view)
+            warnings.append(
+                f"The arc of the path gives the pivot ({x:.0f}, {y:.0f}) px, at a distance of {arc.radius:.0f} px; all "
+                f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is for a camera "
+                "that may be tilted. --hub X,Y gives the pivot, --tilt the tilt."
+            )
+    else:
+        given = np.array(hub, dtype=np.float64)
+        way = "given, for a point"
+        distance = float(np.median(np.hypot(*(path.place - given).T)))
+        prior = (HUB_U**2 + (HUB_SHARE * distance) ** 2) * np.eye(2)
+        centre, covariance = given, prior
+        wide = float(np.ptp(angles_about(given, path.place))) > _WIDE
+        view = 0.0 if wide else of_angle
+        if arc.determined:
+            towards = (arc.hub - path.place.mean(axis=0)) / max(
+                float(np.hypot(*(arc.hub - path.place.mean(axis=0)))), 1e-9
+            )
+            spread = arc.covariance + prior
+            if not wide:
+                spread = spread + (of_radius * max(arc.radius, distance)) ** 2 * np.outer(towards, towards)
+            off = arc.hub - given
+            ratio = arc.radius / max(distance, 1e-9)
+            if float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS**2:
+                ambiguous = True
+                warnings.append(_two_hubs(arc, given, path.place))
+            elif wide:  # both are measurements of the same place
+                centre, covariance = _combined(given, prior, arc.hub, arc.covariance)
+                way = "given and arc of a point"
+            else:
+                # a tilt phi: distance of the hub a cos(phi), radius of curvature a / cos(phi), or exchanged
+                view = abs(math.log(ratio)) / 2.0 if ratio > 0 else view
+                view = math.hypot(view, arc.curvature_u / arc.curvature / 2.0)
+                if abs(math.log(ratio)) > 3.0 * arc.curvature_u / arc.curvature:
+                    warnings.append(_tilted(ratio, arc, view))
+    if extent < path.radius:
+        warnings.append(
+            f"The body moves by {extent:.0f} px only, less than its size: what is behind it is not seen, and the "
+            "amplitude may be wrong. Select a smaller detail with --point X,Y."
+        )
+    angle = angles_about(centre, path.place)
+    away = path.place - centre
+    radius = np.hypot(*away.T)
+    outward = away / radius[:, None]
+    across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
+    # along the path, blur by the motion and an uneven clock add to the noise
+    scatter = white_noise(angle, path.frame) * float(np.median(radius))
+    along = along * max(scatter / float(np.median(along)), 1.0)
+    place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
+    return TrackedPoint(
+        frame=path.frame,
+        place=path.place,
+        place_sigma=place_sigma,
+        angle=angle,
+        sigma=along / radius,
+        hub=centre,
+        hub_covariance=covariance,
+        view=view,
+        way=way,
+        path=path,
+        arc=arc,
+        warnings=tuple(warnings),
+        ambiguous=ambiguous,
+    )
+
+
+def _combined(a: Floats, a_cov: Floats, b: Floats, b_cov: Floats) -> tuple[Floats, Floats]:
+    """Return the weighted mean of two estimates and its covariance."""
+    covariance = np.linalg.inv(np.linalg.inv(a_cov) + np.linalg.inv(b_cov))
+    mean = covariance @ (np.linalg.solve(a_cov, a) + np.linalg.solve(b_cov, b))
+    return np.asarray(mean), np.asarray(covariance)
+
+
+def _range(hub: Floats, place: Floats) -> float:
+    return float(np.ptp(angles_about(hub, place)))
+
+
+def _two_hubs(arc: Arc, given: Floats, place: Floats) -> str:
+    (x, y), (u, v) = given, arc.hub
+    return (
+        f"Two pivots: about the given hub ({x:.0f}, {y:.0f}) px the angle ranges over {_range(given, place):.3g} rad, "
+        f"about the centre of the path, ({u:.0f}, {v:.0f}) +- "
+        f"{math.sqrt(float(np.trace(arc.covariance))):.2g} px, over {_range(arc.hub, place):.3g} rad. One of them is "
+        "wrong, or the camera is tilted by more than 45 degrees."
+    )
+
+
+def _tilted(ratio: float, arc: Arc, view: float) -> str:
+    tilt = math.degrees(math.acos(min(ratio, 1.0 / ratio) ** 0.5))
+    return (
+        f"The path is curved as about a pivot at {arc.radius:.0f} px, {100 * abs(ratio - 1):.0f} % "
+        f"{'farther' if ratio > 1 else 'nearer'} than the given hub: a camera tilted by {tilt:.0f} degrees explains "
+        f"both. The angles about the given hub share a relative uncertainty of {100 * view:.2g} % for this; "
+        f"--tilt {tilt:.0f} corrects them if the axis of the tilt is horizontal."
+    )
+
+
+def _check_unselected(found: TrackedPoint, name: str) -> None:
+    """Raise a TrackingError unless a point that nobody selected moves about a pivot for certain."""
+    path, angle = found.path, found.angle
+    extent = float(np.hypot(*np.ptp(path.place, axis=0)))
+    middle = 0.5 * float(angle.min() + angle.max())
+    side = angle > middle
+    reversals = int(np.count_nonzero(side[1:] != side[:-1]))
+    retraced = reversals > _REVERSALS or np.ptp(angle) > _TURNS * TURN
+    scatter = math.hypot(found.arc.noise, found.arc.by_place)
+    if len(path.frame) < _ALWAYS * path.searched or scatter > _ROUND * extent or not retraced:
+        raise TrackingError(
+            f"No point that moves about a pivot is found in {name}.",
+            "Give a point to follow with --point X,Y, and its pivot with --hub X,Y.",
+        )
+
+
+def point_details(found: TrackedPoint) -> dict[str, Any]:
+    """Return what the file of a point says about its tracking, serialisable as JSON."""
+    return {
+        "method": "registration of a patch",
+        "hub_px": [float(v) for v in found.hub],
+        "hub_covariance_px2": found.hub_covariance.tolist(),
+        "view_relative_u": found.view,
+        "arc_px": {
+            "hub": [float(v) for v in found.arc.hub],
+            "radius": found.arc.radius,
+            "noise": found.arc.noise,
+            "by_place": found.arc.by_place,
+        },
+        "patch_px": found.path.radius,
+        "patch_turns": found.path.turns,
+    }

@@ -1,0 +1,625 @@
+"""Tracking of one point of a body through a film: a ball, a bob, a dot, or any patch with detail.
+
+The patch is followed by template matching first, which finds it again after an occlusion. Its picture is then learnt
+and registered in every frame. In the picture of the patch, at u from its position p and turned by theta,
+
+    I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
+
+with the background B, the transparency s of the patch (0 on the body, 1 beside it), and q its brightness times (1 - s).
+s and q are linear in the pictures and follow from their regression on B; p follows from Gauss-Newton steps (S. Baker,
+I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a string or a shadow counts little. Places are
+(x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError, UsageError
+from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._hub_search import spatial_noise
+
+Floats = npt.NDArray[np.float64]
+Frames = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+Plane = npt.NDArray[np.uint8]
+Picture = npt.NDArray[np.float32]
+Progress = Callable[[int, int | None], None]
+
+_BACKGROUND = 60  # frames of which the background is the median, at most
+_BAND = 64  # rows of the picture of which the median is taken at a time
+_FEWEST = 12  # frames of a path
+_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
+_FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
+_SMALLEST = 1.5  # smallest radius of a spot [px]
+_OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
+_REACH = 12.0  # largest distance of a spot from the point that was given [px]
+_AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
+_PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
+_SHARP = 0.05  # standard uncertainty of the position that a patch must allow [px]
+_MATCHED = 0.35  # mean square difference of a match over the contrast of the patch, at most
+_ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
+# smallest mean square difference from the background of a match over that of the patch in the first frame
+_PRESENT = 0.4
+_COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
+_FOUND = 0.6  # smallest share of the frames in which a patch is found
+_LEARNT = 200  # frames from which the picture of the patch is learnt, at most
+_ROUNDS, _TURN_ROUNDS = 4, 3
+_STEPS, _SMALL_STEP = 8, 0.005  # Gauss-Newton steps, and the step that ends them [px]
+_LARGEST = 0.5  # largest displacement by Gauss-Newton steps [radii of the patch]
+# standard deviation of the coefficients of the second derivatives [px2]: L^2 / 24 for a motion blur of L = 8 px
+_BLUR = 2.7
+_BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
+_ROBUST = 4.0  # residual in standard deviations from which a pixel is rejected in part (P. Huber, 1964)
+_TURNS_WITH = 0.95  # residual of a patch that turns about the hub over that of one that does not
+_UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
+HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the patch
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A patch of a frame: its centre (x, y), the radius, and the pixels of the body in a square about the centre."""
+
+    place: tuple[float, float]
+    radius: float  # [px]
+    mask: Plane
+
+
+@dataclass(frozen=True)
+class PointPath:
+    """The path of a point.
+
+    Attributes
+    ----------
+    frame : ndarray of int64, shape (m,)
+        Frames in which it was measured.
+    place : ndarray, shape (m, 2)
+        Its position (x, y) [px].
+    covariance : ndarray, shape (m, 2, 2)
+        The Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2].
+    radius : float
+        Radius of the patch [px].
+    searched : int
+        Number of frames in which it was looked for.
+    turns : bool
+        Whether the patch turns with its direction from the hub.
+    picture : ndarray
+        The learnt picture of the patch, in grey levels.
+    """
+
+    frame: Frames
+    place: Floats
+    covariance: Floats
+    radius: float
+    searched: int
+    turns: bool
+    picture: Picture
+
+
+Turn = Callable[[Floats], Floats | None]
+"""Returns the direction [rad] of positions (n, 2) from the hub, or None where it is not determined."""
+
+
+def track_point(
+    film: Film, start: tuple[float, float] | None, turn_of: Turn, progress: Progress | None = None
+) -> PointPath:
+    """Follow a point of a body, by its position `start` in the first frame, or the only compact body that moves.
+
+    `turn_of` gives the rotation of the patch for rough positions. A TrackingError is raised if there is nothing to
+    follow at the given place, if several bodies move and none is chosen, or if the patch is lost in most frames.
+    """
+    usable = fresh_frames(film)
+    if len(usable) < _FEWEST:
+        raise TrackingError(
+            f"{film.path.name} has only {len(usable)} different frames; {_FEWEST} are required to track a motion.",
+            "Give a longer film.",
+        )
+    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
+    noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
+    background = _median(sample)
+    first = film.some(usable[:1])[0]
+    if start is not None:
+        height, width = first.shape
+        if not (0 <= start[0] < width and 0 <= start[1] < height):
+            what = (
+                f"The point ({start[0]:g}, {start[1]:g}) px is outside the picture of {width} x {height} px."
+            )
+            raise UsageError(what, "Give its position in the first frame with --point X,Y in px.")
+        spot = _spot_at(first, background, noise, start) or _patch_at(
+            first, noise, start, _moving(first, background, noise)
+        )
+    else:
+        spot = _only_spot(first, background, noise, film.path.name)
+    rough, found = _follow(film, usable, spot, background)
+    if found.mean() < _FOUND or found.sum() < _FEWEST:
+        raise TrackingError(
+            f"The point at ({spot.place[0]:.0f}, {spot.place[1]:.0f}) px in {film.path.name} is followed through "
+            f"{found.sum()} of {len(found)} frames only.",
+            "Give a more distinct point with --point X,Y, or cut the film to the motion.",
+        )
+    frame, place = usable[found], rough[found]
+    layers, place = _learnt(film, frame, place, None, background, noise, spot.radius)
+    turn = turn_of(place)
+    # the rotation of the patch follows from its path, and its path from the rotation
+    for _ in range(_TURN_ROUNDS if turn is not None else 0):
+        layers, place = _learnt(film, frame, place, turn, background, noise, spot.radius)
+        turn = turn_of(place)
+        if turn is None or not layers.turns:
+            break
+    return _measured(film, frame, place, turn, layers, len(usable), progress)
+
+
+def _median(sample: Sequence[Plane]) -> Picture:
+    bands = range(0, len(sample[0]), _BAND)
+    return np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands]).astype(
+        np.float32
+    )
+
+
+def _differs(frame: Plane, background: Picture, noise: float) -> Plane:
+    """Return 1 where a frame differs from the background by more than noise."""
+    away = cv2.blur(np.abs(frame - background), (3, 3))
+    limit = max(_CONTRAST * noise / 3.0, _FAINTEST * float(np.quantile(away, 0.999)))
+    return np.asarray(away > limit, dtype=np.uint8)
+
+
+def _spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
+    """Return the compact part about the pixel `top` (x, y), the farthest from the edge, of a region; None if small."""
+    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    inner = float(depth[top[1], top[0]])
+    if inner < _SMALLEST:
+        return None
+    size = max(int(_OPENED * inner), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
+    _, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))
+    number = label[top[1], top[0]]
+    if number == 0:
+        return None
+    y, x = np.nonzero(label == number)
+    centre = (float(x.mean()), float(y.mean()))
+    radius = math.sqrt(len(x) / math.pi)
+    half = math.ceil(float(np.hypot(x - centre[0], y - centre[1]).max())) + 1
+    mask = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.uint8)
+    mask[y - round(centre[1]) + half, x - round(centre[0]) + half] = 1
+    return Spot(centre, radius, mask)
+
+
+def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float, float]) -> Spot | None:
+    """Return the compact moving body at a place of a frame; None if there is none."""
+    region = _differs(frame, background, noise)
+    y, x = np.nonzero(region)
+    if not len(x):
+        return None
+    away = np.hypot(x - place[0], y - place[1])
+    nearest = int(np.argmin(away))
+    if away[nearest] > _REACH:
+        return None
+    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    at = (int(x[nearest]), int(y[nearest]))
+    while True:  # to the middle of the part that was pointed at
+        reach = max(2, math.ceil(0.5 * float(depth[at[1], at[0]])))
+        top, left = max(at[1] - reach, 0), max(at[0] - reach, 0)
+        near = depth[top : at[1] + reach + 1, left : at[0] + reach + 1]
+        row, column = np.unravel_index(int(np.argmax(near)), near.shape)
+        best = (left + int(column), top + int(row))
+        if depth[best[1], best[0]] <= depth[at[1], at[0]]:
+            return _spot_of(region, at)
+        at = best
+
+
+def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Spot:
+    """Return the largest compact body that moves; a TrackingError if there is none, or another one as large."""
+    region = _differs(frame, background, noise)
+    count, label = cv2.connectedComponents(region)
+    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    tops = []
+    for number in range(1, count):
+        inside = np.where(label == number, depth, 0.0)
+        row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
+        tops.append((float(inside[row, column]), (int(column), int(row))))
+        if len(tops) > 50:
+            break
+    tops.sort(reverse=True)
+    spots = [
+        s
+        for depth, top in tops[:2]
+        if depth > _AS_LARGE * tops[0][0] and (s := _spot_of(region, top)) is not None
+    ]
+    if not spots:
+        raise TrackingError(
+            f"No compact body moves in the first frame of {name}.", "Give a point to follow with --point X,Y."
+        )
+    if len(spots) > 1:
+        (x, y), (u, v) = spots[0].place, spots[1].place
+        raise TrackingError(
+            f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame.",
+            "Select one with --point X,Y.",
+        )
+    return spots[0]
+
+
+def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
+    """Return the largest compact body that moves."""
+    region = _differs(frame, background, noise)
+    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    return _spot_of(region, (int(column), int(row)))
+
+
+def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Spot | None) -> Spot:
+    """Return the smallest patch about a place whose detail determines its position in both directions."""
+    smooth = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)
+    by_x, by_y = (
+        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
+        cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125),
+    )
+    y, x = np.ogrid[0 : frame.shape[0], 0 : frame.shape[1]]
+    away = np.hypot(x - place[0], y - place[1])
+    for radius in _PATCHES:
+        inside = away <= radius
+        g = np.stack([by_x[inside], by_y[inside]])
+        least = float(np.linalg.eigvalsh(g @ g.T)[0])
+        # gradients of noise: smoothing leaves the variance noise^2 / (8 pi) of each (0.04 noise^2)
+        least -= 0.04 * noise**2 * int(inside.sum())
+        if least > 0 and noise / math.sqrt(least) < _SHARP:
+            half = math.ceil(radius)
+            v, u = np.ogrid[-half : half + 1, -half : half + 1]
+            return Spot(place, radius, (np.hypot(u, v) <= radius).astype(np.uint8))
+    hint = "Give a point on a corner, a dot or an edge of the moving body with --point X,Y."
+    if moving is not None:
+        right, down = moving.place
+        hint = f"In the first frame, a body that moves is at --point {right:.0f},{down:.0f}."
+    raise TrackingError(
+        f"The picture about the point ({place[0]:g}, {place[1]:g}) px of the first frame has no detail to follow.",
+        hint,
+    )
+
+
+def _matched(
+    picture: Picture, changed: Picture, template: Picture, mask: Picture, change: float
+) -> tuple[tuple[float, float], float]:
+    """Return the place of the best match in a picture, (x, y) of its centre, and its mean square difference.
+
+    `changed` is the square of the difference from the background. Where it is smaller than `change` on the average over
+    the mask, the background resembles the patch, and the difference is added to that of the match.
+    """
+    square = cv2.matchTemplate(picture, template, cv2.TM_SQDIFF, mask=mask)
+    present = cv2.matchTemplate(changed, mask, cv2.TM_CCORR)
+    square = square + np.maximum(change * float(mask.sum()) - present, 0.0)
+    square = np.where(np.isfinite(square), square, np.inf)
+    row, column = np.unravel_index(int(np.argmin(square)), square.shape)
+    place = []
+    for line, at in ((square[row], int(column)), (square[:, column], int(row))):
+        shift = 0.0
+        if 0 < at < len(line) - 1:
+            before, here, after = (float(v) for v in line[at - 1 : at + 2])
+            bend = before - 2.0 * here + after
+            shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
+        place.append(at + shift)
+    half = template.shape[0] // 2
+    return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
+
+
+def _follow(film: Film, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Bools]:
+    """Follow a patch by template matching; returns its places (n, 2) and whether it was found (n,).
+
+    It is searched where it is expected by its last steps, then in a reduced picture of the whole frame.
+    """
+    size = spot.mask.shape[0]
+    half = size // 2
+    mask = spot.mask.astype(np.float32)
+    shrink = max(spot.radius / _COARSE, 1.0)
+    place, found = np.full((len(usable), 2), np.nan), np.zeros(len(usable), dtype=np.bool_)
+    anchor: Picture | None = None
+    recent: Picture | None = None
+    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
+    wanted = set(usable.tolist())
+    behind = cv2.copyMakeBorder(background, half, half, half, half, cv2.BORDER_REPLICATE)
+    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+        picture = cv2.copyMakeBorder(frame, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
+        changed = (picture - behind) ** 2
+        if anchor is None or recent is None:
+            anchor = recent = _cut(picture, last + half, size)
+            ring = cv2.dilate(spot.mask, np.ones((5, 5), np.uint8)) > spot.mask
+            inside = anchor[spot.mask > 0]
+            level = float(np.median(anchor[ring])) if ring.any() else float(inside.mean())
+            limit = _MATCHED * max(float(np.mean((inside - level) ** 2)), float(inside.var()))
+            change = _PRESENT * float(np.mean(_cut(changed, last + half, size)[spot.mask > 0]))
+            place[k], found[k] = last, True
+            continue
+        expected = last + _next_step(steps) if found[k - 1] else last
+        reach = max(1.2 * spot.radius, 6.0) + (
+            1.0 * float(np.hypot(*steps[-1])) if steps else 2.0 * spot.radius
+        )
+        best, miss = _in_window(picture, changed, expected + half, reach, anchor, mask, change)
+        if miss > _ANCHORED * limit and recent is not anchor:
+            again, other = _in_window(picture, changed, expected + half, reach, recent, mask, change)
+            best, miss = (again, other) if other < miss else (best, miss)
+        if miss > limit:
+            best, miss = _in_whole(picture, changed, shrink, recent, mask, change, limit)
+        if miss > limit:
+            steps.clear()
+            continue
+        now = np.array(best) - half
+        if found[k - 1]:
+            steps = [*steps[-1:], now - last]
+        last, place[k], found[k] = now, now, True
+        if miss > _ANCHORED * limit:
+            recent = _cut(picture, now + half, size)
+    return place, found
+
+
+def _cut(picture: Picture, place: Floats, size: int) -> Picture:
+    return np.asarray(
+        cv2.getRectSubPix(picture, (size, size), (float(place[0]), float(place[1]))), dtype=np.float32
+    )
+
+
+def _next_step(steps: Sequence[Floats]) -> Floats:
+    """Extrapolate the steps of a point on a circle: a step turns as the one before it did."""
+    if not steps:
+        return np.zeros(2)
+    if len(steps) < 2 or np.hypot(*steps[0]) < 2.0:
+        return np.asarray(steps[-1])
+    before, now = (complex(*s) for s in steps[-2:])
+    after = now * now / before / max(abs(now / before), 1e-9)
+    return np.array([after.real, after.imag])
+
+
+def _in_window(
+    picture: Picture,
+    changed: Picture,
+    place: Floats,
+    reach: float,
+    template: Picture,
+    mask: Picture,
+    change: float,
+) -> tuple[tuple[float, float], float]:
+    half, span = template.shape[0] // 2, math.ceil(reach)
+    height, width = picture.shape
+    x, y = round(float(place[0])), round(float(place[1]))
+    left, top = max(x - span - half, 0), max(y - span - half, 0)
+    right, bottom = min(x + span + half + 1, width), min(y + span + half + 1, height)
+    if right - left < template.shape[1] or bottom - top < template.shape[0]:
+        return (0.0, 0.0), math.inf
+    (u, v), miss = _matched(
+        picture[top:bottom, left:right], changed[top:bottom, left:right], template, mask, change
+    )
+    return (u + left, v + top), miss
+
+
+def _in_whole(
+    picture: Picture,
+    changed: Picture,
+    shrink: float,
+    template: Picture,
+    mask: Picture,
+    change: float,
+    limit: float,
+) -> tuple[tuple[float, float], float]:
+    """Search the whole frame, reduced by a factor, and refine the place in full resolution."""
+    small, few, one, inside = (
+        np.asarray(
+            cv2.resize(p, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA), np.float32
+        )
+        for p in (picture, changed, template, mask)
+    )
+    odd = (one.shape[0] - 1) | 1
+    one, inside = one[:odd, :odd], inside[:odd, :odd]
+    (u, v), miss = _matched(small, few, np.ascontiguousarray(one), np.ascontiguousarray(inside), change)
+    if miss > 2.0 * limit:
+        return (0.0, 0.0), math.inf
+    return _in_window(picture, changed, np.array([u, v]) * shrink, 2.0 * shrink + 2.0, template, mask, change)
+
+
+@dataclass(frozen=True)
+class _Layers:
+    """The learnt picture of a patch before its background."""
+
+    grid: Floats  # (2, h, w); u, the position in the patch [px]
+    transparency: Picture  # s
+    brightness: Picture  # q [grey levels]
+    variance: Picture  # of the residuals [grey levels squared]
+    background: Picture  # B, of the whole frame [grey levels]
+    turns: bool = False
+
+    def sampled(
+        self, frame: Plane | Picture, place: Floats, turn: float, how: int = cv2.INTER_CUBIC
+    ) -> Picture:
+        """Return the picture about a place, turned by an angle (clockwise as seen); NaN outside the frame."""
+        c, s = math.cos(turn), math.sin(turn)
+        x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
+        y = (place[1] + s * self.grid[0] + c * self.grid[1]).astype(np.float32)
+        found = cv2.remap(np.asarray(frame, dtype=np.float32), x, y, how, borderMode=cv2.BORDER_REPLICATE)
+        outside = (x < 0) | (y < 0) | (x > frame.shape[1] - 1) | (y > frame.shape[0] - 1)
+        return np.where(outside, np.float32(np.nan), found)
+
+    def register(self, frame: Plane, place: Floats, turn: float) -> tuple[Floats, Floats, float]:
+        """Return the place of the patch in a frame, its covariance (2, 2), and the mean square normalised residual.
+
+        The blur of a frame differs from that of the learnt picture by motion and focus: to second order, by a
+        combination of the second derivatives, which is fitted with the displacement.
+        """
+        turn = turn if self.turns else 0.0
+        around = _crop(frame, place, self.grid)
+        if around is None:
+            return place, np.full((2, 2), np.nan), math.inf
+        (left, top), part = around
+        behind = self.background[top : top + part.shape[0], left : left + part.shape[1]]
+        here = place - np.array([left, top])
+        rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        begin = here
+        by_s, by_q = _derivatives(self.transparency), _derivatives(self.brightness)
+        for _ in range(_STEPS):
+            back = self.sampled(behind, here, turn, cv2.INTER_LINEAR)
+            rest = self.sampled(part, here, turn) - self.transparency * back - self.brightness
+            use = np.isfinite(rest)
+            slope = (by_s * back + by_q)[:, use]
+            slope[:2] *= -1.0
+            size = np.abs(rest[use]) / np.sqrt(self.variance[use])
+            weight = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9)) / self.variance[use]
+            left_side = (slope * weight) @ slope.T + _BLUR_PRIOR
+            if not use.any() or np.linalg.eigvalsh(left_side[:2, :2])[0] < 1e-9:
+                return place, np.full((2, 2), np.nan), math.inf
+            step = rotation @ np.linalg.solve(left_side, (slope * weight) @ rest[use])[:2]
+            here = here + step
+            if np.abs(step).max() < _SMALL_STEP:
+                break
+        covariance = rotation @ np.linalg.inv(left_side)[:2, :2] @ rotation.T
+        misfit = float(np.mean(size**2))
+        reach = _LARGEST * float(np.abs(self.grid).max())
+        if np.hypot(*(here - begin)) > reach:
+            misfit = math.inf
+        return here + np.array([left, top]), covariance, misfit
+
+
+def _derivatives(picture: Picture) -> Picture:
+    """Return the derivatives by x, y, xx, xy, yy of a picture, (5, h, w)."""
+    by_y, by_x = np.gradient(picture)
+    by_yx, by_xx = np.gradient(by_x)
+    by_yy, _ = np.gradient(by_y)
+    return np.stack([by_x, by_y, by_xx, by_yx, by_yy])
+
+
+def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], Plane] | None:
+    """Return the part of a frame about a place that a patch may cover, and its first pixel (x, y)."""
+    reach = math.ceil(1.5 * float(np.abs(grid).max())) + 3
+    x, y = round(float(place[0])), round(float(place[1]))
+    left, top = max(x - reach, 0), max(y - reach, 0)
+    part = frame[top : max(y + reach + 1, 0), left : max(x + reach + 1, 0)]
+    return ((left, top), part) if min(part.shape) > 4 else None
+
+
+def _learnt(
+    film: Film,
+    frame: Frames,
+    place: Floats,
+    turn: Floats | None,
+    background: Picture,
+    noise: float,
+    radius: float,
+) -> tuple[_Layers, Floats]:
+    """Learn the picture of the patch from some frames; returns it with the places, refined in these frames."""
+    use = np.unique(np.linspace(0, len(frame) - 1, _LEARNT).astype(int))
+    pictures = film.some(frame[use])
+    half = math.ceil(1.35 * radius) + 4
+    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    empty = np.zeros(u.shape, dtype=np.float32)
+    plain = _Layers(np.stack([u, v]), empty, empty, empty, background)
+    angles = np.zeros(len(use)) if turn is None else turn[use]
+    best: tuple[float, _Layers, Floats] | None = None
+    for turns in (False, True) if turn is not None else (False,):
+        layers, there = replace(plain, turns=turns), place[use].copy()
+        kept = np.ones(len(use), dtype=np.bool_)
+        for again in range(_ROUNDS):
+            layers = _regressed(layers, pictures, there, angles, kept, noise)
+            poses = [layers.register(p, x, a) for p, x, a in zip(pictures, there, angles, strict=True)]
+            misfit = np.array([p[2] for p in poses])
+            kept = misfit < HIDDEN * np.median(misfit)
+            there[kept] = np.array([p[0] for p in poses])[kept]
+            if again == 0:
+                layers = replace(layers, background=_uncovered(layers, pictures, there, kept))
+        total = float(np.mean(layers.variance[layers.variance < _UNSEEN]))
+        if best is None or total < _TURNS_WITH * best[0]:
+            best = total, layers, there
+    assert best is not None  # noqa: S101 - the loop runs at least once
+    moved = place.copy()
+    offset = np.stack(
+        [np.interp(np.arange(len(place)), use, (best[2] - place[use])[:, i]) for i in (0, 1)], axis=1
+    )
+    moved += np.median(
+        offset, axis=0
+    )  # the centre of the learnt picture may differ from that of the template
+    moved[use] = best[2]
+    return best[1], moved
+
+
+def _regressed(
+    layers: _Layers, pictures: Sequence[Plane], place: Floats, turn: Floats, kept: Bools, noise: float
+) -> _Layers:
+    """Return the layers by regression of the pictures about the places on the background there."""
+    angle = turn if layers.turns else np.zeros_like(turn)
+    chosen = np.flatnonzero(kept).tolist()
+    shown = np.stack([layers.sampled(pictures[i], place[i], angle[i]) for i in chosen])
+    behind = np.stack(
+        [layers.sampled(layers.background, place[i], angle[i], cv2.INTER_LINEAR) for i in chosen]
+    )
+    known = np.isfinite(shown)
+    count = np.maximum(known.sum(axis=0), 1)
+    shown, behind = np.where(known, shown, 0.0), np.where(known, behind, 0.0)
+    mean, mean_behind = shown.sum(axis=0) / count, behind.sum(axis=0) / count
+    off, off_behind = (shown - mean) * known, (behind - mean_behind) * known
+    # prior of the transparency: a standard deviation of 1, for a background that hardly varies
+    slope = (off * off_behind).sum(axis=0) / ((off_behind**2).sum(axis=0) + noise**2)
+    slope = np.clip(slope, 0.0, 1.0)
+    brightness = mean - slope * mean_behind
+    rest = (shown - slope * behind - brightness) * known
+    variance = cv2.blur(((rest**2).sum(axis=0) / count).astype(np.float32), (3, 3))
+    seen = known.sum(axis=0) > 0.2 * len(chosen)
+    # interpolation averages the noise of neighbours, but not that of the smooth displacements
+    variance = np.where(seen, np.maximum(variance, noise**2), np.float32(_UNSEEN))
+    return replace(
+        layers,
+        transparency=slope.astype(np.float32),
+        brightness=brightness.astype(np.float32),
+        variance=variance.astype(np.float32),
+    )
+
+
+def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: Bools) -> Picture:
+    """Return the background as the mean of the frames that do not show the patch there, else the previous one."""
+    reach = float(np.abs(layers.grid).max())
+    total = np.zeros(layers.background.shape, dtype=np.float64)
+    count = np.zeros(layers.background.shape, dtype=np.int32)
+    height, width = layers.background.shape
+    y, x = np.ogrid[0:height, 0:width]
+    for i in np.flatnonzero(kept).tolist():
+        clear = (x - place[i, 0]) ** 2 + (y - place[i, 1]) ** 2 > reach**2
+        total += np.where(clear, pictures[i], 0.0)
+        count += clear
+    seen = count > max(0.1 * kept.sum(), 3)
+    return np.where(seen, total / np.maximum(count, 1), layers.background).astype(np.float32)
+
+
+def _measured(
+    film: Film,
+    frame: Frames,
+    place: Floats,
+    turn: Floats | None,
+    layers: _Layers,
+    searched: int,
+    progress: Progress | None,
+) -> PointPath:
+    """Register every frame with the learnt picture."""
+    where = {int(f): k for k, f in enumerate(frame)}
+    found = place.copy()
+    covariance = np.full((len(frame), 2, 2), np.nan)
+    misfit = np.full(len(frame), np.inf)
+    for k, picture in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+        angle = 0.0 if turn is None else float(turn[k])
+        found[k], covariance[k], misfit[k] = layers.register(picture, place[k], angle)
+        if progress is not None:
+            progress(k + 1, len(frame))
+    usual = float(np.median(misfit))
+    kept = (misfit < HIDDEN * usual) & np.isfinite(covariance).all(axis=(1, 2))
+    if kept.sum() < _FEWEST:
+        raise TrackingError(
+            f"The point in {film.path.name} matches its own picture in {int(kept.sum())} frames only.",
+            "Give a more distinct point with --point X,Y.",
+        )
+    enlarged = covariance * np.maximum(misfit / usual, 1.0)[:, None, None]
+    return PointPath(
+        frame[kept],
+        found[kept],
+        enlarged[kept],
+        float(np.abs(layers.grid).max()),
+        searched,
+        layers.turns,
+        (layers.brightness + layers.transparency * float(np.median(layers.background))).astype(np.float32),
+    )

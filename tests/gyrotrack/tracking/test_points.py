@@ -1,0 +1,224 @@
+"""A point about a pivot in rendered films: error and uncertainty, pivots, occlusion, refusals."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrotrack._column_store import StoredPictures
+from gyrotrack._errors import TrackingError, UsageError
+from gyrotrack.tracking import _point_motion
+from gyrotrack.tracking._point_motion import HUB_SHARE, about_pivot, follow_path, follow_point
+from gyrotrack.tracking._point_tracker import PointPath
+
+
+class Rendered:
+    """Frames in memory with the interface of `Film`."""
+
+    def __init__(self, frames):
+        self._frames = frames
+        self.path = Path("rendered.mp4")
+        self.warnings, self.tilt = (), None
+        self.changes = np.array([255.0] + [np.abs(b - a + 0.0).mean() for a, b in itertools.pairwise(frames)])
+
+    def __len__(self):
+        return len(self._frames)
+
+    def frames(self, first=0, stop=None):
+        return iter(self._frames[first:stop])
+
+    def some(self, index):
+        return StoredPictures.of(len(index), (self._frames[i] for i in index))
+
+
+def errors(found, film):
+    """Error of the positions (n, 2) [px], apart from the place on the bob that was followed."""
+    exact, angle = film.place[found.frame], film.angle(film.time)[found.frame]
+    off = (found.place - exact).ravel(order="F")
+    c, s = np.cos(angle), np.sin(angle)
+    own = np.concatenate([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)])
+    return (off - own @ np.linalg.lstsq(own, off, rcond=None)[0]).reshape(2, -1).T
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {},
+        {"hub": (80.0, 20.0), "length": 65.0, "amplitude": 0.7},
+        {"hub": (80.0, 60.0), "length": 42.0, "speed": 3.0},
+        {"hub": (80.0, 60.0), "length": 42.0, "speed": 45.0, "thread": False, "exposure": 0.05},
+        {"noise": 6.0},
+        {"radius": 4.0},
+    ],
+    ids=["pivot outside", "pivot inside", "turning", "0.9 rad a frame", "noise", "small"],
+)
+def test_positions_err_by_their_uncertainty_and_the_pivot_is_found(bob, scene):
+    film = bob(**scene)
+    found = follow_point(Rendered(film.pictures()), tuple(film.place[0]))
+    off = errors(found, film)
+    assert len(found.frame) > 0.95 * film.frames
+    assert 0.75 < float((off / found.place_sigma).std()) < 1.3
+    bound = np.sqrt(np.trace(found.path.covariance, axis1=1, axis2=2).mean() / 2)
+    assert off.std() < 1.5 * bound
+    away = found.hub - np.array(film.hub)
+    assert (
+        away @ np.linalg.solve(found.hub_covariance, away) < 14
+    )  # 3.3 standard deviations in two directions
+    angle = found.angle - film.angle(film.time)[found.frame]
+    assert angle.std() < 5e-3
+
+
+def test_the_bob_is_found_without_a_click_and_not_a_thrown_ball(bob):
+    film = bob(frames=120)
+    found = follow_point(Rendered(film.pictures()), None)
+    assert "--point" in found.warnings[-2]
+    assert errors(found, film).std() < 0.03
+
+    class Thrown(bob):
+        def angle(self, t):  # a single pass along the arc resembles a parabola
+            return 0.3 - 0.25 * t
+
+    with pytest.raises(TrackingError, match="No point that moves about a pivot"):
+        follow_point(Rendered(Thrown().pictures()), None)
+
+
+def test_an_occluded_bob_is_omitted_and_found_again(bob):
+    film = bob(frames=110, bar=(74.0, 92.0))
+    found = follow_point(Rendered(film.pictures()), tuple(film.place[0]))
+    hidden = np.abs(film.place[:, 0] - 82.5) < 4.0  # more than half of it
+    assert not set(np.flatnonzero(hidden)) & set(found.frame.tolist())
+    assert 0.6 * (~hidden).sum() < len(found.frame)
+    clear = np.abs(film.place[found.frame, 0] - 82.5) > 22.0
+    assert errors(found, film)[clear].std() < 0.05
+    assert any("occluded, lost" in w for w in found.warnings)
+
+
+def test_a_click_beside_the_bob_names_where_it_is(bob):
+    film = bob(texture=0.0)
+    x, y = film.place[0]
+    with pytest.raises(TrackingError, match="no detail to follow") as raised:
+        follow_point(Rendered(film.pictures()), (15.0, 100.0))
+    u, v = (float(n) for n in raised.value.hint.split("--point ")[1].rstrip(".").split(","))
+    assert np.hypot(u - x, v - y) < 2.0
+
+
+def test_a_point_outside_the_picture_or_at_rest_is_refused(bob):
+    film = Rendered(bob(frames=40).pictures())
+    with pytest.raises(UsageError, match="outside the picture of 160 x 120"):
+        follow_point(film, (160.0, 20.0))
+    with pytest.raises(TrackingError, match="does not move"):
+        follow_point(film, (20.0, 100.0), (0.0, 0.0))
+
+
+def test_two_bobs_are_told(bob):
+    one, two = (bob(hub=(x, -120.0), amplitude=0.1, frames=60, thread=False) for x in (40.0, 120.0))
+    frames = [np.minimum(a, b) for a, b in zip(one.pictures(), two.pictures(), strict=True)]
+    with pytest.raises(TrackingError, match="Several bodies move"):
+        follow_point(Rendered(frames), None)
+    found = follow_point(Rendered(frames), tuple(two.place[0]))
+    assert abs(found.hub[0] - 120.0) < 1.0
+
+
+def drawn(radius=300.0, reach=0.2, hub=(80.0, -180.0), flat=1.0, count=160):
+    """A path with white noise of 0.02 px on an arc, flattened across its middle as by a tilted camera."""
+    rng = np.random.default_rng(3)
+    angle = reach * np.sin(np.linspace(0, 40, count))
+    place = np.array(hub) + radius * np.stack([np.sin(angle), flat * np.cos(angle)], axis=1)
+    place += rng.normal(0, 0.02, place.shape)
+    covariance = np.broadcast_to(4e-4 * np.eye(2), (count, 2, 2))
+    return PointPath(np.arange(count), place, covariance, 9.0, count, turns=False, picture=np.zeros((9, 9)))
+
+
+def test_a_given_hub_near_the_centre_of_the_path_is_kept():
+    found = about_pivot(drawn(), "film", (80.0, -180.0))
+    assert not found.ambiguous
+    assert found.hub.tolist() == [80.0, -180.0]
+    # of a hub that is given, the distance is known within 2 % and scales all angles alike
+    assert found.hub_covariance[1, 1] == pytest.approx(1.0 + (HUB_SHARE * 300.0) ** 2, rel=0.01)
+    assert np.median(found.sigma) < 1e-4
+    half = np.ptp(found.displaced()[1]) / np.ptp(found.angle)
+    assert half == pytest.approx(1.0, abs=0.03)
+    assert half != 1.0
+
+
+@pytest.mark.parametrize(("y", "doubt"), [(-180.0, False), (-120.0, False), (50.0, True)])
+def test_a_hub_that_the_path_contradicts_is_told_with_both_answers(y, doubt):
+    """A tilted camera explains a hub at 0.8 of the radius of curvature, and not one at a quarter of it."""
+    found = about_pivot(drawn(), "film", (80.0, y))
+    assert found.ambiguous == doubt
+    if doubt:
+        (text,) = found.warnings
+        assert "Two pivots" in text
+        assert "0.39" in text or "0.4 rad" in text  # 2 x 0.2 rad about the centre of the path
+        assert "--hub" not in text
+
+
+def test_a_tilted_camera_is_recognised_by_hub_and_path():
+    """cos(tilt) = 0.8: the hub is at 0.8 of the length, the radius of curvature 1.25 of it."""
+    path = drawn(flat=0.8)
+    found = about_pivot(path, "film", (80.0, -180.0))
+    assert not found.ambiguous
+    assert "tilted by 37 degrees" in found.warnings[0]
+    assert found.view == pytest.approx(-np.log(0.8), rel=0.05)
+    assert abs(np.ptp(found.angle) / 2 - 0.2) < 3 * found.view * 0.2
+
+
+def test_an_arc_alone_has_the_uncertainty_of_the_view_and_a_full_circle_has_not():
+    assert about_pivot(drawn(), "film").view == pytest.approx(0.106, rel=0.01)
+    assert about_pivot(drawn(reach=3.2), "film").view == 0.0
+    full = about_pivot(drawn(reach=3.2), "film", (81.0, -180.0))
+    assert full.hub_covariance[0, 0] < 1e-3  # given and measured: the measured one is far better
+
+
+def test_a_straight_path_asks_for_the_hub_and_takes_it():
+    path = drawn(radius=1e5, reach=3e-4, hub=(80.0, -99900.0))
+    with pytest.raises(TrackingError, match="straight within its uncertainty") as raised:
+        about_pivot(path, "film")
+    assert "--hub X,Y" in raised.value.hint
+    assert not about_pivot(path, "film", (80.0, -400.0)).ambiguous
+
+
+def test_a_path_without_a_pivot_is_still_a_path(bob):
+    class Sliding(bob):
+        def angle(self, t):
+            return (0.25 - 0.3 * t) * 1e-3
+
+    film = Sliding(hub=(80.0, -190000.0), length=190060.0)
+    found = follow_path(Rendered(film.pictures()), tuple(film.place[0]))
+    assert isinstance(found, PointPath)
+    assert (found.place - film.place[found.frame]).std(axis=0).max() < 0.05
+
+
+@pytest.mark.parametrize(("off", "refused"), [(0.15, False), (0.3, True)])
+def test_a_path_is_an_arc_if_four_fifths_of_it_are(off, refused):
+    path = drawn()
+    wrong = np.arange(len(path.place)) < off * len(path.place)
+    path.place[wrong] += (0.0, 25.0)
+    if refused:
+        with pytest.raises(TrackingError, match="not an arc of a circle: 30 %"):
+            about_pivot(path, "film")
+    else:
+        assert len(about_pivot(path, "film").frame) == (~wrong).sum()
+
+
+@pytest.mark.parametrize(("extent", "doubt"), [(30.0, True), (60.0, False)])
+def test_a_body_that_hides_its_own_background_is_doubted(extent, doubt):
+    path = drawn(reach=extent / 600.0)
+    path = PointPath(path.frame, path.place, path.covariance, 45.0, path.searched, path.turns, path.picture)
+    assert about_pivot(path, "film").ambiguous == doubt
+
+
+@pytest.mark.parametrize(("count", "refused"), [(22, True), (60, False)])
+def test_an_unselected_point_must_retrace_its_path(count, refused):
+    """sin(x) over 40 rad in 160 samples: 22 samples turn back once, 60 four times."""
+    path = drawn()
+    some = PointPath(
+        path.frame[:count], path.place[:count], path.covariance[:count], 9.0, count, False, path.picture
+    )
+    found = about_pivot(some, "film")
+    if refused:
+        with pytest.raises(TrackingError, match="No point that moves about a pivot"):
+            _point_motion._check_unselected(found, "film")
+    else:
+        _point_motion._check_unselected(found, "film")
