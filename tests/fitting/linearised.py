@@ -1,5 +1,6 @@
 """A gyroscope at known parameters, as far as linear tests depend on a fit: nothing is searched, so it takes 10 ms."""
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -80,12 +81,9 @@ def gyroscope(
             Level(level=level, least=0.1 * level, pure=level, raised=raised, whitener=w, process=ratios)
             for w in whiteners
         )
-    seen = SimpleNamespace(
-        data=tuple(every), cases=problem.cases, layout=layout, rows=problem.rows,
-        projections=problem.projections,
-    )  # fmt: skip
+    problem = replace(problem, data=tuple(every))
     return SimpleNamespace(
-        problem=seen, theta=theta, model=model, predictions=predictions, noise=noise, torque_unit="N m",
+        problem=problem, theta=theta, model=model, predictions=predictions, noise=noise, torque_unit="N m",
         labels=tuple(cases),
     )  # fmt: skip
 
