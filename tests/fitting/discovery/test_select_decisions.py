@@ -14,7 +14,6 @@ from fitting.discovery._measurement import START
 from fitting.discovery._score import Score
 from fitting.discovery._select import (
     Candidate,
-    Selection,
     Step,
     applicable_effects,
     best,
@@ -816,7 +815,3 @@ class TestFoundStarts:
     def test_of_phases_common_and_own_values(self, monkeypatch):
         found = self.starts(monkeypatch, score(PERIODIC, columns=4, own_phase=True))
         assert found == {f"{PERIODIC.name}.False": 2.0, f"{PERIODIC.name}.True": 4.0}
-
-
-def test_a_selection_names_its_parts():
-    assert Selection._fields == ("candidates", "chosen", "named", "final")
