@@ -1,7 +1,7 @@
 """Sense of motion, jumps of the derivatives and times of events, against the formulas of dry friction.
 
-With unit inertia, stiffness k and dry friction b, a body released at x0 > b / k reverses every half period pi / sqrt(k),
-its turning points fall by 2 b / k each, and it stays where the spring no longer exceeds friction.
+With unit inertia, stiffness k and dry friction b, a body released at x0 > b / k reverses every half period
+pi / sqrt(k), its turning points fall by 2 b / k each, and it stays where the spring no longer exceeds friction.
 """
 
 import math
