@@ -1,6 +1,7 @@
 """Limits and power of the search against closed forms: normal integrals, least squares, bounds on one parameter."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -409,3 +410,24 @@ def test_stricter_criteria_raise_the_thresholds(base, search, monkeypatch):
     monkeypatch.setattr(module, "applicable_effects", lambda *_: [DRAG, LAMINAR])
     strict = Search(base, criteria=Criteria(evidence=40.0), draws=50)
     assert strict._tests[DRAG.name][0].threshold == pytest.approx(40.0 + math.log(base.problem.rows))
+
+
+def test_the_power_for_an_amplitude_with_a_phase_is_that_of_a_noncentral_chi_square(base, monkeypatch):
+    """Of the middle phase, whose noncentrality is nearly that of the rms over all phases."""
+    law = LIBRARY["casing.precession"]
+    law = replace(
+        law, parameters=tuple(replace(p, grid=(900.0,)) if p.symbol == "m" else p for p in law.parameters)
+    )
+    monkeypatch.setattr(module, "applicable_effects", lambda *_: [law])
+    monkeypatch.setattr(CaseColumns, "_grid", lambda self, effect, p: np.array([900.0]))
+    found = Search(base, draws=600)
+    (test,) = found._tests[law.name]
+    root = found._common[law.name].root[0]
+    powers = found.power(law, 0, np.array([0.0, 4.0, 5.0, 7.0]) / root)
+    sine, cosine = found._whitened(found._stacked(law)[:1]).T
+    free = found._level.basis
+    middle = (sine + cosine) / math.sqrt(2.0)
+    size = np.linalg.norm(middle - free @ (free.T @ middle)) / root
+    expected = [ncx2(2, max(size * d, 1e-9) ** 2).sf(test.threshold) for d in (0.0, 4.0, 5.0, 7.0)]
+    assert powers == pytest.approx(expected, abs=0.07)
+    assert found._tests[law.name][0].parts[0].width == 2

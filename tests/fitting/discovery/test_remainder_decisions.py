@@ -301,7 +301,8 @@ class TestComplete:
         return module._complete(found(), selection, candidate(), tested, DEFAULT)
 
     def test_without_a_test_of_the_form_it_is_exact(self, monkeypatch):
-        assert self.graded(monkeypatch, [], None).form == "exact"
+        size = self.graded(monkeypatch, [], None)
+        assert (size.form, size.explained, size.remainder) == ("exact", 1.0, None)
 
     @pytest.mark.parametrize(
         ("tested", "form"),

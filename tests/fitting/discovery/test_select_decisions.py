@@ -640,6 +640,14 @@ class TestSeparateValues:
     def test_when_it_is_no_answer(self, monkeypatch, change):
         assert not self.found(monkeypatch, **change)[1]
 
+    def test_without_a_law_of_physics_any_score_counts(self, monkeypatch):
+        asked = []
+        monkeypatch.setattr(
+            module, "different_parameter", lambda base, criteria, *, least: asked.append(least)
+        )
+        separate_values(Found(wrong=True), [candidate(LIBRARY["setup.inertia"], value=900.0)], (), DEFAULT)
+        assert asked == [0.0]
+
     def test_a_rival_within_the_penalty_is_worse(self, monkeypatch):
         assert self.found(monkeypatch, rival=76.0)[1]
 

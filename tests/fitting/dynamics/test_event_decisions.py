@@ -362,3 +362,40 @@ def test_a_stop_at_the_end_of_the_record_is_no_event():
         t = np.linspace(0.0, span, 50)
         exact = np.maximum(5.0 - 0.5 * t, 0.0)
         assert Sampler(path.mesh, t).value(path.y)[:, 1] == pytest.approx(exact, abs=1e-9)
+
+
+class TestUntilRest:
+    """Where the stop is no unknown of the equations, it is found by Newton steps on the speed at the end."""
+
+    def stopped(self, monkeypatch, run, start, span, sense, guess):
+        monkeypatch.setattr(Segments, "_rests", lambda *_: False)
+        mesh = Mesh.uniform(0.0, span, 6)
+        path = run._rough(start, mesh, sense, None)
+        return run._until_rest(path, mesh, guess)
+
+    @pytest.mark.parametrize("guess", [9.2, 10.4])
+    @pytest.mark.parametrize("sense", [1.0, -1.0])
+    def test_a_constant_deceleration(self, monkeypatch, sense, guess):
+        """w = 5 - t / 2."""
+        found = self.stopped(monkeypatch, pushed(0.0), np.array([0.0, 5.0 * sense]), 14.0, sense, guess)
+        assert found.mesh.edges[-1] == pytest.approx(10.0, abs=1e-9)
+        assert found.edges[-1, 1] == pytest.approx(0.0, abs=1e-9)
+
+    def test_a_deceleration_that_grows(self, monkeypatch):
+        """I w' = -1 - 0.2 t: w = 5 - t / 2 - t^2 / 20 vanishes at sqrt(125) - 5."""
+        run = pushed(0.0, 1.0, "touchpoint.drift", **{"touchpoint.drift.k": 0.2})
+        found = self.stopped(monkeypatch, run, np.array([0.0, 5.0]), 9.0, 1.0, 7.0)
+        assert found.mesh.edges[-1] == pytest.approx(math.sqrt(125.0) - 5.0, abs=1e-8)
+
+    def test_the_first_of_several_crossings(self, monkeypatch):
+        """w = cos t, and a guess at its second zero."""
+        dynamics = Dynamics(Model.of([SPRING, DRY]))
+        numbers = {f"{SPRING}.k": 1.0, f"{DRY}.b1": 0.0, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+        run = Segments(dynamics, numbers, ())
+        found = self.stopped(monkeypatch, run, np.array([0.0, 1.0, 0.0]), 6.0, 1.0, 4.7)
+        assert found.mesh.edges[-1] == pytest.approx(math.pi / 2, abs=1e-8)
+
+    def test_a_casing_that_does_not_stop_within_the_record(self, monkeypatch):
+        found = self.stopped(monkeypatch, pushed(0.0), np.array([0.0, 5.0]), 9.0, 1.0, 8.0)
+        assert found.mesh.edges[-1] == 9.0
+        assert found.edges[-1, 1] == pytest.approx(0.5)

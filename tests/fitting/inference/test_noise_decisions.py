@@ -339,6 +339,8 @@ class TestAngleNoise:
             most_likely_level=lambda times: 1.0,
         )  # fmt: skip
         kinds = []
+        asked = []
+        stretch.most_likely_level = lambda times: asked.append(times) or 1.0
 
         def of(times, covariances, gain_of):
             kind = int(covariances[0][1, 1] > 0)
@@ -362,6 +364,8 @@ class TestAngleNoise:
         t = np.linspace(0.0, 20.0, 100)
         samples = Samples(t, 2 * np.pi * turns * t / 2.5, np.full(100, 1e-3))
         found = angle.estimate_angle_noise(SimpleNamespace(samples=samples, lift=np.zeros((8, 1, 1))), None)
+        # correlation times of the process noise, in blocks of 2.5 s
+        assert asked == [[0.25, 0.75, 2.5]]
         return found, kinds
 
     @pytest.mark.parametrize(("gain", "found"), [(8.1, True), (7.9, False)])

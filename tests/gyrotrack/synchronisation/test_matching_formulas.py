@@ -501,6 +501,22 @@ class TestCalibration:
         assert np.median(found.casing.sigma) == pytest.approx(2e-3, rel=0.08)
         assert np.median(found.clip.sigma) == pytest.approx(1e-3, rel=0.08)
 
+    def test_slow_errors_enlarge_the_sigmas_by_the_root_of_their_variance(self, monkeypatch):
+        asked = []
+
+        def slow(time, rows, residual, period):
+            asked.append((len(time), len(rows), len(residual), period))
+            return (9.0, 4.0)[len(asked) - 1]
+
+        monkeypatch.setattr(decision, "slow_variance", slow)
+        casing, clip = curve(0.0, 10.0, 260.0, seed=1), clip_of(4.0, 0.0, 0.7, seed=2)
+        found = decision._with_slow_noise(Pair(casing, clip, 8), Start(4.0, 0.0, 0.7))
+        assert found.casing.sigma == pytest.approx(3 * casing.sigma)
+        assert found.clip.sigma == pytest.approx(2 * clip.sigma)
+        edges = window(4.0, 4.0 + clip.duration)
+        count = len(casing.between(*edges).time)
+        assert asked == [(count,) * 3 + (clip.duration,), (len(clip.time),) * 3 + (clip.duration,)]
+
     def test_outliers_of_both_cameras_are_left_out(self):
         casing, clip = curve(0.0, 10.0, 260.0, seed=1), clip_of(4.0, 0.0, 0.7, seed=2)
         casing.angle[1100] += 0.02

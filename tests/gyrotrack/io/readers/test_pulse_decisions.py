@@ -278,6 +278,7 @@ class TestEvents:
         assert steps.sum() == -1
         assert module._steps_of_jittering_counts(np.arange(400.0)) is None
         assert module._steps_of_jittering_counts(kept[:60]) is None
+        assert module._steps_of_jittering_counts(kept[:61]) is not None
 
 
 class TestCounts:
@@ -525,6 +526,17 @@ class TestPassages:
         assert found.duration == pytest.approx(np.full(40, 0.04))
         with pytest.raises(UsageError, match="pendulum"):
             read_pulses(self.states(), ReadOptions(pulses_per_turn=1.0))
+
+    def test_one_gate_of_a_pendulum_that_decays(self):
+        """Passages last longer and longer, in proportion to exp(t / 40)."""
+        t, state = [-0.5], [0]
+        for k in range(40):
+            t += [k, k + 0.02 * math.exp(k / 40)]
+            state += [1, 0]
+        found = passages_of(table(t, state, names=("t", "A")), ReadOptions())
+        width = 0.02 * np.exp(np.arange(40) / 40)
+        assert found.duration == pytest.approx(width)
+        assert found.time == pytest.approx(np.arange(40) + width / 2)
 
     def test_gates_in_one_order_are_a_rotation(self):
         assert passages_of(self.states(back=False), ReadOptions()) is None
