@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from linearised import SPAN, gyroscope
+from linearised import BEGIN, SPAN, gyroscope
 from scipy.special import chdtri
 
 from fitting._criteria import DEFAULT
@@ -85,7 +85,7 @@ def rows_of(level, time, seed=5):
 def test_the_mean_torque_is_that_of_the_body_with_the_larger_one():
     base = gyroscope()
     (path,) = (p.path for p in base.predictions)
-    t = np.linspace(0.0, SPAN, 4000)
+    t = np.linspace(BEGIN, BEGIN + SPAN, 4000)
     omega_r, omega_c = Sampler(path.mesh, t).value(path.y)[:, :2].T
     bearing = 2e-7 * (omega_r - omega_c)
     rotor, casing = -bearing - 1e-9 * omega_r**2, bearing - 1e-5 - 1e-6 * omega_c
@@ -121,6 +121,20 @@ def test_it_is_no_worse_than_the_fit():
     base = seen(rows_of(0.0, 1.0), deviance=-1e9)
     found = with_random_torque(base, DEFAULT)
     assert (found.deviance, found.noise) == (-1e9, base.noise[0])
+
+
+@pytest.mark.parametrize(("margin", "taken"), [(0.5, True), (-0.5, False)])
+def test_it_is_taken_where_it_is_more_likely_than_the_fit(margin, taken):
+    likely = with_random_torque(seen(rows_of(4e-7, 1.0)), DEFAULT)
+    base = seen(rows_of(4e-7, 1.0), deviance=likely.deviance + margin)
+    found = with_random_torque(base, DEFAULT)
+    assert (found.noise is not base.noise[0]) is taken
+    assert found.deviance == pytest.approx(min(likely.deviance, base.deviance))
+
+
+def test_correlation_times_are_at_most_a_sixth_of_the_record():
+    found = with_random_torque(seen(rows_of(4e-7, 30.0)), DEFAULT)
+    assert found.noise.time <= SPAN / 6 * (1 + 1e-9)
 
 
 def test_white_noise_has_the_level_of_the_recording():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from linearised import SPAN, covariance, gyroscope, least_squares
+from linearised import BEGIN, SPAN, covariance, gyroscope, least_squares
 from scipy.stats import chi2
 
 from fitting._criteria import DEFAULT
@@ -83,10 +83,20 @@ class TestColumns:
         columns, effect = CaseColumns(gyroscope(), 0), LIBRARY["touchpoint.step"]
         (_, moment) = effect.parameters
         grid = columns._grid(effect, moment)
-        declared = np.array(moment.grid) * SPAN
+        declared = BEGIN + np.array(moment.grid) * SPAN
         assert grid[::8] == pytest.approx(declared)
         assert len(grid) == 8 * (len(declared) - 1) + 1
         assert np.diff(grid)[:8] == pytest.approx(np.full(8, (declared[1] - declared[0]) / 8))
+
+    def test_a_changepoint_outside_of_the_record_is_always_or_never(self):
+        columns, step, constant = (
+            CaseColumns(gyroscope(), 0),
+            LIBRARY["touchpoint.step"],
+            LIBRARY["touchpoint.constant"],
+        )
+        before, after = (columns._units(step, [{"t0": t}])[:, 0] for t in (BEGIN - 1.0, BEGIN + SPAN + 1.0))
+        assert before == pytest.approx(columns._units(constant, [{}])[:, 0])
+        assert after == pytest.approx(np.zeros(len(after)))
 
     def test_other_grids_are_as_declared(self):
         columns = CaseColumns(gyroscope(), 0)
@@ -441,14 +451,14 @@ def test_each_case_may_choose_its_own_shape():
     ends = np.cumsum([0, *(len(p.rows) for p in base.predictions)])
     columns = [CaseColumns(base, i) for i in (0, 1)]
     step = LIBRARY["touchpoint.step"]
-    trials = [c.trials(step, [{"t0": t} for t in (3.0, 6.0, 9.0)]) for c in columns]
+    trials = [c.trials(step, [{"t0": t} for t in (6.0, 9.0, 12.0)]) for c in columns]
     rows = [
         residual(len(p.rows), 7 + i) + 3e-5 * trials[i][k].columns[:, 0]
         for i, (p, k) in enumerate(zip(base.predictions, (0, 2), strict=True))
     ]
     base = gyroscope(cases=("a", "b"), level=1e-7, per_case=("touchpoint", "casing"), residual=rows)
     found = module._score(ScoreContext(base, 5), step, trials, DEFAULT)
-    assert [s["t0"] for s in found.shape] == [3.0, 9.0]
+    assert [s["t0"] for s in found.shape] == [6.0, 12.0]
     assert found.trials == 6
     assert found.gamma == pytest.approx([3e-5, 3e-5], rel=0.1)
     assert len(found.null) == 5

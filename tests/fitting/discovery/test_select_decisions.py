@@ -369,6 +369,13 @@ class TestRefitted:
         _, c = self.refitted(monkeypatch, lambda _: found, common=Found(75.0, 61.0), columns=2)
         assert c.delta_bic == -30.0
 
+    def test_a_probability_is_at_most_one(self, monkeypatch):
+        _, c = self.refitted(
+            monkeypatch, lambda _: Found(99.5, 99.0), common=Found(99.6, 99.1), columns=2, at_noise=None
+        )
+        # that of its own fall of 1, as twice the one of the common fall of 0.9 is larger
+        assert c.p_value == pytest.approx(math.exp(-0.1))
+
     def test_a_fit_with_values_per_case_that_is_worse_than_a_common_one_is_repeated(self, monkeypatch):
         again = Found(55.0, 40.0)
         monkeypatch.setattr(module, "with_values_per_case", lambda base, screened, found, common: again)

@@ -218,6 +218,22 @@ class TestStarts:
         alone[0].estimates["x.k"] = self.of(1.0, 0.0)
         assert module._of_separate_fits("x.k", alone) == 3.5  # the mean, where none is known
 
+    @pytest.mark.parametrize(("deviance", "again"), [(90.0, True), (110.0, False)])
+    def test_a_search_from_separate_fits_is_kept_where_it_is_better(self, monkeypatch, deviance, again):
+        alone = SimpleNamespace(labels=("a",), estimates={"x.k": self.of(1.0, 1.0)}, noise=(noise(),))
+        second, other = SimpleNamespace(theta="second"), (noise(2.0),)
+        first, own = SimpleNamespace(theta="first"), (noise(3.0),)
+        monkeypatch.setattr(module, "fit", lambda *_, **__: alone)
+        monkeypatch.setattr(module, "initial_values", lambda problem, start: start)
+        monkeypatch.setattr(
+            module, "search_with_noise", lambda problem, theta, start, *, quick: (second, other)
+        )
+        deviances = {("first", 3.0): 100.0, ("second", 2.0): deviance}
+        monkeypatch.setattr(module, "_deviance", lambda problem, theta, n: deviances[theta, n[0].level])
+        problem = SimpleNamespace(data=[1, 2], layout=SimpleNamespace(model=None, names=("x.k",)))
+        found = module._from_separate_fits(problem, first, own, quick=True)
+        assert found == ((second, other) if again else (first, own))
+
     def test_a_separate_fit_that_fails_leaves_the_joint_one(self, monkeypatch):
         def failing(*_, **__):
             raise EstimationError("it diverges", "")

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from linearised import SPAN, VALUES, gyroscope
+from linearised import BEGIN, SPAN, VALUES, gyroscope
 
 from fitting._errors import EstimationError, SimulationError
 from fitting.dynamics._collocation import Sampler
@@ -25,7 +25,7 @@ from fitting.inference._initial_values import (
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 
-TIME = np.linspace(0.0, SPAN, 1500)
+TIME = np.linspace(BEGIN, BEGIN + SPAN, 1500)
 
 
 def moved(names=LINEAR, values=None, **options):
@@ -37,7 +37,9 @@ def moved(names=LINEAR, values=None, **options):
 
 def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None):
     """Return the initial values by name."""
-    records = [SimpleNamespace(label=c, span=(0.0, SPAN), I_rotor=5.5e-5, I_casing=2e-5) for c in cases]
+    records = [
+        SimpleNamespace(label=c, span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5) for c in cases
+    ]
     layout = ParameterLayout.of(
         Model.of(names) if isinstance(names, tuple) else names, records, per_case=per_case
     )
@@ -114,7 +116,7 @@ class TestStrengths:
     def test_other_parameters_have_their_declared_values(self):
         found = started((*LINEAR, "touchpoint.step", "touchpoint.stribeck"), [moved()])
         grid = next(p.grid for p in LIBRARY["touchpoint.step"].parameters if p.symbol == "t0")
-        assert found["touchpoint.step.t0"] == pytest.approx(SPAN * grid[len(grid) // 2])
+        assert found["touchpoint.step.t0"] == pytest.approx(BEGIN + SPAN * grid[len(grid) // 2])
         assert found["touchpoint.stribeck.w"] == 5.0
 
     @pytest.mark.parametrize(("ratio", "slope"), [(2.0, 0.0), (-0.5, 0.0)])
@@ -137,10 +139,11 @@ class TestStrengths:
     def test_the_stiffness_of_a_spring(self, stiffness, offset):
         """I w' = -k x - b w; an equilibrium that is not zero changes the stiffness little."""
         rate, decay = math.sqrt(stiffness / 2e-5), 0.05
-        envelope = np.exp(-decay * TIME)
+        since = TIME - BEGIN
+        envelope = np.exp(-decay * since)
         damped = math.sqrt(rate**2 - decay**2)
-        x = envelope * np.cos(damped * TIME)
-        speed = envelope * (-decay * np.cos(damped * TIME) - damped * np.sin(damped * TIME))
+        x = envelope * np.cos(damped * since)
+        speed = envelope * (-decay * np.cos(damped * since) - damped * np.sin(damped * since))
         rough = [(TIME, np.column_stack([np.zeros(len(TIME)), speed]))]
         found = started(("casing.spring.linear", "casing.air.linear"), rough, deflections=[x + offset])
         assert found["casing.spring.linear.k"] == pytest.approx(stiffness, rel=5e-3)
@@ -196,7 +199,9 @@ class TestSamples:
 class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
-        record = SimpleNamespace(label="case", span=(0.0, SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False)
+        record = SimpleNamespace(
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+        )
         return [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
 
     def test_it_vanishes_for_the_right_laws_only(self):
@@ -209,9 +214,11 @@ class TestEquationError:
 
     def test_without_laws_that_act_it_is_one(self):
         """A strength of zero leaves all of the change of the speeds."""
-        t = np.linspace(0.0, SPAN, 300)
+        t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
-        record = SimpleNamespace(label="case", span=(0.0, SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False)
+        record = SimpleNamespace(
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+        )
         data = [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
 
@@ -303,7 +310,7 @@ class TestShapes:
         ],
     )
     def test_which_laws_need_a_search(self, name, searched):
-        record = SimpleNamespace(label="case", span=(0.0, SPAN))
+        record = SimpleNamespace(label="case", span=(BEGIN, BEGIN + SPAN))
         layout = ParameterLayout.of(Model.of(dict.fromkeys((*LINEAR, name))), [record])
         assert [e.name for e in unknown_shapes(layout, None)] == ([name] if searched else [])
         if searched:
@@ -313,7 +320,7 @@ class TestShapes:
 
     def test_a_bearing_law_alone_needs_none(self):
         law = resolve("bearing: k*abs(delta)**n*sign(delta)")
-        record = SimpleNamespace(label="case", span=(0.0, SPAN))
+        record = SimpleNamespace(label="case", span=(BEGIN, BEGIN + SPAN))
         for names, searched in ((("casing.air.linear",), False), (("bearing.linear",), True)):
             layout = ParameterLayout.of(Model.of(names).with_effect(law), [record])
             assert bool(unknown_shapes(layout, None)) is searched

@@ -440,3 +440,47 @@ class TestAngleNoise:
         angle.estimate_angle_noise(SimpleNamespace(samples=samples, lift=np.zeros((8, 1, 1))), None)
         levels = 0.3 * 10 ** (3 * np.array([2, 5, 8]) / 12)
         assert tried == pytest.approx(np.tile(0.5 * levels, len(angle._TIMES)))
+
+
+class TestWindowGroups:
+    """Means of groups of samples of one window, orthogonal to a polynomial."""
+
+    def groups(self):
+        t = 5.0 + np.linspace(0.0, 1.0, 480)
+        rng = np.random.default_rng(3)
+        samples = Samples(t, 900.0 * t + 1e-3 * rng.standard_normal(480), np.full(480, 1e-3))
+        window = SimpleNamespace(samples=samples, lift=np.zeros((1, 5, 5)))
+        return t, angle._WindowGroups(window, np.zeros((480, 0)), 1e-9, 1.0)
+
+    @pytest.mark.parametrize("time", [0.004, 0.05])
+    def test_the_likelihood_is_that_of_averaged_noise(self, time):
+        """The covariance of the means of groups of four samples by direct integration over each group."""
+        _, found = self.groups()
+        count, width = 120, 1.0 / 120
+        assert found.width == pytest.approx(width, rel=1e-6)
+        assert found.white == pytest.approx(np.full(count, 1e-6 / 4))
+        inner = (np.arange(64) + 0.5) / 64 * width
+        lag = np.abs(np.arange(count)[:, None] - np.arange(count)) * width
+        kernel = np.zeros((count, count))
+        for a in inner:
+            for b in inner[::8] + 3.5 * (inner[1] - inner[0]):
+                kernel += np.exp(-np.abs(lag + a - b) / time) / 512
+        kernel = 0.5 * (kernel + kernel.T)
+        complement, white = found._complement, found._whitening
+        ratios = np.array([1e-8, 1e-6])
+        rows, logs, squares = found.projected, [], []
+        for ratio in ratios:
+            v = np.eye(len(rows)) + ratio * white @ (complement.T @ kernel @ complement) @ white.T
+            logs.append(np.linalg.slogdet(v)[1])
+            squares.append(rows @ np.linalg.solve(v, rows))
+        determinant, square = found.likelihood_terms(time, ratios)
+        assert determinant == pytest.approx(logs, rel=0.01)
+        assert square == pytest.approx(squares, rel=0.01)
+
+    def test_a_motion_of_the_fifth_degree_leaves_nothing(self):
+        t, _ = self.groups()
+        motion = 900.0 * t + 3.0 * (t - 5.5) ** 5
+        window = SimpleNamespace(samples=Samples(t, motion, np.full(480, 1e-3)), lift=np.zeros((1, 5, 5)))
+        found = angle._WindowGroups(window, np.zeros((480, 0)), 1e-9, 1.0)
+        assert np.abs(found.projected).max() < 1e-3
+        assert len(found.projected) == 120 - 6

@@ -393,6 +393,15 @@ class TestDistinct:
         wide = [start_at(2.0, 10.0, sigma=0.01), start_at(2.0019, 11.0), start_at(2.0021, 12.0)]
         assert self.found(monkeypatch, wide) == [2.0, 2.0021]
 
+    @pytest.mark.parametrize("limit", [None, 0.3])
+    def test_the_limit_of_the_rate_is_passed_on(self, monkeypatch, limit):
+        limits = []
+        monkeypatch.setattr(decision, "_is_covered", lambda pair, start: True)
+        monkeypatch.setattr(decision, "_refine", lambda pair, start, limit: limits.append(limit))
+        pair = SimpleNamespace(clip=SimpleNamespace(time=np.zeros(9)))
+        decision._distinct(pair, [None], *(() if limit is None else (limit,)))
+        assert limits == [5e-3 if limit is None else limit]
+
     @pytest.mark.parametrize(("chi2", "kept"), [(219.0, True), (221.0, False)])
     def test_poor_solutions_are_dropped(self, monkeypatch, chi2, kept):
         """100 (1 + 60 / 100) + 60 = 220."""

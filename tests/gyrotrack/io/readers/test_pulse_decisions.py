@@ -339,6 +339,7 @@ class TestClock:
         else:
             assert clock_scale(table(ticks), ticks) == scale
             assert clock_scale(table(ticks), ticks + 0.5) == 1.0
+            assert clock_scale(table(ticks), ticks[::-1]) == scale
         assert clock_scale(table(ticks), np.array([math.nan])) == 1.0
 
 
