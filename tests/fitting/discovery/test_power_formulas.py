@@ -408,6 +408,22 @@ class TestCurves:
         assert module._profile_limit(free, response, data, bound, 0.4) == 0.4
 
 
+def test_the_score_of_a_law_is_that_of_its_best_shape(base, monkeypatch):
+    """A brake whose torque is largest at some critical speed."""
+    brake = LIBRARY["casing.brake.eddy"]
+    monkeypatch.setattr(module, "applicable_effects", lambda *_: [brake])
+    columns = CaseColumns(base, 0).trials(brake, [{"w": 10.0}])[0].columns[:, 0]
+    strong = gyroscope(level=1e-7, residual=[residuals(base) + columns / np.linalg.norm(columns) * 300.0])
+    strong.fails = lambda criteria: False
+    found = Search(strong, draws=20)
+    scored = found.scores()[brake.name]
+    each = found._common[brake.name].scores(
+        found._common[brake.name].basis.T @ found._level.residual[:, None]
+    )
+    assert scored.score == each.max() > 1.1 * each.min()
+    assert scored.shape == found._trials[brake.name][0][int(each.argmax())].shape
+
+
 def test_stricter_criteria_raise_the_thresholds(base, search, monkeypatch):
     monkeypatch.setattr(module, "applicable_effects", lambda *_: [DRAG, LAMINAR])
     strict = Search(base, criteria=Criteria(evidence=40.0), draws=50)

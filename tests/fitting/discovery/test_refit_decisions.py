@@ -73,6 +73,8 @@ class TestNoise:
             ((1.0,), (0.81,), False),
             ((1.0, 1.0), (1.0, 0.7), True),  # one case suffices
             ((1.0, 2.0), (1.2, 1.9), False),
+            ((2.0,), (1.5,), True),
+            ((0.5,), (0.45,), False),
         ],
     )
     def test_a_fifth_less_process_noise_counts_as_less(self, before, after, less):

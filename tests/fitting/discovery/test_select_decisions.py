@@ -632,6 +632,7 @@ class TestSeparateValues:
         monkeypatch.setattr(module, "improves_on_difference", lambda *_: improves)
         c = [
             candidate(DRAG, value=40.0, fit=Found(rival)),
+            candidate(LAMINAR, value=30.0, fit=None),
             candidate(LIBRARY["setup.inertia"], value=900.0, fit=None),
         ]
         found = separate_values(Found(wrong=wrong), c, (), DEFAULT)
@@ -683,6 +684,16 @@ class TestImprove:
         found, _ = self.improved(monkeypatch, [[candidate()]], self.always, max_steps=2)
         assert len(found) == 3
         assert found.stopped == ""
+
+    def test_a_step_that_fails_ends_it_and_keeps_those_before(self, monkeypatch):
+        def failing(history, chosen, found, *_):
+            yield Step(f"+{chosen.effect.name}", found, ())
+            raise SimulationError("the casing stops and starts too often to be followed")
+
+        found, counted = self.improved(monkeypatch, [[candidate()]], failing)
+        assert [s.change for s in found] == ["", f"+{DRAG.name}"]
+        assert found.stopped == f"{DRAG.name}: the casing stops and starts too often to be followed"
+        assert counted == []
 
     def test_nothing_is_added_without_a_candidate(self, monkeypatch):
         found, _ = self.improved(monkeypatch, [[candidate(significant=False)]], self.always)
