@@ -347,7 +347,8 @@ class TestShapes:
         law = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
         tried = [c["n"] for c in self.grid(law)]
         (shape,) = (p for p in law.parameters if p.symbol == "n")
-        assert tried == [v for v in module._POWERS if shape.lower <= v <= shape.upper]
+        every = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
+        assert tried == [v for v in every if shape.lower <= v <= shape.upper]
         assert len(tried) > 3
 
     def test_the_number_of_trials_is_limited(self):

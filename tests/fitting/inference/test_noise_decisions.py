@@ -150,13 +150,17 @@ class TestStretches:
         found, times = estimate_process_noise(
             data, np.zeros((blocks * rows, 0)), np.zeros((0, 0)), angle=True
         )
-        assert times == pytest.approx(2.0 * np.array(process._TIMES))
+        assert times == pytest.approx([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0, 6.0])
         return [len(p.stretch.blocks) for p in found.parts], made
 
     def test_a_long_record_has_six_stretches(self, monkeypatch):
         lengths, made = self.divided(monkeypatch, 24, lambda *_: False)
         assert lengths == [4] * 6
-        assert {s.degree for s in made} <= {process._DEGREE, 4 * 7 // 3}
+        assert {s.degree for s in made} == {9, 11}  # a third of the rows, at most 11
+
+    def test_the_degree_of_a_long_stretch_is_eleven(self, monkeypatch):
+        _, made = self.divided(monkeypatch, 60, lambda coarse, finer: len(coarse.parts) == 6)
+        assert {s.degree for s in made if len(s.blocks) == 10} == {11}
 
     def test_a_short_record_has_stretches_of_four_blocks(self, monkeypatch):
         assert self.divided(monkeypatch, 11, lambda *_: False)[0] == [6, 5]
@@ -375,7 +379,7 @@ class TestAngleNoise:
         assert noise.gain == pytest.approx(gain)
         assert noise.is_significant is found
         assert [k for k, _ in kinds] == [0]
-        assert kinds[0][1] == pytest.approx(2.5 * np.array(angle._TIMES))
+        assert kinds[0][1] == pytest.approx(2.5 * 2.0 ** np.arange(-5, 2))
         if found:  # the square of a log-normal level of 2 with a relative uncertainty of 0.1
             assert noise.root[0, 0] ** 2 == pytest.approx(1 + 4.0 * math.exp(0.02), rel=1e-6)
             assert noise.root[1, 1] == pytest.approx(1.0)
@@ -439,7 +443,7 @@ class TestAngleNoise:
         samples = Samples(t, 900.0 * t, np.full(100, 1e-3))
         angle.estimate_angle_noise(SimpleNamespace(samples=samples, lift=np.zeros((8, 1, 1))), None)
         levels = 0.3 * 10 ** (3 * np.array([2, 5, 8]) / 12)
-        assert tried == pytest.approx(np.tile(0.5 * levels, len(angle._TIMES)))
+        assert tried == pytest.approx(np.tile(0.5 * levels, 7))
 
 
 class TestWindowGroups:

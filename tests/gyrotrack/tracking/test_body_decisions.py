@@ -492,3 +492,27 @@ def test_a_view_knows_which_markers_are_whole():
     again = view(seen.markers, seen.observations, (640, 480))
     assert not again.whole["rotor0"][3]
     assert again.inside["rotor0"][3]
+
+
+def test_typical_errors_have_their_stated_sizes():
+    """0.09 px of an encoder and 0.8 mrad of the light; a millimetre of height, half a pixel between luma and chroma."""
+    seen = markers_of("rotor", (60.0, 100.0))
+    assert usual_error_by_place(seen, 4) == pytest.approx(math.hypot(0.045, 0.8e-3 * 80.0))
+    assert usual_error_of_harmonic(seen, 4) == pytest.approx(usual_error_by_place(seen, 4) / math.sqrt(6.0))
+    assert (HEIGHT, LUMA_SHIFT, DEPTH, module.PERSPECTIVE) == (0.03, 0.5, 0.5, 0.05)
+
+
+@pytest.mark.parametrize(("turns", "parabolas"), [(9.9, False), (10.1, True), (-10.1, True)])
+def test_the_zero_of_a_texture_varies_after_ten_turns(monkeypatch, turns, parabolas):
+    asked = []
+
+    def slow(off, *, parabolas):
+        asked.append(parabolas)
+        raise StopIteration
+
+    monkeypatch.setattr(module, "_slow_part", slow)
+    found = body(np.linspace(0.0, turns * 2 * np.pi, 400))
+    texture = SimpleNamespace(levelled=lambda centre, p, q: found.angle)
+    with pytest.raises(StopIteration):
+        module.by_texture(found, texture, path(), NO_FLATTENING, found.angle, 100.0, 1e-3)
+    assert asked == [parabolas]

@@ -85,7 +85,7 @@ class TestBands:
         window = Windows.plain(np.zeros((1, len(RADII), len(ANGLES))))
         left, right = module._side_edges(window, RADII, ANGLES, inner, outer)
         ((rows, most),) = seen
-        assert (RADII[rows[0]], RADII[rows[-1]], most) == (first, last, module.SIDE_BANDS)
+        assert (RADII[rows[0]], RADII[rows[-1]], most) == (first, last, 4)
         assert (left[0].tolist(), right[0].tolist()) == ([-0.2], [0.2])
 
     @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ class TestBands:
         module._near_edge(window, RADII, ANGLES, np.array([half]), np.array([middle]))
         ((chosen, most),) = seen
         assert ANGLES[chosen[[0, -1]]] == pytest.approx(columns)
-        assert most == module.NEAR_BANDS
+        assert most == 5
 
     def test_a_marker_at_the_border_has_no_near_edge(self):
         """Its brightest row is the first one."""

@@ -194,6 +194,9 @@ class TestClosedCurve:
             rng.uniform(0.5e6, 2e6, 900),
         )
 
+    def test_it_has_72_knots(self):
+        assert KNOTS == 72
+
     def test_it_minimises_the_penalised_sum(self):
         """sum w (r - B c)^2 + |D2 c|^2 / 4e-3^2 + |c|^2 / 3e-2^2."""
         angle, residual, weight = self.data()
