@@ -137,6 +137,19 @@ def test_correlation_times_are_at_most_a_sixth_of_the_record():
     assert found.noise.time <= SPAN / 6 * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("noisy", [0, 1])
+def test_the_mean_torque_is_that_of_the_case_with_the_largest_random_torque(noisy):
+    rows = [rows_of(4e-7 if i == noisy else 0.0, 1.0, seed=5 + i) for i in (0, 1)]
+    friction = {"touchpoint.constant.b1@a": 1e-5, "touchpoint.constant.b1@b": 4e-5}
+    base = gyroscope(values=friction, cases=("a", "b"), level=1e-9, residual=rows)
+    noise = tuple(Level(n.level, n.pure, 1.0, n.least, n.whitener) for n in base.noise)
+    torques = [mean_torque(base, i) for i in (0, 1)]
+    assert abs(torques[0] / torques[1] - 1) > 0.01
+    found = with_random_torque(Seen(base.problem, base.theta, base.predictions, noise, 1e9), DEFAULT)
+    assert found.noise is found.fit.noise[noisy]
+    assert found.mean_torque == torques[noisy]
+
+
 def test_white_noise_has_the_level_of_the_recording():
     base = seen(rows_of(0.0, 1.0), level=1e-12)
     found = with_random_torque(base, DEFAULT)
