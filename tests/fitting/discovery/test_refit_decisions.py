@@ -294,6 +294,7 @@ class TestChangepoint:
         case.predict = lambda theta: tried.append(theta[0]) or own(theta)
         local_changepoints(fit, STEP)
         assert 0.1 <= min(tried) < max(tried) <= 9.9
+        assert len(tried) == 48 + 1  # and the present one
 
     def test_times_without_a_solution_are_left_out(self):
         found = local_changepoints(stepping(5.3, 5.0, fails_after=5.2), STEP)

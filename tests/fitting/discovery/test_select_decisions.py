@@ -599,6 +599,66 @@ class TestSelect:
         assert (found.candidates == separated) is kept
 
 
+class TestPassedOn:
+    """Effects of the user, criteria and workers reach every step."""
+
+    OWN = (DRAG,)
+
+    def test_by_rank(self, monkeypatch):
+        base, asked = Found(), []
+        monkeypatch.setattr(module, "applicable_effects", lambda *args: asked.append(args) or [])
+        monkeypatch.setattr(module, "CaseColumns", lambda *_: None)
+        monkeypatch.setattr(module, "score", lambda *args: asked.append(args) or [score()])
+        monkeypatch.setattr(module, "NullDistribution", lambda scored: Null())
+        monkeypatch.setattr(module, "FamilywiseNull", lambda nulls: lambda p, weights: float(p @ weights))
+        monkeypatch.setattr(module, "starts_are_unknown", lambda data: False)
+        strict = Criteria(significance=0.001)
+        used = []
+        workers = SimpleNamespace(map=lambda *args: used.append(args) or [candidate()])
+        rank(base, self.OWN, criteria=strict, workers=workers)
+        assert asked == [(base, self.OWN), (base, [], [None], strict)]
+        ((function, fit, (promising,), _),) = used
+        assert (function, fit, promising.criteria) == (module._refit_candidate, base, strict)
+
+    def test_by_select_and_improve(self, monkeypatch):
+        asked = []
+
+        def recorded(*args, **options):
+            asked.append((args, options))
+            return []
+
+        strict, base, first = Criteria(crowded=9), Found(), [candidate()]
+        monkeypatch.setattr(module, "refined", lambda found, criteria: Found(wrong=True))
+        monkeypatch.setattr(module, "has_less_process_noise", lambda *_: False)
+        monkeypatch.setattr(module, "improve", recorded)
+        select(base, first, self.OWN, strict, "workers")
+        assert asked == [
+            ((base, self.OWN), {"criteria": strict, "max_steps": 2, "first": first, "workers": "workers"})
+        ]
+        asked.clear()
+        monkeypatch.setattr(module, "rank", recorded)
+        monkeypatch.setattr(module, "separate_values", lambda *args: asked.append(args))
+        improve(base, self.OWN, criteria=strict, workers="workers")
+        assert asked == [
+            ((base, self.OWN), {"criteria": strict, "workers": "workers"}), (base, [], self.OWN, strict),
+        ]  # fmt: skip
+        asked.clear()
+        monkeypatch.setattr(module, "separate_values", lambda *args: None)
+        monkeypatch.setattr(module, "_steps", lambda *args: asked.append(args[3:]) or iter(()))
+        improve(base, self.OWN, criteria=strict, workers="workers", first=first)
+        assert asked == [(self.OWN, strict, "workers")]
+
+    def test_by_a_parameter_that_differs(self, monkeypatch):
+        asked = []
+        separate = SimpleNamespace(fit=Found(), penalised_bic=0.0)
+        monkeypatch.setattr(module, "different_parameter", lambda base, criteria, *, least: separate)
+        monkeypatch.setattr(module, "applicable_effects", lambda *args: asked.append(args) or [DRAG, STEP])
+        monkeypatch.setattr(module, "improves_on_difference", lambda *args: asked.append(args))
+        base, strict = Found(wrong=True), Criteria(crowded=9)
+        separate_values(base, [], self.OWN, strict)
+        assert asked == [(base, self.OWN), (separate, [DRAG, STEP], [0.0, 0.0], strict)]
+
+
 class TestFreeShape:
     @pytest.mark.parametrize(("rival", "free"), [(None, True), (19.0, False), (21.0, True)])
     def test_a_free_shape_has_less_bic_than_another_effect(self, monkeypatch, rival, free):

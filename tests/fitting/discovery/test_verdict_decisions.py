@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, Criteria
+from fitting._workers import WorkerPool
 from fitting.discovery import _verdict as module
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
@@ -104,11 +105,12 @@ class Answer:
             "whiteness": [], "residual_torques": [], "angle_harmonics": [], "combined_uncertainties": {},
             "reselected": None,
         }  # fmt: skip
-        self.asked = []
+        self.asked, self.arguments = [], {}
 
         def step(name):
             def run(*args, **options):
                 self.asked.append(name)
+                self.arguments[name] = (args, options)
                 return self.given[name]
 
             return run
@@ -140,6 +142,29 @@ class TestVerdict(Answer):
         found = self.answer(Found(), brief=False, largest_hidden=(limit,))
         assert found.upper_limits == (limit,)
         assert f"95 % upper limits of the rms torque: {DRAG} 0.3 uN m." in found.sentence
+
+    def test_effects_of_the_user_and_criteria_are_passed_on(self):
+        own, strict = candidate().effect, Criteria(significance=0.001)
+        base, workers = Found(wrong=True), WorkerPool(0)
+        known, history = [candidate()], ["step"]
+        diagnose(base, (own,), criteria=strict, workers=workers)
+        assert self.arguments["rank"] == ((base, (own,)), {"criteria": strict, "workers": workers})
+        diagnose(
+            base, (own,), criteria=strict, candidates=known, history=history, workers=workers, brief=True
+        )
+        assert self.arguments["separate_values"] == ((base, known, (own,), strict), {})
+        assert self.arguments["select"] == ((base, known, (own,), strict, workers, history), {})
+        final = self.given["select"]
+        assert self.arguments["with_free_inertia"] == ((base, final, (own,), strict), {})
+        assert self.arguments["grade"] == ((base, final, None, strict), {"misfit": False})
+        assert self.arguments["contradiction"] == ((None, final.final, strict), {})
+        self.answer(Found(), brief=False)
+        assert self.arguments["largest_hidden"][0][1:] == ((), DEFAULT)
+        self.answer(
+            select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(), describes=True
+        )
+        ((random, named_fit, tests, _), _) = self.arguments["is_established"]
+        assert (random, named_fit, tests) == (self.given["with_random_torque"], self.given["select"].named, 1)
 
     def test_a_lack_of_fit_that_nothing_explains(self):
         found = self.answer(

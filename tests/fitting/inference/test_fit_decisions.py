@@ -360,6 +360,19 @@ class TestFit:
         found = fit(model, data, noise=given, start=start, steady=steady, quick=quick)
         return calls, found
 
+    def test_choices_and_ranges_reach_the_layout(self, monkeypatch):
+        layouts = []
+        self.fitted(monkeypatch, given="given", start=KNOWN)
+        monkeypatch.setattr(
+            module,
+            "ParameterLayout",
+            SimpleNamespace(of=lambda *args: layouts.append(args) or SimpleNamespace(names=("a.k",))),
+        )
+        model = SimpleNamespace(restoring=False, free=("a.k", "b.k"))
+        data = [body([1.0, 2.0])]
+        fit(model, data, share=["s"], per_case=["p"], ranges={"a.k": (0.0, 1.0)}, noise="given", start=KNOWN)
+        assert layouts[0] == (model, [data[0].record], ["s"], ["p"], {"a.k": (0.0, 1.0)})
+
     def test_noise_of_an_earlier_fit_is_refined_once(self, monkeypatch):
         calls, found = self.fitted(monkeypatch, given="given", start=KNOWN)
         assert calls == [("given", (), False, None), ("given+", (), False, "active 1")]

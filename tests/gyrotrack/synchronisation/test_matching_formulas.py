@@ -675,9 +675,11 @@ class TestCommonRate:
         """p = 1e-4 of one degree of freedom is 15.14."""
 
         def solved(pairs, starts, *, common_rate, turns=None, windows=None):
+            asked.append((common_rate, windows))
             chi2 = 100.0 + (rise if common_rate else 0.0)
             return Solution(tuple(starts), np.eye(6) * 1e-8, chi2, True, tuple(starts))
 
+        asked = []
         monkeypatch.setattr(decision, "_solve", solved)
         monkeypatch.setattr(
             decision, "_common_direction", lambda pairs, best, *, common_rate: ([None, None], best)
@@ -688,10 +690,20 @@ class TestCommonRate:
         ]
         found = decision._match_camera(clips)
         assert [m.common_rate for m in found] == [common] * 2
+        # chi2 of the free rates is compared in the same windows
+        assert asked[1] == (False, tuple(c.solutions[0].starts[0] for c in clips))
         assert [m.start.offset for m in found] == [1.0, 5.0]
         assert found[0].offset_sigma == pytest.approx(1e-4)
         (alone,) = decision._match_camera(clips[:1])
         assert not alone.common_rate
+
+
+def test_a_joint_solution_has_the_prior_of_the_rate(monkeypatch):
+    asked = []
+    monkeypatch.setattr(decision, "solve", lambda *args, **options: asked.append((args, options)))
+    decision._solve("pairs", "starts", common_rate=True, turns=[1], windows="windows")
+    options = {"rate_sigma": 1e-3, "common_rate": True, "turns": [1], "windows": "windows"}
+    assert asked == [(("pairs", "starts"), options)]
 
 
 class TestCase:

@@ -81,6 +81,40 @@ class TestSplit:
         assert module._second_start(packets(1000, keys), part) == expected
 
 
+class TestBeginning:
+    @pytest.mark.parametrize(
+        ("keys", "part", "stop"),
+        [([0, 300], Part(), 300), ([0], Part(), 256), ([0, 900], Part(first=900, start=9100), 999)],
+    )
+    def test_a_part_begins_up_to_a_key_frame_or_256_frames(self, monkeypatch, keys, part, stop):
+        """At most to the last frame of the film."""
+        film = packets(1000, keys)
+        opened, learnt = [], []
+
+        class Reader:
+            stamps, bad_packets, corrupt = "stamps", 1, 2
+
+            def __init__(self, path, threads, part, info):
+                opened.append(part)
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+        work = SimpleNamespace(filled=3, learn_batch=lambda: learnt.append(1))
+        monkeypatch.setattr(module, "Reader", Reader)
+        monkeypatch.setattr(module, "_taken", lambda *_: iter(()))
+        monkeypatch.setattr(module.pickle, "loads", lambda _: work)
+        found = module._begin(
+            SimpleNamespace(packets=film, tracker=b"", info=SimpleNamespace(path="")), part, 1
+        )
+        assert opened[0].stop == 100 + 10 * stop
+        assert (opened[0].first, opened[0].start) == (part.first, part.start)
+        assert (found.stamps, found.bad_packets, found.corrupt, learnt) == ("stamps", 1, 2, [1])
+
+
 class TestAdvance:
     def test_steps_are_in_median_periods(self):
         """A frame that is missing doubles the step; the first frame of the film has none."""
@@ -178,6 +212,31 @@ class TestRows:
         assert rows["rotor/texture/angle"] == pytest.approx(angle)
         assert rows["again"].tolist() == [False] * 20 + [True] * 14
         assert rows[module._STAMPS].tolist() == (100 + 10 * np.arange(34)).tolist()
+
+    @pytest.mark.parametrize(
+        ("change", "belongs"),
+        [
+            ({}, True),
+            ({"part": 2}, False),
+            ({"parts": 3}, False),
+            ({"frames": 13}, False),
+            ({"corrupt": -1}, False),
+            ({"bad_packets": None}, False),
+        ],
+    )
+    def test_a_record_of_this_film(self, change, belongs):
+        store, _, _ = self.made()
+        found = store._memory[1]
+        arrays = found.rows | {module._STAMPS: found.stamps}
+        store._columns = {name: (a.shape[1:], a.dtype.str) for name, a in arrays.items()}
+        facts = store._facts[1] | change
+        assert store._belongs(SimpleNamespace(facts=facts, arrays=arrays)) is belongs
+        if not change:
+            strange = arrays | {module._STAMPS: found.stamps + 1}
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays=strange))
+            short = arrays | {"again": arrays["again"][1:]}
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays=short))
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays={module._STAMPS: found.stamps}))
 
     def test_parts_that_are_not_done(self):
         store, _, _ = self.made()
