@@ -15,6 +15,7 @@ from gyrotrack.tracking._fusion import (
     Residuals,
     closed_curve,
     curve_at,
+    join,
     learn_neighbours,
     learn_places,
     learn_view,
@@ -486,3 +487,26 @@ class TestHidden:
             [3.0, 4.0], [1, 2], [1.0, 2.0],
         )  # fmt: skip
         assert SimpleNamespace(**vars(again)).sigma.tolist() == [0.3, 0.4]
+
+
+class TestJoin:
+    @pytest.mark.parametrize("above", [False, True])
+    def test_the_other_body_is_followed_in_each_round(self, monkeypatch, above):
+        """The errors near its markers are learnt in windows of the curve, and for good in the last round."""
+        seen = []
+
+        def learn(state, smooth, other, window, *, above, last):
+            seen.append((other, window, above, last))
+
+        monkeypatch.setattr(module, "learn_neighbours", learn)
+        given, other = state(), np.linspace(0.0, 9.0, N)
+        found = join(given.path, given.candidates, 1000.0, other, above=above)
+        window = module.learning_window(given.path)
+        assert [s[1:] for s in seen] == [
+            (window, above, last) for last in [False] * (module.ROUNDS - 1) + [True]
+        ]
+        assert all(s[0] is other for s in seen)
+        assert found.angle - found.angle[0] == pytest.approx(given.path, abs=1e-9)
+        seen.clear()
+        join(given.path, given.candidates, 1000.0)
+        assert seen == []
