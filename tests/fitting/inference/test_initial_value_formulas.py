@@ -264,6 +264,22 @@ class TestGivenValues:
         assert found["casing.air.linear.b2"] == (7.0 if kept else 10.0)
         assert found["casing.spring.linear.k"] == (0.0 if zero else 9.0 if kept else 10.0)
 
+    @pytest.mark.parametrize(
+        "known", [("omega_c@a",), ("omega_c@a", "deflection@a"), ("omega_c@a", "deflection@b")]
+    )
+    def test_one_deflection_of_several_runs_is_enough(self, monkeypatch, known):
+        given = {f"initial.{k}": 0.5 for k in known} | {"casing.air.linear.b2": 7.0}
+        records = [SimpleNamespace(label=c, span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0) for c in "ab"]
+        layout = ParameterLayout.of(Model.of(("casing.spring.linear", "casing.air.linear")), records)
+        data = SimpleNamespace(initial_speeds=([], []), prior=None)
+        problem = SimpleNamespace(layout=layout, data=[data] * 2, reference=1.0)
+        monkeypatch.setattr(module, "_deflection", lambda *_: None)
+        monkeypatch.setattr(module, "start_values", lambda *_: np.full(len(layout.names), 9.0))
+        monkeypatch.setattr(module, "averaged", lambda *_: None)
+        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: theta + 1.0)
+        found = dict(zip(layout.names, initial_values(problem, given), strict=True))
+        assert (0.5 in found.values()) is (len(known) == 2)
+
     @pytest.mark.parametrize(("error", "taken"), [(0.9, "averaged"), (1.1, "periods"), (None, "periods")])
     def test_averaged_equations_are_taken_where_they_follow_the_phase(self, monkeypatch, error, taken):
         record = SimpleNamespace(label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0)
@@ -385,6 +401,19 @@ class TestShapes:
     def test_a_step_beyond_the_bounds_or_without_response_is_none(self, change):
         assert self.stepped(**change)[2] is None
 
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_bounds_of_the_strength(self, sign):
+        r, _, (_, end) = self.stepped(lower=-np.inf, residual=sign * np.array([1.0, -3.0, 0.5]))
+        below, above = end[1] - 1e-6, end[1] + 1e-6
+        for lower, upper, possible in (
+            (below, np.inf, True),
+            (above, np.inf, False),
+            (-np.inf, above, True),
+            (-np.inf, below, False),
+        ):
+            found = self.stepped(lower=lower, upper=upper, residual=r)[2]
+            assert (found is not None) is possible
+
     def test_a_variable_without_response_does_not_move(self):
         _, _, (_, end) = self.stepped(jacobian=np.array([[0.0, 2.0], [0.0, 1.0], [0.0, 1.0]]))
         assert end[0] == 5.0
@@ -410,7 +439,10 @@ class TestShapes:
                 determinant = SimpleNamespace(log_determinant=10 * level)
                 return Level(level=level, least=self.least, whitener=determinant)
 
+        tried = []
+
         def stepped(trial, begin, predictions, places):
+            tried.append(trial.level)
             return (abs(begin[1] - 2.0) * 30 + 1 / trial.level, begin + np.array([trial.level, 0.0]))
 
         monkeypatch.setattr(module, "_grid", lambda *_: iter([{"w": w} for w in (1.0, 2.0, 3.0)]))
@@ -426,6 +458,17 @@ class TestShapes:
         # 10 s + 1 / s is least at 0.3 of the trial levels, and no level is below 0.05
         assert theta.tolist() == [0.3, 2.0]
         assert found.level == 0.3
+        assert tried[::2] == pytest.approx([1.0, 0.3, 0.1, 0.05, 0.05, 0.05])
+        tried.clear()
+        noise = [Level(level=10.0, least=0.0)]
+        initial_shapes(
+            self.problem(None),
+            np.array([7.0, 9.0]),
+            [LIBRARY["touchpoint.stribeck"]],
+            fitted=True,
+            noise=noise,
+        )
+        assert tried[::2] == pytest.approx([10.0, 3.0, 1.0, 0.3, 0.1, 0.01])
 
     def test_without_a_possible_step_nothing_changes(self, monkeypatch):
         class Level(SimpleNamespace):
