@@ -1,5 +1,7 @@
 """How a film is divided, and how its parts are put together again: small cases on either side of each rule."""
 
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from gyrotrack.tracking._film_parts import (
     OVERLAP,
     PART,
     PartRows,
+    PartWorkers,
     split,
     turns_between,
     zero_between,
@@ -248,3 +251,56 @@ class TestRows:
 def test_frames_of_an_unfinished_run(frames, done):
     journal = SimpleNamespace(records=lambda: [SimpleNamespace(facts={"frames": n}) for n in frames])
     assert module.frames_done(journal) == done
+
+
+class TestWorkers:
+    """Parts of 30 frames; a process that has done its part says so at once."""
+
+    def workers(self, parts, *, others=None, broken=(), refused=()):
+        made = PartWorkers.__new__(PartWorkers)
+        made.parts, made.count, made._done, made._executor = parts, 3, None, None
+        if others is not None:
+            made._done = SimpleNamespace(value=others)
+
+            def submit(run, task, film, part):
+                if part in refused:
+                    raise OSError
+                future: Future[str] = Future()
+                if part in broken:
+                    future.set_exception(BrokenProcessPool())
+                else:
+                    future.set_result(f"{part} by a process")
+                return future
+
+            made._executor = SimpleNamespace(submit=submit)
+        return made
+
+    def ran(self, workers, todo, **options):
+        said = []
+        task = lambda film, part, threads, count: count(30) or f"{part} by {threads}"  # noqa: E731
+        found = dict(workers.run(task, "film", todo, 4, lambda *a: said.append(a), **options))
+        return found, said
+
+    def test_one_process_runs_all_parts_and_counts_their_frames(self):
+        found, said = self.ran(self.workers("abc"), [0, 2], done=100, total=140)
+        assert found == {0: "a by 4", 2: "c by 4"}
+        assert said == [(130, 140), (140, 140)]  # at most all
+        assert self.ran(self.workers("abc"), [1])[1] == [(30, None)]
+
+    def test_processes_take_the_first_parts_and_count_theirs(self):
+        found, said = self.ran(self.workers("ab", others=50), [1], done=100, total=999)
+        assert found == {1: "b by 4"}  # one part needs no process
+        assert said == [(180, 999)]
+        found, _ = self.ran(self.workers("ab", others=50), [0, 1])
+        assert found == {0: "a by a process", 1: "b by a process"}
+
+    def test_a_part_whose_process_was_killed_is_run_again(self):
+        found, said = self.ran(self.workers("ab", others=50, broken="a"), [0, 1], done=7, total=999)
+        assert found[0] == "a by 1"
+        assert said[-1][0] >= 87
+
+    def test_beside_a_process_a_part_has_one_thread(self):
+        found, _ = self.ran(self.workers("abc", others=0, refused="b"), [0, 1, 2])
+        assert found == {0: "a by a process", 1: "b by 1", 2: "c by 1"}
+        found, _ = self.ran(self.workers("abc", others=0, refused="abc"), [0, 1, 2])
+        assert found[0] == "a by 4"
