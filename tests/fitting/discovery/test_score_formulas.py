@@ -1,6 +1,7 @@
 """The score test against generalised least squares, its columns against differences, its p-values against formulas."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,6 +88,17 @@ class TestColumns:
         assert grid[::8] == pytest.approx(declared)
         assert len(grid) == 8 * (len(declared) - 1) + 1
         assert np.diff(grid)[:8] == pytest.approx(np.full(8, (declared[1] - declared[0]) / 8))
+
+    def test_the_cell_of_a_changepoint_has_the_mean_of_both_sides(self):
+        columns, step = CaseColumns(gyroscope(), 0), LIBRARY["touchpoint.step"]
+        constant = columns._units(LIBRARY["touchpoint.constant"], [{}])[:, 0]
+        low, high = columns.response.edges[[40, 41]]
+        for share in (0.2, 0.9):  # of the cell before the changepoint
+            unit = columns._units(step, [{"t0": low + share * (high - low)}])[:, 0]
+            assert unit[40] == pytest.approx((1 - share) * constant[40], rel=2e-3)
+            turned = replace(step, law="-k*heaviside(t0 - t)*sign(omega_c)")
+            rest = columns._units(turned, [{"t0": low + share * (high - low)}])[:, 0]
+            assert rest == pytest.approx(constant - unit, rel=2e-3, abs=1e-9)
 
     def test_a_changepoint_outside_of_the_record_is_always_or_never(self):
         columns, step, constant = (

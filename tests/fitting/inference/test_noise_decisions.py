@@ -488,3 +488,26 @@ class TestWindowGroups:
         found = angle._WindowGroups(window, np.zeros((480, 0)), 1e-9, 1.0)
         assert np.abs(found.projected).max() < 1e-3
         assert len(found.projected) == 120 - 6
+
+
+class TestGrid:
+    @pytest.mark.parametrize(
+        ("place", "width", "ends"),
+        [(7, 1, (6, 8)), (0, 1, (0, 1)), (14, 1, (13, 14)), (4, 3, (3, 7)), (4, 6, (3, 10)), (4, 7, None)],
+    )
+    def test_times_are_refined_where_their_weight_is(self, monkeypatch, place, width, ends):
+        """To those next to the ones with a ten thousandth of the largest weight, if these are less than half."""
+        times, asked = np.geomspace(1.0, 100.0, 15), []
+
+        def posterior(likelihood, times, resolution, typical):
+            asked.append(times)
+            density = np.full((15, 4), 1e-9)
+            density[place] = 0.2
+            density[place : place + width] = np.maximum(density[place : place + width], 0.2 * 2e-4)
+            return np.tile(np.geomspace(1.0, 2.0, 4), (15, 1)), density / density.sum()
+
+        monkeypatch.setattr(process, "_posterior", posterior)
+        process._process_noise(SimpleNamespace(unit=lambda time: 1.0), times, 1.0)
+        assert len(asked) == (1 if ends is None else 2)
+        if ends is not None:
+            assert asked[1] == pytest.approx(np.geomspace(times[ends[0]], times[ends[1]], 15))

@@ -155,7 +155,7 @@ class TestChecks:
             Prior(("a.k",), (mean,), ((variance,),))
 
     @pytest.mark.parametrize("sizes", [(1.0, 1.0), (1e-9, 1e3)])  # whatever the units
-    @pytest.mark.parametrize(("rest", "singular"), [(4e-13, False), (2e-14, True)])
+    @pytest.mark.parametrize(("rest", "singular"), [(2e-13, False), (7e-14, True)])
     def test_a_correlation_up_to_rounding_is_singular(self, sizes, rest, singular):
         """The smaller eigenvalue of the correlations is 1 - r; the limit is 1e-13."""
         a, b = sizes

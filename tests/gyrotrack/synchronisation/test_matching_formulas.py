@@ -204,6 +204,25 @@ class TestNormal:
         curvature = (values[0] - 2 * values[1] + values[2]) / step[place] ** 2
         assert here.matrix[place, place] == pytest.approx(0.5 * curvature, rel=0.02)
 
+    def test_spline_and_harmonics_are_fitted_jointly_with_their_priors(self):
+        """A clip with errors once a turn that exceed their prior of a fiftieth."""
+        pair, start = self.pair(), Start(4.0, 1e-4, 0.7)
+        clip = replace(pair.clip, angle=pair.clip.angle + 0.1 * np.sin(pair.clip.angle))
+        casing = casing_around(pair, start)
+        moment = start.casing_times(clip.time)
+        design = casing.design(moment)
+        size = design.shape[1]
+        left = clip.angle + start.angle - casing.reference(moment) - design @ casing.best[:size]
+        rows = np.hstack([design, np.zeros((len(left), 4)), harmonics(clip.angle)]) / clip.sigma[:, None]
+        information = np.linalg.cholesky(casing.information).T
+        stacked = np.vstack([rows, block_diag(information, np.eye(4) / 0.02)])
+        aim = np.concatenate([left / clip.sigma, np.zeros(len(stacked) - len(left))])
+        best = np.linalg.lstsq(stacked, aim, rcond=None)[0]
+        found = normal(clip, start, casing)
+        assert found.chi2 == pytest.approx(np.sum((aim - stacked @ best) ** 2))
+        assert found.residual_clip == pytest.approx((aim - stacked @ best)[: len(left)], abs=1e-4)
+        assert found.chi2 > len(left) + 4.0
+
     def test_residuals_are_those_of_the_joint_fit(self):
         pair = self.pair()
         casing = casing_around(pair, Start(4.0, 1e-4, 0.7))
@@ -237,7 +256,8 @@ class TestNormal:
         for common, count in ((True, 1), (False, 2)):
             link = link_matrix(common_rate=common, shared_angle=[False, False])
             found = matching._combined(parts, starts, 1e-3, link)
-            assert found.chi2 == pytest.approx(sum(n.chi2 for n in own) + count * 4.0 + 2 * 0.01)
+            prior = found.chi2 - sum(n.chi2 for n in own)
+            assert prior == pytest.approx(count * 4.0 + 2 * 0.01, abs=1e-5)
             # half of the derivative of -(eps / s)^2 and of -(0.5 / 5)^2, and half of the second one of their negatives
             share = count / 2
             prior = np.tile([-0.5 / 25.0, -share * 2e-3 * 1e6, 0.0], 2)

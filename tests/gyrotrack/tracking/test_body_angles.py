@@ -180,7 +180,8 @@ class TestPathOfTheHub:
         assert not module._is_better(before, after)
         assert not module._is_better(2.0 * after[:, :32], after[:, :32])
 
-    def test_an_offset_on_the_casing_is_recovered_from_radii(self):
+    @pytest.mark.parametrize("outlier", [5.0, -5.0])
+    def test_an_offset_on_the_casing_is_recovered_from_radii(self, outlier):
         rng = np.random.default_rng(1)
         direction = np.angle(np.exp(1j * 0.37 * np.arange(2000)))
         casing = 0.01 * np.arange(2000)
@@ -190,7 +191,7 @@ class TestPathOfTheHub:
         excess += (
             0.4 * np.cos(direction) - 0.2 * np.sin(2 * direction) + 0.7
         )  # offset and flattening of the orbit
-        excess[::97] += 5.0
+        excess[::97] += outlier
         normal, right = module._offset_on_casing(Radii(direction, excess), casing)
         np.testing.assert_allclose(np.linalg.solve(normal, right), d, atol=0.01)
         # the normal equations are in units of the variance: their inverse is the covariance, 0.05^2 / (n / 2)

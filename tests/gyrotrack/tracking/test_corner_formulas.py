@@ -90,7 +90,13 @@ class TestBands:
 
     @pytest.mark.parametrize(
         ("half", "middle", "columns"),
-        [(0.2475, 0.0, (-0.195, 0.195)), (0.2475, 0.1, (-0.095, 0.295)), (0.001, 0.0, (-0.005, 0.005))],
+        [
+            (0.2475, 0.0, (-0.195, 0.195)),
+            (0.2475, 0.1, (-0.095, 0.295)),
+            (0.001, 0.0, (-0.005, 0.005)),
+            (0.01, 0.2, (0.195, 0.205)),
+            (0.0055, 0.2, (-0.005, 0.005)),
+        ],
     )
     def test_columns_of_the_near_edge(self, monkeypatch, half, middle, columns):
         """Within 0.8 of the half width about the middle; three at least."""

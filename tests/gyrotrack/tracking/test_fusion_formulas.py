@@ -502,9 +502,7 @@ class TestJoin:
         given, other = state(), np.linspace(0.0, 9.0, N)
         found = join(given.path, given.candidates, 1000.0, other, above=above)
         window = module.learning_window(given.path)
-        assert [s[1:] for s in seen] == [
-            (window, above, last) for last in [False] * (module.ROUNDS - 1) + [True]
-        ]
+        assert [s[1:] for s in seen] == [(window, above, last) for last in [False] * 4 + [True]]
         assert all(s[0] is other for s in seen)
         assert found.angle - found.angle[0] == pytest.approx(given.path, abs=1e-9)
         seen.clear()
