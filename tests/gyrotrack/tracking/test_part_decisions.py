@@ -10,9 +10,6 @@ import pytest
 from gyrotrack.tracking import _film_parts as module
 from gyrotrack.tracking._film_parts import (
     LEARNT,
-    LEAST_PART,
-    OVERLAP,
-    PART,
     PartRows,
     PartWorkers,
     split,
@@ -35,12 +32,12 @@ def packets(count, keys, **options):
 class TestSplit:
     @pytest.mark.parametrize(
         ("count", "parts"),
-        [(2 * LEAST_PART - 1, 1), (2 * LEAST_PART, 2), (2 * PART, 2), (2 * PART + 1, 4), (4 * PART, 4)],
+        [(799, 1), (800, 2), (5000, 2), (5001, 4), (10000, 4)],
     )
     def test_the_number_of_parts_is_even_and_each_is_at_most_2500_frames(self, count, parts):
         found = split(packets(count, range(count)))
         assert len(found) == parts
-        assert max(np.diff([p.first for p in found] + [count])) <= PART
+        assert max(np.diff([p.first for p in found] + [count])) <= 2500
 
     @pytest.mark.parametrize(("key", "parts"), [(399, 1), (400, 2), (600, 2), (601, 1)])
     def test_a_part_has_400_frames_at_least(self, key, parts):
@@ -49,7 +46,7 @@ class TestSplit:
 
     def test_parts_overlap_by_64_frames(self):
         first, second = split(packets(1000, [0, 480, 530]))
-        assert (first.first, first.start, first.stop) == (0, None, 100 + 10 * (480 + OVERLAP))
+        assert (first.first, first.start, first.stop) == (0, None, 100 + 10 * (480 + 64))
         assert (second.first, second.start, second.stop) == (480, 100 + 10 * 480, None)
 
     def test_the_key_frame_nearest_to_the_division_is_taken(self):
