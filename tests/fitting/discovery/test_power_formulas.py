@@ -448,4 +448,6 @@ def test_the_power_for_an_amplitude_with_a_phase_is_that_of_a_noncentral_chi_squ
     size = np.linalg.norm(middle - free @ (free.T @ middle)) / root
     expected = [ncx2(2, max(size * d, 1e-9) ** 2).sf(test.threshold) for d in (0.0, 4.0, 5.0, 7.0)]
     assert powers == pytest.approx(expected, abs=0.07)
+    # all cases have one strength: there is one group
+    assert found.power(law, 3, np.array([4.0, 7.0]) / root) == pytest.approx(powers[[1, 3]], abs=0.07)
     assert found._tests[law.name][0].parts[0].width == 2

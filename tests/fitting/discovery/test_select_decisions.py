@@ -328,7 +328,7 @@ class TestRefitted:
         screened = candidate(effect, fit=None, **options)
         family = lambda p, weights: float(p @ weights)  # noqa: E731 - a single candidate
         problem = SimpleNamespace(layout=SimpleNamespace(records=[1, 2]))
-        base = Found(problem=problem, cases=(held_out(3.0),))
+        base = Found(problem=problem, cases=(held_out(4.0),))
         return screened, module._refit_candidate(
             base, module._Promising(screened, Null(), family, DEFAULT, True)
         )
@@ -337,7 +337,7 @@ class TestRefitted:
         own = {f"{DRAG.name}.k": estimate(), "other.k": estimate()}
         found = Found(70.0, 60.0, estimates=own, cases=(held_out(1.5),))
         _, c = self.refitted(monkeypatch, lambda _: found)
-        assert (c.score, c.delta_bic, c.held_out_gain, c.fit) == (40.0, -30.0, 1.5, found)
+        assert (c.score, c.delta_bic, c.held_out_gain, c.fit) == (40.0, -30.0, 2.5, found)
         assert c.p_value == pytest.approx(math.exp(-4.0))
         assert c.significant
         assert set(c.estimates) == {f"{DRAG.name}.k"}

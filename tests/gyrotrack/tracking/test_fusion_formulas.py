@@ -105,6 +105,20 @@ class TestResiduals:
         assert found.use["m0"][50] == used
         assert found.use["m0"].sum() >= N - 1
 
+    @pytest.mark.parametrize(("size", "used"), [(29.0, True), (31.0, False), (-31.0, False)])
+    def test_outliers_of_partly_occluded_ones_are_beyond_thirty_scatters_of_the_others(self, size, used):
+        """However large their own scatter is."""
+        error = 1e-3 * np.random.default_rng(1).standard_normal((2, N))
+        clear = 1.4826 * np.median(np.abs(error[0, :300]))
+        error[0, 300:] *= 12.0
+        error[0, 350] = size * clear + math.copysign(5e-4, size)
+        found = state(error)
+        found.candidates["m0"].open[300:] = False
+        found.reject_outliers(np.zeros(N), np.zeros(N))
+        assert found.scatter["m0"][0] == pytest.approx(clear, rel=0.01)
+        assert found.scatter["m0"][1] > 8.0 * clear
+        assert found.use["m0"][350] == used
+
     def test_the_scatter_of_partly_occluded_ones_is_at_least_that_of_the_others(self):
         rng = np.random.default_rng(1)
         error = 1e-3 * rng.standard_normal((2, N))

@@ -362,6 +362,14 @@ class TestReading:
         start = read_pulses(table(t, state, names=("t", "gate")), self.options(start=100.0))
         assert start.time == pytest.approx(100.0 + t[1::2])
 
+    def test_times_that_do_not_increase_are_sorted_and_the_first_is_named(self):
+        t = np.arange(60) * 0.37 + 0.01 * np.arange(60) ** 2 / 60
+        mixed = t.copy()
+        mixed[[20, 21, 40, 41]] = t[[21, 20, 41, 40]]
+        found = read_pulses(table(mixed, names=("t",)), self.options())
+        assert found.time == pytest.approx(t)
+        assert sum("not increasing (line 23)" in n for n in found.notes) == 1
+
     def test_intervals_are_summed(self):
         step = 0.2 + 0.02 * np.sin(np.arange(60.0))
         found = read_pulses(table(step), self.options())
