@@ -109,6 +109,21 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "stop - first",
         "(stop + first)",
     ): "tolerance of an iteration; the time of rest is iterated to rounding in any case",
+    (
+        "fitting/dynamics/_events.py",
+        "np.all(np.diff(places) > 0)",
+        "np.any(np.diff(places) > 0)",
+    ): "breaks within a stretch increase: either all steps are positive, or the only one is not",
+    (
+        "fitting/inference/_noise.py",
+        "len(changed) - np.argmax(changed[::-1], axis=0)",
+        "(len(changed) + np.argmax(changed[::-1], axis=0))",
+    ): "zeros are added instead of left out",
+    (
+        "fitting/discovery/_random_torque.py",
+        "np.abs(np.diag(np.linalg.qr(whitener(both), mode='r')))",
+        "np.diag(np.linalg.qr(whitener(both), mode='r'))",
+    ): "only its square counts",
 }
 """(file, before, after) of faults that change no result, with the reason."""
 

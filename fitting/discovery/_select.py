@@ -334,7 +334,7 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
             delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
         delta_bic = min(delta_bic, common.bic - base.bic)
         width = screened.columns // len(base.problem.layout.records)
-        p = np.minimum(p, np.minimum(1.0, 2 * null.of(base.deviance - common.deviance, width)))
+        p = np.minimum(p, 2 * null.of(base.deviance - common.deviance, width))
     p_value = family(p, null.weights)
     excess = base.deviance - deviance_at_noise_of(base, found) if p_value < criteria.significance else 0.0
     if excess > 0:  # a part of the improvement is that of the noise

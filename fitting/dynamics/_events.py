@@ -118,7 +118,7 @@ class Segments:
         turns &= np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
         count = len(turns) if turns.all() else int(np.argmin(turns))
         matrices = np.tile(np.eye(y.shape[1]), (count, 1, 1))
-        matrices[:, :, _CASING] -= ((before - after) / before[:, _CASING, None])[:count]
+        matrices[:, :, _CASING] -= (before - after)[:count] / before[:count, _CASING, None]
         return list(matrices)
 
     def continued(

@@ -182,9 +182,9 @@ LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
 _ROUNDING = 1e-20
 # ratio to the lowest level that the recording allows from which on a level counts as raised
 _MORE = 1.5
-# unresolved levels: the lowest over that to which the most responsive row responds as much as to white noise, the
-# highest over the expected one, their number
-_LEAST_RESPONSE, _MOST_EXPECTED, _UNRESOLVED_LEVELS = 0.1, 4.0, 16
+# unresolved levels: the lowest over that to which the most responsive row responds as much as to white noise, or over
+# the expected one, the highest over the expected one, their number
+_LEAST_RESPONSE, _LEAST_EXPECTED, _MOST_EXPECTED, _UNRESOLVED_LEVELS = 0.1, 0.03, 4.0, 16
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
@@ -208,15 +208,16 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
 
     In a short record, or for slow torques, the most likely level is often zero although larger levels are as likely;
     the standard errors of parameters would not include them. With equal prior probabilities there is no random
-    torque, or one whose rms has the positive half of a Student distribution with three degrees of freedom, of scale
-    `expected` [N m]: that of the recording. Where the residuals exclude most of these levels, no random torque is far
-    more probable.
+    torque, or one whose rms has the positive half of a normal distribution of standard deviation `expected` [N m]:
+    the level of the recording, a posterior mean, whose own heavy tail is integrated out already. So the mean of s^2
+    is half of `expected`^2 where the residuals say nothing. Where they exclude most of these levels, no random torque
+    is far more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
     if not (largest > 0 and expected > 0):
         return 0.0
-    first = min(_LEAST_RESPONSE / np.sqrt(largest), expected)
+    first = min(_LEAST_RESPONSE / np.sqrt(largest), _LEAST_EXPECTED * expected)
     s = np.geomspace(first, _MOST_EXPECTED * expected, _UNRESOLVED_LEVELS)
     deviance = np.array([_deviance(rotated, 1 + x**2 * values) for x in (0.0, *s)])
     none, *likelihood = np.exp(0.5 * (deviance.min() - deviance))

@@ -415,7 +415,8 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
     """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
     off = _axis_by_angles(body_view, flat, body)
-    return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, len(body_view.reference(flat))))
+    known = max(len(body_view.reference(flat)), 1)
+    return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
@@ -868,9 +869,9 @@ _REST, _TURNS = 0.05, 1.0
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
     """Tell whether a body is at rest while the other one turns."""
-    return bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS) and bool(
-        np.nanmax(body.angle, initial=-np.inf) - np.nanmin(body.angle, initial=np.inf) < _REST
-    )
+    known = body.angle[np.isfinite(body.angle)]
+    turns = bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS)
+    return turns and len(known) > 0 and bool(np.ptp(known) < _REST)
 
 
 def _credible(body: BodyAngles) -> bool:

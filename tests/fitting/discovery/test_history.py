@@ -2,6 +2,7 @@
 
 import numpy as np
 import oscillators
+import pytest
 
 from fitting._errors import SimulationError
 from fitting.discovery import _select
@@ -9,6 +10,7 @@ from fitting.dynamics._model import Model
 from fitting.inference._fit import fit
 
 
+@pytest.mark.slow
 def test_a_failed_step_keeps_the_previous_steps(monkeypatch):
     t = np.arange(0, 6, 0.02)
     slowed = 20 / 0.3 * (1 - np.exp(-0.3 * t))

@@ -133,11 +133,13 @@ class TestLimits:
         assert power[1] == pytest.approx(0.9, abs=0.03)
         assert power[0] <= DEFAULT.significance + 3 * math.sqrt(0.03 / 600)
 
+    @pytest.mark.slow
     def test_detection_limit_contains_the_correction_for_many_candidates(self):
         """A single candidate at the same significance has a smaller detection limit."""
         alone = norm.ppf(1 - DEFAULT.significance) + norm.ppf(0.9)
         assert drag().detection_limit / drag().stderr > alone + 0.5
 
+    @pytest.mark.slow
     def test_twice_the_size_needs_a_quarter_of_the_runs(self):
         small, large = (search().limits(DRAG, s * drag().detection_torque) for s in (0.1, 0.2))
         # BIC asks for a little more in more rows
@@ -145,20 +147,24 @@ class TestLimits:
         assert 25 <= large.runs_needed <= 40
         assert small.power < large.power < 0.5
 
+    @pytest.mark.slow
     def test_no_number_of_runs_finds_an_effect_whose_power_never_reaches_90_percent(self):
         flat = np.stack([np.linspace(0.0, 14.0, 20), np.full(20, 0.3)], axis=1)
         assert delta_of_power(flat) == math.inf
         assert search()._runs(DRAG, 3.0, math.inf) == math.inf
 
+    @pytest.mark.slow
     def test_absorbed_effects_have_no_limit(self):
         constant = search().limits(LIBRARY["external.constant"])
         assert constant.absorbed
         assert math.isinf(constant.detection_limit)
         assert math.isinf(constant.upper_limit)
 
+    @pytest.mark.slow
     def test_windage_and_bearing_load_are_indistinguishable(self):
         assert "bearing.load" in search().limits(LIBRARY["casing.windage"], 1e-6).indistinguishable_from
 
+    @pytest.mark.slow
     def test_upper_limit_of_planned_data_is_the_expected_one(self):
         expected = search().limits(DRAG, planned=True)
         assert expected.upper_limit == pytest.approx(norm.ppf(0.95) * expected.stderr)
@@ -228,6 +234,7 @@ def test_upper_limits_have_the_stated_coverage():
 
 
 class TestHidden:
+    @pytest.mark.slow
     def test_hidden_effects_are_sorted_by_torque(self):
         found = largest_hidden(base(), (), DEFAULT)
         torques = [u.torque_Nm for u in found]

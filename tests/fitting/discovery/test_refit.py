@@ -26,6 +26,7 @@ def base():
     return fit(Model.of([n for n in REDUCED if n != "bearing.linear"]), data)
 
 
+@pytest.mark.slow
 def test_a_refit_that_falls_short_of_its_score_is_repeated(base):
     assert has_model_noise(base)
     (scored,) = score(base, [LIBRARY["bearing.linear"]], [CaseColumns(base, 0)], Criteria())

@@ -59,9 +59,8 @@ def test_level_and_correlation_time_are_estimated(sigma, correlation):
     assert 0.02 * found.sigma < found.sigma_u < 0.3 * found.sigma
 
 
-@pytest.mark.parametrize(
-    "torque_noise", [0.0, *(pytest.param(x, marks=pytest.mark.slow) for x in (1e-7, 1e-6))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("torque_noise", [0.0, 1e-7, 1e-6])
 def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 

@@ -244,7 +244,11 @@ class TestWindows:
         assert not estimate_window_noise(disturbed, nuisance, 1e-6, 1.0).is_significant
         assert estimate_window_noise(disturbed, [n[:, :0] for n in nuisance], 1e-6, 1.0).is_significant
 
-    def test_few_groups_say_nothing(self):
-        t = np.arange(0.0, 0.1, 1 / 400)
-        run = compress(Samples(t, 900.0 * t, np.full(len(t), 1e-3)), degree=2, blocks=1)
-        assert estimate_window_noise([run], [np.zeros((len(t), 0))], 1e-6, 1.0).gain == 0.0
+    @pytest.mark.parametrize(("samples", "enough"), [(40, False), (183, False), (184, True)])
+    def test_from_forty_free_groups_there_is_an_estimate(self, samples, enough):
+        """Groups of four samples, six of which a polynomial of degree five takes."""
+        t = np.arange(samples) / 400.0
+        y = 900.0 * t + 1e-3 * np.random.default_rng(1).standard_normal(samples)
+        run = compress(Samples(t, y, np.full(samples, 1e-3)), degree=2, blocks=1)
+        found = estimate_window_noise([run], [np.zeros((samples, 0))], 1e-6, 1.0)
+        assert (found.sigma > 0.0) is enough

@@ -43,7 +43,7 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
     covariance, columns = back @ back, back @ used  # the same columns, orthonormal once they are whitened
     y = back @ residual  # what the columns explain has no part in it: start angles of 1e5 rad are gone
     folds = _casing_folds(data) if body == "casing" else _rotor_folds(data)
-    for fold in folds[1:3]:
+    for fold in folds[1:2]:
         rest = np.setdiff1d(np.arange(n), fold)
         inverse = np.linalg.inv(covariance[np.ix_(rest, rest)])
         x = columns[rest]

@@ -109,6 +109,12 @@ class TestLevels:
         assert unresolved_level(WHITENER, residual, FREE[:, :0], expected) == pytest.approx(root, rel=0.08)
         assert unresolved_level(WHITENER, residual, FREE[:, :0], 0.0) == 0.0
 
+    def test_without_information_the_unresolved_level_is_that_of_its_prior(self):
+        """The mean square of half a normal distribution is its variance, with a probability of a half."""
+        deaf = Whitener(VECTORS, 1e-9 * VALUES, 0.0)
+        found = unresolved_level(deaf, 0.8 * RESIDUAL, FREE, 1.0)
+        assert found == pytest.approx(1.0 / np.sqrt(2.0), rel=0.03)
+
     def test_the_peak_of_a_parabola_in_the_logarithm(self):
         levels = np.append(0.0, np.geomspace(0.01, 100.0, 30))
         likelihood = np.append(-50.0, -((np.log(levels[1:] / 1.7)) ** 2))

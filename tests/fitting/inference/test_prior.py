@@ -1,5 +1,8 @@
 """Parameters of another study as a Gaussian prior: against the analytic posterior, and a joint fit."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -129,3 +132,78 @@ def test_prior_needs_a_regular_covariance():
         with pytest.raises(EstimationError, match="singular"):
             Prior(("a.k",), (1.0,), ((variance,),))
     assert Prior(("a.k",), (1.0,), ((1e-30,),)).mean == (1.0,)
+
+
+class TestChecks:
+    @pytest.mark.parametrize(
+        ("names", "mean", "covariance"),
+        [
+            (("a.k", "b.k"), (1.0,), ((1.0, 0.0), (0.0, 1.0))),
+            (("a.k",), (1.0, 2.0), ((1.0,),)),
+            (("a.k", "b.k"), (1.0, 2.0), ((1.0,),)),
+            (("a.k",), (1.0,), ((1.0, 0.0), (0.0, 1.0))),
+            ((), (), ()),
+        ],
+    )
+    def test_sizes_agree(self, names, mean, covariance):
+        with pytest.raises(EstimationError, match="different sizes"):
+            Prior(names, mean, covariance)
+
+    @pytest.mark.parametrize(("mean", "variance"), [(math.inf, 1.0), (1.0, math.inf), (1.0, math.nan)])
+    def test_numbers_are_finite(self, mean, variance):
+        with pytest.raises(EstimationError, match="not finite"):
+            Prior(("a.k",), (mean,), ((variance,),))
+
+    @pytest.mark.parametrize("sizes", [(1.0, 1.0), (1e-9, 1e3)])  # whatever the units
+    @pytest.mark.parametrize(("rest", "singular"), [(2e-13, False), (7e-14, True)])
+    def test_a_correlation_up_to_rounding_is_singular(self, sizes, rest, singular):
+        """The smaller eigenvalue of the correlations is 1 - r; the limit is 1e-13."""
+        a, b = sizes
+        both = (1 - rest) * a * b
+        covariance = ((a * a, both), (both, b * b))
+        if singular:
+            with pytest.raises(EstimationError, match="singular"):
+                Prior(("a.k", "b.k"), (1.0, 1.0), covariance)
+        else:
+            assert Prior(("a.k", "b.k"), (1.0, 1.0), covariance).names
+
+    def test_one_variance_of_zero_is_singular(self):
+        with pytest.raises(EstimationError, match="singular"):
+            Prior(("a.k", "b.k"), (1.0, 1.0), ((1.0, 0.0), (0.0, 0.0)))
+
+
+def test_what_a_fit_determines_within_its_bounds_becomes_a_prior():
+    def estimate(value, stderr=0.1, *, at_bound=False):
+        return SimpleNamespace(value=value, stderr=stderr, at_bound=at_bound)
+
+    names = ("a.k", "b.k", "c.k@run", "initial.omega_c@run", "d.k", "e.k", "f.k")
+    estimates = {
+        "a.k": estimate(1.0), "b.k": estimate(2.0, at_bound=True), "c.k@run": estimate(3.0),
+        "initial.omega_c@run": estimate(4.0), "d.k": estimate(5.0, math.nan), "f.k": estimate(7.0),
+    }  # fmt: skip
+    covariance = np.arange(49.0).reshape(7, 7) + 100 * np.eye(7)
+    found = Prior.of(names, covariance, estimates, "study")
+    assert (found.names, found.mean, found.source) == (("a.k", "f.k"), (1.0, 7.0), "study")
+    assert found.covariance == ((100.0, 6.0), (42.0, 148.0))
+    with pytest.raises(EstimationError, match="study determines no parameter"):
+        Prior.of(("b.k",), covariance, estimates, "study")
+
+
+@pytest.mark.parametrize(
+    ("names", "label", "shared", "expected"),
+    [
+        (["a.k", "b.k"], "", True, ("a.k", "b.k")),
+        (["a.k", "b.k@run"], "run", True, ("a.k", "b.k@run")),
+        (["a.k", "b.k@run"], "other", True, ("a.k",)),
+        (["a.k", "b.k@run"], "run", False, ("b.k@run",)),  # the shared one is counted in another case
+        (["c.k"], "run", True, ()),
+    ],
+)
+def test_to_which_variables_a_prior_applies(names, label, shared, expected):
+    prior = Prior(("a.k", "b.k"), (1.0, 2.0), ((4.0, 1.0), (1.0, 9.0)))
+    found, mean, inverse = prior.whitened(names, label, shared=shared)
+    assert found == expected
+    means = {"a.k": 1.0, "b.k": 2.0}
+    assert mean.tolist() == [means[n.partition("@")[0]] for n in expected]
+    kept = [("a.k", "b.k").index(n.partition("@")[0]) for n in expected]
+    assert inverse.T @ inverse == pytest.approx(np.linalg.inv(np.array(prior.covariance)[np.ix_(kept, kept)]))

@@ -75,7 +75,7 @@ def _spin_down(seed, *, speeds):
 @pytest.mark.parametrize("speeds", [False, True])
 def test_uncertainties_of_ends_mean_and_acceleration_are_those_of_the_errors(speeds):
     pulls = []
-    for seed in range(40):
+    for seed in range(24):
         true, found = _spin_down(seed, speeds=speeds)
         values = (found.omega["first"], found.omega["last"], found.omega_mean.value, found.alpha.value)
         errors = (

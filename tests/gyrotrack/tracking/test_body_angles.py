@@ -180,7 +180,8 @@ class TestPathOfTheHub:
         assert not module._is_better(before, after)
         assert not module._is_better(2.0 * after[:, :32], after[:, :32])
 
-    def test_an_offset_on_the_casing_is_recovered_from_radii(self):
+    @pytest.mark.parametrize("outlier", [5.0, -5.0])
+    def test_an_offset_on_the_casing_is_recovered_from_radii(self, outlier):
         rng = np.random.default_rng(1)
         direction = np.angle(np.exp(1j * 0.37 * np.arange(2000)))
         casing = 0.01 * np.arange(2000)
@@ -190,7 +191,7 @@ class TestPathOfTheHub:
         excess += (
             0.4 * np.cos(direction) - 0.2 * np.sin(2 * direction) + 0.7
         )  # offset and flattening of the orbit
-        excess[::97] += 5.0
+        excess[::97] += outlier
         normal, right = module._offset_on_casing(Radii(direction, excess), casing)
         np.testing.assert_allclose(np.linalg.solve(normal, right), d, atol=0.01)
         # the normal equations are in units of the variance: their inverse is the covariance, 0.05^2 / (n / 2)
@@ -242,7 +243,8 @@ class TestBodies:
         assert found.angle + found.markers["red"].mount == pytest.approx(seen.angle + 0.4)
 
     @pytest.mark.parametrize(
-        ("casing", "given", "unaliased"), [(0.0, None, True), (9.0, None, False), (0.0, 1, False)]
+        ("casing", "given", "unaliased"),
+        [(0.0, None, True), (0.49, None, True), (-0.51, None, False), (9.0, None, False), (0.0, 1, False)],
     )
     def test_a_rotor_that_speeds_up_turns_the_other_way_unless_the_sense_is_known(
         self, casing, given, unaliased
@@ -295,6 +297,25 @@ class TestPerspective:
         rotor = body([0.0], axis_off={"rotor0": -1.0 / 60.0})
         found = separate_perspective(path(), views, flat, rotor)
         np.testing.assert_allclose(found.offset["casing0"], (0.0, 0.0), atol=0.1)
+
+    @pytest.mark.parametrize("offset", [0.2, 0.45, 0.55, 0.8])
+    def test_the_offset_is_a_mixture_of_both_expected_ones(self, offset):
+        """Zero and that of the rotor, each within the uncertainty of its height; no perspective."""
+        views, flat = self.seen((offset, 0.0), (1.0, 0.0))
+        rotor = body([0.0], axis_off={"rotor0": 0j})
+        nu = module.BORROWED_NU
+        variance = module.usual_error_of_harmonic(views["rotor"]) ** 2 * nu / (nu + 1.0)
+        axis = 1.0 - 2.0 * variance
+        assert 0.5 < axis < 1.0
+        noise = variance * (1.0 + (90.0 / 60.0) ** 4)
+        size = module._height_error(flat["rotor"], views["rotor"], 90.0) ** 2
+        weights = np.exp([-0.5 * (offset - e) ** 2 / (size + noise) for e in (0.0, axis)])
+        means = np.array([e + size / (size + noise) * (offset - e) for e in (0.0, axis)])
+        expected = float(weights @ means / weights.sum())
+        found = separate_perspective(path(), views, flat, rotor)
+        assert found.offset["casing0"] == pytest.approx((expected, 0.0), abs=1e-6)
+        along = size * noise / (size + noise) + float(weights @ (means - expected) ** 2 / weights.sum())
+        assert found.offset_covariance["casing0"][0, 0] == pytest.approx(along)
 
     def test_orbits_without_offsets_are_left_alone(self):
         views, flat = self.seen((0.5, 0.0), (1.0, 0.0))

@@ -68,6 +68,39 @@ class TestNumbers:
         stamps[350:] += 2.0 / FPS
         assert bool(frame_numbers(stamps, 1e-6)[-1] == 402) is gaps
 
+    @pytest.mark.parametrize(
+        ("tick", "off", "gaps"),
+        [
+            (1e-6, 0.19, True),
+            (1e-6, 0.21, False),
+            (1e-3, 1.05e-3, True),
+            (1e-3, 1.15e-3, False),
+            (1e-2, 1.15e-3, False),
+        ],
+    )
+    def test_steps_are_uneven_beyond_a_fifth_of_a_period_and_a_tick(self, tick, off, gaps):
+        """A fifth of a step at 1000 frames/s, or 1.1 ms at 250 frames/s; a coarser tick counts as one of 1 ms."""
+        rate = 1000.0 if tick == 1e-6 else 250.0
+        off = off / rate if tick == 1e-6 else off
+        stamps = np.arange(401) / rate
+        stamps[10:330:4] += off
+        stamps[350:] += 2.0 / rate
+        assert bool(frame_numbers(stamps, tick)[-1] == 402) is gaps
+
+    @pytest.mark.parametrize(
+        ("stamps", "unit"),
+        [
+            ([0.0, 1.0, 3.0, 4.0], 1e-3),
+            ([0.0, 1.0, 3.0, 4.0052], 1e-5),
+            ([0.0, 1.0, 3.0, 4.005], 1e-3),
+            ([0.0, 0.7, 1.7, 2.7], 1e-5),  # all below a whole millisecond
+            ([0.0, 1.3, 2.3, 3.3], 1e-5),
+        ],
+    )
+    def test_stamps_of_whole_milliseconds_in_a_finer_container_were_copied(self, stamps, unit):
+        found = module._real_tick(2.0 + 1e-3 * np.array(stamps), 1e-5)
+        assert found == unit
+
     @pytest.mark.parametrize(("count", "counted"), [(3, False), (6, True)])
     def test_one_stamp_in_a_hundred_may_go_back(self, count, counted):
         stamps = EVEN.copy()

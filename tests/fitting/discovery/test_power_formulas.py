@@ -1,0 +1,453 @@
+"""Limits and power of the search against closed forms: normal integrals, least squares, bounds on one parameter."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from linearised import covariance, gyroscope, least_squares
+from scipy.stats import ncx2, norm
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting.discovery import _power as module
+from fitting.discovery._power import (
+    EffectLimits,
+    Search,
+    ShiftedToBound,
+    delta_of_power,
+    largest_hidden,
+    upper_limit,
+)
+from fitting.discovery._score import CaseColumns, ScoreContext
+from fitting.effects._library import LIBRARY
+
+DRAG, LAMINAR = LIBRARY["casing.air.quadratic"], LIBRARY["casing.air.laminar"]
+RNG = np.random.default_rng(4)
+ONE_SIDED = norm.ppf(0.95)
+
+
+class TestResponses:
+    columns = RNG.standard_normal((30, 4))
+
+    def made(self, columns, width, absorbed=(), effect=DRAG):
+        return module._Responses.of(
+            columns, width, np.isin(np.arange(columns.shape[1] // width), absorbed), effect
+        )
+
+    def test_a_single_column_has_its_length_as_noncentrality(self):
+        found = self.made(self.columns, 1)
+        assert found.root == pytest.approx(np.linalg.norm(self.columns, axis=0))
+        assert found.basis == pytest.approx(self.columns / found.root)
+        assert found.direction(2) == pytest.approx(found.basis[:, 2])
+
+    def test_a_pair_has_the_rms_over_its_phases(self):
+        found = self.made(self.columns, 2, effect=LIBRARY["casing.precession"])
+        for i in range(2):
+            part = slice(2 * i, 2 * i + 2)
+            phases = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+            lengths = np.linalg.norm(
+                self.columns[:, part] @ np.stack([np.cos(phases), np.sin(phases)]), axis=0
+            )
+            assert found.root[i] == pytest.approx(np.sqrt(np.mean(lengths**2)))
+            own = found.basis[:, part]
+            assert own.T @ own == pytest.approx(np.eye(2))
+            assert own @ (own.T @ self.columns[:, part]) == pytest.approx(self.columns[:, part])
+            assert np.linalg.norm(found.direction(i)) == pytest.approx(1.0)
+
+    def test_what_the_base_absorbs_has_no_response(self):
+        found = self.made(self.columns, 1, absorbed=[1])
+        assert found.root[1] == 0.0
+        assert not found.basis[:, 1].any()
+        assert found.direction(1) == pytest.approx(np.zeros(30))
+
+    @pytest.mark.parametrize(("apart", "directions"), [(1e-4, 1), (1e-2, 2)])
+    def test_a_pair_of_nearly_equal_columns_has_one_direction(self, apart, directions):
+        """Directions whose squared response is less than 1e-6 of the other are none."""
+        pair = self.columns[:, :1] * [1.0, 2.0] + apart * self.columns[:, 1:3]
+        found = self.made(pair, 2, effect=LIBRARY["casing.precession"])
+        assert (np.linalg.norm(found.basis, axis=0) > 0.5).sum() == directions
+
+    @pytest.mark.parametrize(
+        ("effect", "width", "one_sided"),
+        [("casing.air.quadratic", 1, True), ("external.constant", 1, False), ("casing.precession", 2, False)],
+    )
+    def test_scores_of_a_friction_are_of_positive_estimates(self, effect, width, one_sided):
+        found = self.made(self.columns, width, effect=LIBRARY[effect])
+        assert found.one_sided is one_sided
+        projections = np.array([[1.0, -2.0], [-3.0, 4.0], [2.0, 0.0], [0.0, -1.0]])
+        scores = found.scores(projections)
+        if width == 2:
+            assert scores.tolist() == [[10.0, 20.0], [4.0, 1.0]]
+        elif one_sided:
+            assert scores.tolist() == [[1.0, 0.0], [0.0, 16.0], [4.0, 0.0], [0.0, 0.0]]
+        else:
+            assert scores.tolist() == [[1.0, 4.0], [9.0, 16.0], [4.0, 0.0], [0.0, 1.0]]
+
+    def test_the_best_scores_of_several_cases_add_up(self):
+        parts = tuple(self.made(self.columns[:, i : i + 2], 1) for i in (0, 2))
+        test = module._Test(parts, np.zeros((4, 2)), np.array([5.0, 9.0, 6.0]))
+        assert test.threshold == 6.0
+        assert test.basis.shape == (30, 4)
+        assert test.best(np.array([[1.0], [2.0], [3.0], [-4.0]])) == pytest.approx([4.0 + 9.0])
+
+
+def bounds(free, noise, lower, upper):
+    free = np.asarray(free, dtype=float)
+    return ShiftedToBound(
+        free, np.linalg.pinv(free), np.asarray(noise, dtype=float), np.array([lower, upper])
+    )
+
+
+class TestShiftedToBound:
+    def test_the_parameter_furthest_beyond_its_bound_is_held(self):
+        """Two parameters with standard errors 1 and 1/2, at distances of 1 from their bounds."""
+        free = np.diag([1.0, 2.0])
+        shifted = bounds(free, np.zeros((2, 1)), [-1.0, -1.0], [1.0, 1.0])
+        for response, held in (
+            ((0.9, 0.0), -1),
+            ((1.1, 0.0), 1),  # the upper bound of the first one
+            ((-1.1, 0.0), 0),
+            ((0.0, 2.2), 3),
+            ((0.0, -2.2), 2),
+            ((1.5, 2.8), 3),  # 0.4 beyond, of an error of 0.5: further than 0.5 of an error of 1
+            ((1.9, 2.8), 1),
+        ):
+            assert shifted.held(np.array(response), np.array([1.0])).tolist() == [[held]]
+        assert shifted.held(np.array([0.6, 0.0]), np.array([1.0, 2.0])).tolist() == [[-1], [1]]
+
+    def test_noise_moves_the_parameters_as_well(self):
+        shifted = bounds(np.eye(1), [[0.5, -0.5]], [-1.0], [1.0])
+        assert shifted.held(np.array([0.7]), np.array([1.0])).tolist() == [[1, -1]]
+
+    def test_the_shift_is_that_to_the_bound(self):
+        shifted = bounds(np.diag([1.0, 2.0]), np.zeros((2, 1)), [-1.0, -3.0], [2.0, 5.0])
+        assert [shifted.shift(k).tolist() for k in range(4)] == [[-1, 0], [2, 0], [0, -6], [0, 10]]
+
+    def test_distances_and_noise_of_a_fit(self):
+        base = gyroscope(level=1e-7)
+        context = ScoreContext(base, 5)
+        truth = {"touchpoint.constant.b1": 3e-5}
+        found = ShiftedToBound.of(base, context, context.levels[-1], 4, truth)
+        assert found.distance.shape == (2, 6)
+        assert found.distance[0, :4] == pytest.approx([-1e-9, -3e-5, -1e-6, -2e-7])
+        assert np.isinf(found.distance[1]).all()
+        assert np.isinf(found.distance[0, 4:]).all()
+        c = covariance(base, 1e-7)
+        root = np.linalg.cholesky(c)
+        free = np.concatenate([base.predictions[0].jacobian, base.problem.data[0].nuisance], axis=1)
+        white = np.linalg.solve(root, free)
+        size = np.linalg.norm(white, axis=0)
+        size[size == 0] = 1.0
+        inner = np.linalg.pinv((white / size).T @ (white / size)) / np.outer(size, size)
+        errors = np.sqrt((found.inverse**2).sum(axis=1))
+        assert errors == pytest.approx(np.sqrt(np.diag(inner))[:6], rel=1e-4)
+        assert found.noise == pytest.approx(found.inverse @ context.draws[:, :4])
+
+    @pytest.mark.parametrize("distance", [0.2, 0.7, 10.0])
+    def test_the_upper_limit_with_a_parameter_within_its_bounds(self, distance):
+        """Response and parameter have a cosine of 0.8: beyond the bound the parameter absorbs no more of the effect."""
+        free, response = np.array([[1.0], [0.0], [0.0]]), np.array([0.8, 0.6, 0.0])
+        data = np.array([0.1, 0.3, 0.5])
+        shifted = bounds(free, [[0.0]], [-distance], [np.inf])
+        without = 0.3 / 0.6 + ONE_SIDED / 0.6
+        found = shifted.largest_strength(response, data, without, one_sided=True)
+        grid = np.linspace(0.0, without, 4001)
+        values = np.minimum(0.1 - 0.8 * grid + distance, 0.0) ** 2 + (0.3 - 0.6 * grid) ** 2
+        above = np.flatnonzero((values > values.min() + ONE_SIDED**2) & (grid > grid[values.argmin()]))
+        expected = grid[above[0]] if len(above) else without
+        assert found == pytest.approx(expected, rel=3e-3)
+        if distance == 10.0:
+            assert found == without
+
+    def test_a_strength_of_either_sign_has_the_larger_limit(self):
+        free, response = np.array([[1.0], [0.0]]), np.array([0.8, 0.6])
+        shifted = bounds(free, [[0.0]], [-0.2], [np.inf])
+        both, one = (
+            shifted.largest_strength(response, np.zeros(2), 3.0, one_sided=one) for one in (False, True)
+        )
+        assert one < 2.5
+        assert both == 3.0  # with the opposite sign the parameter moves away from its bound
+
+    def test_a_basis_without_a_parameter(self):
+        free = RNG.standard_normal((6, 3))
+        basis = bounds(free, np.zeros((3, 1)), [0.0] * 3, [1.0] * 3).basis_without(1)
+        assert basis.shape == (6, 2)
+        assert basis @ (basis.T @ free[:, [0, 2]]) == pytest.approx(free[:, [0, 2]])
+
+
+@pytest.fixture(scope="module")
+def base():
+    rows = np.random.default_rng(8).standard_normal(len(gyroscope().predictions[0].rows))
+    found = gyroscope(level=1e-7, residual=[rows])
+    found.fails = lambda criteria: False
+    return found
+
+
+@pytest.fixture(scope="module")
+def search(base):
+    """The search for two laws of drag."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "applicable_effects", lambda *_: [DRAG, LAMINAR])
+        return Search(base, draws=800)
+
+
+def stderr(base, effect):
+    """Return strength and standard error by generalised least squares."""
+    (trial,) = CaseColumns(base, 0).trials(effect)
+    free = np.concatenate([base.predictions[0].jacobian, base.problem.data[0].nuisance], axis=1)
+    root = np.linalg.cholesky(covariance(base, 1e-7))
+    white = np.linalg.solve(root, np.column_stack([free, trial.columns]))
+    size = np.linalg.norm(white, axis=0)
+    size[size == 0] = 1.0
+    basis = np.linalg.svd(white[:, :-1] / size[:-1], full_matrices=False)
+    kept = basis[0][:, basis[1] > 1e-10 * basis[1][0]]
+    own = white[:, -1] - kept @ (kept.T @ white[:, -1])
+    _, values = least_squares(np.column_stack([free, trial.columns]), residuals(base), covariance(base, 1e-7))
+    return values[-1], 1 / np.linalg.norm(own)
+
+
+def residuals(base):
+    return base.problem.data[0].z - base.predictions[0].rows
+
+
+def rms_speed(base, power):
+    columns = CaseColumns(base, 0)
+    return math.sqrt(np.mean(np.abs(columns.along_motion("omega_c")) ** (2 * power)))
+
+
+class TestLimits:
+    def test_standard_error_torque_and_upper_limit(self, base, search):
+        for effect, power in ((DRAG, 2.0), (LAMINAR, 1.5)):
+            found = search.limits(effect)
+            value, error = stderr(base, effect)
+            assert found.stderr == pytest.approx(error, rel=1e-4)
+            assert found.torque == pytest.approx(rms_speed(base, power))
+            assert found.upper_limit <= (max(value / error, 0.0) + ONE_SIDED) * error * (1 + 1e-4)
+            assert found.upper_torque == pytest.approx(found.upper_limit * found.torque)
+            assert (found.strength, found.absorbed) == ("k", False)
+            planned = search.limits(effect, planned=True)
+            assert planned.upper_limit <= ONE_SIDED * error * (1 + 1e-4)
+
+    def test_the_power_is_a_normal_integral(self, search):
+        """A friction is found if its estimate exceeds the root of the threshold, or another candidate's does."""
+        found = search.limits(DRAG)
+        threshold = max(t.threshold for t in search._tests[DRAG.name])
+        curve = found.curve
+        far = curve[:, 0] > 3.0
+        alone = norm.sf(math.sqrt(threshold) - curve[:, 0])
+        assert (curve[far, 1] > alone[far] - 0.05).all()
+        assert (curve[far, 1] < norm.sf(math.sqrt(threshold) - curve[far, 0] - 0.6) + 0.1).all()
+        assert found.detection_limit / found.stderr == pytest.approx(delta_of_power(curve))
+        assert found.detection_torque == pytest.approx(found.detection_limit * found.torque)
+        assert found.detection_range == pytest.approx((found.detection_torque,) * 2)
+
+    def test_the_threshold_is_significant_in_the_list_and_has_evidence(self, base, search):
+        least = DEFAULT.evidence + math.log(base.problem.rows)
+        assert search._tests[DRAG.name][0].threshold >= least
+        # two alike frictions: between one and two independent candidates at 3 %
+        strict = norm.isf(DEFAULT.significance / 2) ** 2
+        assert search._tests[DRAG.name][0].threshold >= min(strict, least) * 0.8
+
+    def test_a_size_is_a_hundredth_of_the_torque_of_the_bearing(self, base, search):
+        columns = CaseColumns(base, 0)
+        delta = columns.along_motion("omega_r") - columns.along_motion("omega_c")
+        typical = 2e-7 * math.sqrt(np.mean(delta**2))
+        assert search.typical_torque == pytest.approx(typical)
+        assert search.default_size == pytest.approx(0.01 * typical)
+        found = search.limits(DRAG)
+        assert found.size == pytest.approx(0.01 * typical / found.torque)
+        asked = search.limits(DRAG, 3.0 * found.stderr * found.torque)
+        assert asked.power == pytest.approx(np.interp(3.0, *asked.curve.T))
+        assert asked.size == pytest.approx(3.0 * found.stderr)
+
+    @pytest.mark.parametrize(("share", "runs"), [(1.01, 1), (0.5, 4), (0.2, 25)])
+    def test_runs_add_their_squared_noncentralities(self, search, share, runs):
+        """BIC asks for the logarithm of the number of runs in addition."""
+        needed = 4.0
+        found = search._runs(DRAG, share * needed, needed)
+        assert found >= runs
+        assert found * (share * needed) ** 2 >= needed**2 + math.log(found)
+        assert found == 1 or (found - 1) * (share * needed) ** 2 < needed**2 + math.log(found - 1)
+        assert search._runs(DRAG, 0.0, needed) == math.inf
+        assert search._runs(DRAG, 1.0, math.inf) == math.inf
+
+    @pytest.mark.parametrize("margin", [0.9, 1.1])
+    def test_laws_whose_deviance_differs_by_less_than_the_width_are_indistinguishable(self, search, margin):
+        a, b = (search._common[e.name].direction(0) for e in (DRAG, LAMINAR))
+        apart = 1.0 - float(a @ b) ** 2
+        delta = math.sqrt(margin * DEFAULT.equivalence_width / apart)
+        assert search._indistinguishable(DRAG, 0, delta) == (("casing.air.laminar",) if margin < 1 else ())
+
+    def test_a_significant_effect_has_no_upper_limit(self, base, search):
+        strong = (
+            residuals(base) + 100 * stderr(base, DRAG)[1] * CaseColumns(base, 0).trials(DRAG)[0].columns[:, 0]
+        )
+        other = gyroscope(level=1e-7, residual=[strong])
+        other.fails = lambda criteria: False
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "applicable_effects", lambda *_: [DRAG])
+            found = Search(other, draws=50)
+        assert math.isnan(found.limits(DRAG).upper_limit)
+        assert not math.isnan(found.limits(DRAG, planned=True).upper_limit)
+        scored = found.scores()[DRAG.name]
+        assert scored.score > scored.threshold
+        value, error = stderr(other, DRAG)
+        assert scored.score == pytest.approx((value / error) ** 2, rel=1e-4)
+
+    def test_an_absorbed_effect_has_no_limits(self, base, monkeypatch):
+        monkeypatch.setattr(module, "applicable_effects", lambda *_: [LIBRARY["external.constant"]])
+        found = Search(base, draws=20).limits(LIBRARY["external.constant"])
+        assert found.absorbed
+        assert found.stderr == found.detection_limit == found.upper_limit == found.runs_needed == math.inf
+        assert math.isnan(found.power)
+
+
+class TestLargestHidden:
+    def test_limits_are_ordered_and_limited(self, base, monkeypatch):
+        torques = {
+            "a": 3.0,
+            "b": 9.0,
+            "c": 1.0,
+            "d": 20.0,
+            "e": 4.0,
+            "f": 5.0,
+            "g": 2.0,
+            "camera": 8.0,
+            "nan": math.nan,
+        }
+
+        class Known:
+            typical_torque = 10.0
+            effects = tuple(
+                SimpleNamespace(name=n, kind="measurement" if n == "camera" else "physical") for n in torques
+            )
+
+            def __init__(self, fit, extra, criteria, *, draws):
+                assert draws == 1
+
+            def limits(self, effect):
+                limit = torques[effect.name] / 2.0
+                return EffectLimits(
+                    effect,
+                    "k",
+                    "N m",
+                    {},
+                    1.0,
+                    2.0,
+                    1.0,
+                    (1.0, 1.0),
+                    limit,
+                    0.5,
+                    1.0,
+                    1.0,
+                    (),
+                    np.zeros((0, 2)),
+                )
+
+        monkeypatch.setattr(module, "Search", Known)
+        found = largest_hidden(base, (), DEFAULT)
+        assert [(u.effect, u.torque_Nm) for u in found] == [
+            ("b", 9.0), ("f", 5.0), ("e", 4.0), ("a", 3.0), ("g", 2.0),
+        ]  # fmt: skip
+        assert found[0].upper_limit == 4.5
+
+
+class TestCurves:
+    def test_between_two_points_the_power_is_a_normal_integral(self):
+        delta = np.array([0.0, 2.0, 4.0, 6.0, 8.0])
+        curve = np.stack([delta, norm.cdf(delta - 4.3)], axis=1)
+        for power in (0.5, 0.9, 0.95):
+            assert delta_of_power(curve, power) == pytest.approx(4.3 + norm.ppf(power), rel=1e-6)
+
+    @pytest.mark.parametrize(
+        ("powers", "expected"),
+        [((0.0, 0.5, 0.899), math.inf), ((0.95, 0.96, 0.97), math.inf), ((0.0, 0.95, 0.2), True)],
+    )
+    def test_a_power_that_is_not_reached_within_the_curve(self, powers, expected):
+        found = delta_of_power(np.stack([np.array([0.0, 1.0, 2.0]), np.array(powers)], axis=1))
+        assert found == expected if expected == math.inf else 0.5 < found < 1.0
+
+    @pytest.mark.parametrize("score", [0.1, 9.0])
+    def test_an_amplitude_with_a_phase_has_a_noncentral_chi_square(self, score):
+        limit = upper_limit(np.array([math.sqrt(score), 0.0]), one_sided=False)
+        # not less than for the median of the score without an effect
+        assert ncx2(2, limit**2).cdf(max(score, 2 * math.log(2.0))) == pytest.approx(0.05, rel=1e-6)
+
+    @pytest.mark.parametrize(
+        ("p", "one_sided", "limit"),
+        [(2.0, False, 2.0), (-2.0, False, 2.0), (2.0, True, 2.0), (-2.0, True, 0.0)],
+    )
+    def test_a_strength_without_a_phase(self, p, one_sided, limit):
+        assert upper_limit(np.array([p]), one_sided=one_sided) == pytest.approx(limit + ONE_SIDED, rel=1e-6)
+
+    @pytest.mark.parametrize("factor", [1.0, 2.0])
+    def test_the_smallest_significant_score(self, factor):
+        null = lambda score: np.array([norm.sf(math.sqrt(score))])  # noqa: E731 - a one-sided test
+        null.weights = np.ones(1)
+        found = module._smallest_score(null, lambda p, weights: float(p @ weights), factor, 0.03)
+        assert found == pytest.approx(norm.isf(0.03 / factor) ** 2, rel=1e-6)
+
+    def test_the_shape_with_the_median_limit(self):
+        root = np.array([1.0, 0.0, 4.0, 2.0])
+        torque = np.array([3.0, 1.0, 4.0, 8.0])
+        # torques of unit noncentrality: 3, infinite, 1, 4
+        assert module._median_shape(root, torque) == (0, (1.0, 4.0))
+        assert module._median_shape(root, np.full(4, np.nan)) == (3, (0.25, 1.0))
+        assert module._median_shape(np.zeros(2), np.ones(2)) == (0, (np.inf, np.inf))
+
+    def test_the_profile_of_a_strength_without_other_parameters(self):
+        """(x - k)^2 exceeds its minimum by 1.64^2 at x + 1.64; for a negative x, from k = 0 on."""
+        free, bound = np.zeros((2, 1)), np.array([[-1.0], [1.0]])
+        for x in (0.7, -0.5):
+            response, data = np.array([1.0, 0.0]), np.array([x, 0.3])
+            expected = x + ONE_SIDED if x > 0 else math.sqrt(x**2 + ONE_SIDED**2) + x
+            assert module._profile_limit(free, response, data, bound, 5.0) == pytest.approx(
+                expected, rel=2e-3
+            )
+        assert module._profile_limit(free, response, data, bound, 0.4) == 0.4
+
+
+def test_the_score_of_a_law_is_that_of_its_best_shape(base, monkeypatch):
+    """A brake whose torque is largest at some critical speed."""
+    brake = LIBRARY["casing.brake.eddy"]
+    monkeypatch.setattr(module, "applicable_effects", lambda *_: [brake])
+    columns = CaseColumns(base, 0).trials(brake, [{"w": 10.0}])[0].columns[:, 0]
+    strong = gyroscope(level=1e-7, residual=[residuals(base) + columns / np.linalg.norm(columns) * 300.0])
+    strong.fails = lambda criteria: False
+    found = Search(strong, draws=20)
+    scored = found.scores()[brake.name]
+    each = found._common[brake.name].scores(
+        found._common[brake.name].basis.T @ found._level.residual[:, None]
+    )
+    assert scored.score == each.max() > 1.1 * each.min()
+    assert scored.shape == found._trials[brake.name][0][int(each.argmax())].shape
+
+
+def test_stricter_criteria_raise_the_thresholds(base, search, monkeypatch):
+    monkeypatch.setattr(module, "applicable_effects", lambda *_: [DRAG, LAMINAR])
+    strict = Search(base, criteria=Criteria(evidence=40.0), draws=50)
+    assert strict._tests[DRAG.name][0].threshold == pytest.approx(40.0 + math.log(base.problem.rows))
+
+
+def test_the_power_for_an_amplitude_with_a_phase_is_that_of_a_noncentral_chi_square(base, monkeypatch):
+    """Of the middle phase, whose noncentrality is nearly that of the rms over all phases."""
+    law = LIBRARY["casing.precession"]
+    law = replace(
+        law, parameters=tuple(replace(p, grid=(900.0,)) if p.symbol == "m" else p for p in law.parameters)
+    )
+    monkeypatch.setattr(module, "applicable_effects", lambda *_: [law])
+    monkeypatch.setattr(CaseColumns, "_grid", lambda self, effect, p: np.array([900.0]))
+    found = Search(base, draws=600)
+    (test,) = found._tests[law.name]
+    root = found._common[law.name].root[0]
+    powers = found.power(law, 0, np.array([0.0, 4.0, 5.0, 7.0]) / root)
+    sine, cosine = found._whitened(found._stacked(law)[:1]).T
+    free = found._level.basis
+    middle = (sine + cosine) / math.sqrt(2.0)
+    size = np.linalg.norm(middle - free @ (free.T @ middle)) / root
+    expected = [ncx2(2, max(size * d, 1e-9) ** 2).sf(test.threshold) for d in (0.0, 4.0, 5.0, 7.0)]
+    assert powers == pytest.approx(expected, abs=0.07)
+    # all cases have one strength: there is one group
+    assert found.power(law, 3, np.array([4.0, 7.0]) / root) == pytest.approx(powers[[1, 3]], abs=0.07)
+    assert found._tests[law.name][0].parts[0].width == 2

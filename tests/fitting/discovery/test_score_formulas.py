@@ -1,0 +1,477 @@
+"""The score test against generalised least squares, its columns against differences, its p-values against formulas."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from linearised import BEGIN, SPAN, covariance, gyroscope, least_squares
+from scipy.stats import chi2
+
+from fitting._criteria import DEFAULT
+from fitting.discovery import _score as module
+from fitting.discovery._score import (
+    CaseColumns,
+    FamilywiseNull,
+    NullDistribution,
+    Score,
+    ScoreContext,
+    Trial,
+    best_group,
+    has_phases,
+    over_many_tests,
+    rows_of_case,
+    score,
+    score_of_columns,
+    stacked,
+)
+from fitting.effects._library import LIBRARY, LINEAR
+
+# effect, strength of the difference, shape constants
+LAWS = [
+    ("casing.air.quadratic", 1e-9, {}),
+    ("bearing.quadratic", 1e-10, {}),
+    ("rotor.air.linear", 1e-9, {}),
+    ("casing.windage", 1e-10, {}),
+    ("touchpoint.stribeck", 1e-6, {"w": 30.0}),
+    ("touchpoint.step", 1e-6, {"t0": 5.123}),
+    ("touchpoint.step", 1e-6, {"t0": 9.001}),
+    ("casing.seal.cooling", 1e-6, {"tau_T": 3.0}),
+    ("bearing.heating", 1e-5, {"tau_T": 0.7}),
+    ("bearing.drift", 1e-4, {}),
+    ("setup.inertia", 1e-4, {}),
+    ("casing.precession", 1e-6, {"m": 1000.0}),
+]
+
+
+class TestColumns:
+    @pytest.mark.parametrize(("name", "strength", "shape"), LAWS)
+    def test_they_are_the_derivatives_of_the_rows_by_the_strength(self, name, strength, shape):
+        effect, base = LIBRARY[name], gyroscope()
+        (trial,) = CaseColumns(base, 0).trials(effect, [shape])
+        assert trial.shape == shape
+        key = f"{name}.{effect.amplitude.symbol}"
+        held = {f"{name}.{k}": v for k, v in shape.items()}
+        for column, phase in zip(trial.columns.T, (0.0, math.pi / 2), strict=False):
+            up, down = (
+                gyroscope((*LINEAR, name), held | {key: k, f"{name}.phi": phase}).predictions[0].rows
+                for k in (strength, -strength)
+            )
+            exact = (up - down) / (2 * strength)
+            assert np.linalg.norm(column - exact) < 2e-3 * np.linalg.norm(exact)
+        assert trial.columns.shape[1] == (2 if name == "casing.precession" else 1)
+
+    def test_a_torque_acts_on_its_body_and_in_the_bearing_on_both(self):
+        columns = CaseColumns(gyroscope(), 0)
+        for name, shares in (
+            ("casing.air.quadratic", (0, 1)),
+            ("rotor.air.linear", (1, 0)),
+            ("bearing.constant", (-1, 1)),
+        ):
+            unit = columns._units(LIBRARY[name], [{}])
+            for torque, share in zip(columns.torque(LIBRARY[name], {}), shares, strict=True):
+                assert torque == pytest.approx(share * unit)
+
+    def test_typical_torques_are_those_of_the_bearing(self):
+        """0.2 uN m s times the difference of the speeds."""
+        columns = CaseColumns(gyroscope(), 0)
+        delta = columns.along_motion("omega_r") - columns.along_motion("omega_c")
+        assert columns.typical_torque == pytest.approx(2e-7 * delta)
+        assert columns.along_motion("t") == pytest.approx(columns.response.centres)
+
+    def test_the_grid_of_a_changepoint_is_eight_times_finer(self):
+        columns, effect = CaseColumns(gyroscope(), 0), LIBRARY["touchpoint.step"]
+        (_, moment) = effect.parameters
+        grid = columns._grid(effect, moment)
+        declared = BEGIN + np.array(moment.grid) * SPAN
+        assert grid[::8] == pytest.approx(declared)
+        assert len(grid) == 8 * (len(declared) - 1) + 1
+        assert np.diff(grid)[:8] == pytest.approx(np.full(8, (declared[1] - declared[0]) / 8))
+
+    def test_the_cell_of_a_changepoint_has_the_mean_of_both_sides(self):
+        columns, step = CaseColumns(gyroscope(), 0), LIBRARY["touchpoint.step"]
+        constant = columns._units(LIBRARY["touchpoint.constant"], [{}])[:, 0]
+        low, high = columns.response.edges[[40, 41]]
+        for share in (0.2, 0.9):  # of the cell before the changepoint
+            unit = columns._units(step, [{"t0": low + share * (high - low)}])[:, 0]
+            assert unit[40] == pytest.approx((1 - share) * constant[40], rel=2e-3)
+            turned = replace(step, law="-k*heaviside(t0 - t)*sign(omega_c)")
+            rest = columns._units(turned, [{"t0": low + share * (high - low)}])[:, 0]
+            assert rest == pytest.approx(constant - unit, rel=2e-3, abs=1e-9)
+
+    def test_a_changepoint_outside_of_the_record_is_always_or_never(self):
+        columns, step, constant = (
+            CaseColumns(gyroscope(), 0),
+            LIBRARY["touchpoint.step"],
+            LIBRARY["touchpoint.constant"],
+        )
+        before, after = (columns._units(step, [{"t0": t}])[:, 0] for t in (BEGIN - 1.0, BEGIN + SPAN + 1.0))
+        assert before == pytest.approx(columns._units(constant, [{}])[:, 0])
+        assert after == pytest.approx(np.zeros(len(after)))
+
+    def test_other_grids_are_as_declared(self):
+        columns = CaseColumns(gyroscope(), 0)
+        for name, factor in (("touchpoint.stribeck", 1.0), ("bearing.heating", SPAN)):
+            shape = next(p for p in LIBRARY[name].parameters if p.role == "shape")
+            assert columns._grid(LIBRARY[name], shape) == pytest.approx(factor * np.array(shape.grid))
+
+    def test_frequencies_are_as_fine_as_the_record_is_long(self):
+        """Phases over the record are 1.5 rad apart, and one radian per cell is the largest phase."""
+        columns, effect = CaseColumns(gyroscope(), 0), LIBRARY["casing.precession"]
+        shape = next(p for p in effect.parameters if p.role == "shape")
+        grid = columns._grid(effect, shape)
+        phase = columns._states(effect, {"m": grid})
+        steps = np.diff(np.ptp(phase, axis=0))
+        assert steps == pytest.approx(np.full(len(steps), steps[0]))
+        assert 1.5 <= steps[0] < 1.7
+        assert np.abs(np.diff(phase, axis=0)).max() == pytest.approx(1.0)
+
+
+def residual(rows, seed=3):
+    return np.random.default_rng(seed).standard_normal(rows) * 2.0
+
+
+def stood(level, *, raised=False, sign=1.0, **options):
+    """Return a base whose residuals are noise and some drag, of a strength of 1e-9 N m s2 and either sign."""
+    plain = gyroscope(level=level, **options)
+    drag = CaseColumns(plain, 0).trials(LIBRARY["casing.air.quadratic"])[0].columns[:, 0]
+    rows = residual(len(drag)) + sign * 1e-8 * drag
+    return gyroscope(level=level, raised=raised, residual=[rows], **options)
+
+
+def free_columns(base):
+    return np.concatenate([base.predictions[0].jacobian, base.problem.data[0].nuisance], axis=1)
+
+
+class TestScore:
+    """Of a drag of the casing beside free friction, against two fits by generalised least squares."""
+
+    effect = LIBRARY["casing.air.quadratic"]
+
+    def columns(self, base):
+        return CaseColumns(base, 0).trials(self.effect)
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_score_and_strength_are_those_of_least_squares(self, sign):
+        base = stood(1e-7, sign=sign)
+        (trial,) = self.columns(base)
+        (found,) = score(base, [self.effect], [CaseColumns(base, 0)], DEFAULT, draws=2)
+        rows, free, c = (
+            base.problem.data[0].z - base.predictions[0].rows,
+            free_columns(base),
+            covariance(base, 1e-7),
+        )
+        before, _ = least_squares(free, rows, c)
+        after, values = least_squares(np.column_stack([free, trial.columns]), rows, c)
+        assert np.sign(values[-1]) == sign
+        if sign > 0:
+            assert found.score == pytest.approx(before - after, rel=1e-6)
+            assert found.gamma[0] == pytest.approx(values[-1], rel=1e-6)
+        else:  # friction is not negative
+            assert found.score == 0.0
+        assert (found.columns, found.trials, found.absorbed) == (1, 1, False)
+
+    def test_the_level_is_profiled_with_and_without_the_effect(self):
+        base = stood(1e-6, raised=True)
+        (trial,) = self.columns(base)
+        rows, free = base.problem.data[0].z - base.predictions[0].rows, free_columns(base)
+        levels = 1e-7 * 10 ** np.linspace(0.0, 1.0, 9)
+
+        def least(columns):
+            each = []
+            for level in levels:
+                c = covariance(base, level)
+                each.append(least_squares(columns, rows, c)[0] + np.linalg.slogdet(c)[1])
+            return min(each)
+
+        expected = least(free) - least(np.column_stack([free, trial.columns]))
+        context = ScoreContext(base, 2)
+        assert len(context.levels) == 9
+        found = best_group(context, self.effect, rows_of_case(context, [trial], 0), context.levels)
+        assert found.score == pytest.approx(expected, rel=1e-6)
+        assert score_of_columns(context, trial.columns) == pytest.approx(expected, rel=1e-6)
+        assert found.shares == (0.0,)  # a raised level is no process noise
+
+    def test_the_share_of_the_process_noise_is_that_of_the_variance(self):
+        base = stood(1e-7)
+        context = ScoreContext(base, 2)
+        found = best_group(context, self.effect, rows_of_case(context, self.columns(base), 0), context.levels)
+        assert np.linalg.norm(found.direction) == pytest.approx(1.0)
+        # along the principal axes the whitened variance of the process noise is t / (1 + t)
+        t = 1e-14 * base.noise[0].whitener.values
+        assert found.shares[0] == pytest.approx(found.direction[: len(t)] ** 2 @ (t / (1 + t)))
+        assert 0.0 < found.shares[0] < 1.0
+
+    def test_null_scores_are_those_of_white_rows(self):
+        base = stood(1e-7)
+        context = ScoreContext(base, 400)
+        found = best_group(
+            context,
+            LIBRARY["external.constant"],
+            rows_of_case(context, self.columns(base), 0),
+            context.levels,
+        )
+        assert found.null == pytest.approx((found.direction @ context.draws) ** 2)
+        assert found.null.mean() == pytest.approx(1.0, abs=0.2)
+        friction = best_group(
+            context, self.effect, rows_of_case(context, self.columns(base), 0), context.levels
+        )
+        assert (friction.null == 0).mean() == pytest.approx(0.5, abs=0.1)
+
+    def test_what_the_base_absorbs_has_no_score(self):
+        base = stood(1e-7)
+        context = ScoreContext(base, 2)
+        trials = CaseColumns(base, 0).trials(LIBRARY["external.constant"])
+        found = best_group(
+            context, LIBRARY["external.constant"], rows_of_case(context, trials, 0), context.levels
+        )
+        assert found.absorbed
+        assert found.score == 0.0
+
+    def test_the_best_of_several_trials_is_taken(self):
+        base = stood(1e-7)
+        context = ScoreContext(base, 2)
+        (right,) = self.columns(base)
+        wrong = Trial({"w": 1.0}, residual(len(right.columns), 9)[:, None])
+        right = Trial({"w": 2.0}, right.columns)
+        found = best_group(
+            context, self.effect, rows_of_case(context, [wrong, right], 0), context.levels, null=False
+        )
+        assert found.shape == ({"w": 2.0},)
+        assert found.trials == 2
+        assert len(found.null) == 0
+
+    def test_the_change_of_the_base_when_rows_are_added_to_it(self):
+        base = stood(1e-7)
+        added = residual(len(base.predictions[0].rows), 5)
+        rows = base.problem.data[0].z - base.predictions[0].rows - added
+        _, values = least_squares(free_columns(base), rows, covariance(base, 1e-7))
+        assert ScoreContext(base, 2).base_change(added) == pytest.approx(values[: len(base.theta)], rel=1e-5)
+
+    def test_rows_of_a_torque_and_effects_that_are_left_out(self):
+        base = stood(1e-7)
+        torque = residual(len(base.predictions[0].rows), 5)
+        context = ScoreContext(base, 2, without=["casing.air.linear"], torque_rows=torque)
+        place = base.problem.layout.index["casing.air.linear.b2"]
+        free = np.delete(free_columns(base), place, axis=1)
+        rows = base.problem.data[0].z - base.predictions[0].rows + torque
+        c = covariance(base, 1e-7)
+        expected = least_squares(free, rows, c)[0] + np.linalg.slogdet(c)[1]
+        assert context.levels[0].deviance == pytest.approx(expected)
+
+    @pytest.mark.parametrize(("release", "free"), [(False, False), (True, True)])
+    def test_a_parameter_at_its_bound_is_held(self, release, free):
+        base = stood(1e-7, values={"casing.air.linear.b2": 0.0})
+        place = base.problem.layout.index["casing.air.linear.b2"]
+        columns = free_columns(base) if free else np.delete(free_columns(base), place, axis=1)
+        rows, c = base.problem.data[0].z - base.predictions[0].rows, covariance(base, 1e-7)
+        expected = least_squares(columns, rows, c)[0] + np.linalg.slogdet(c)[1]
+        assert ScoreContext(base, 2, release=release).levels[0].deviance == pytest.approx(expected)
+
+    @pytest.mark.parametrize(
+        ("least", "level", "share", "expected"),
+        [
+            (1.0, 100.0, 0.0, 1.0),
+            (1.0, 100.0, 0.5, 10.0),
+            (1.0, 100.0, 1.0, 100.0),
+            (0.0, 100.0, 0.0, 0.1),  # a thousandth of the level
+            (2.0, 1.0, 0.5, 1.0),  # the level of the fit is the lowest one
+        ],
+    )
+    def test_levels_are_equally_spaced_in_their_logarithm(self, least, level, share, expected):
+        assert module._level_between(least, level, share) == pytest.approx(expected)
+
+
+class TestStrengths:
+    columns = np.random.default_rng(1).standard_normal((9, 4))
+    rows = np.random.default_rng(2).standard_normal(9)
+
+    def test_of_single_columns_and_of_pairs(self):
+        for width in (1, 2):
+            found, gamma = module._solve(self.columns, self.rows, 4 // width, (-np.inf, np.inf))
+            for i in range(4 // width):
+                part = self.columns[:, i * width : (i + 1) * width]
+                exact = np.linalg.lstsq(part, self.rows, rcond=None)[0]
+                assert gamma[i] == pytest.approx(exact)
+                assert found[i] == pytest.approx(self.rows @ part @ exact)
+
+    @pytest.mark.parametrize(("lower", "upper"), [(0.0, np.inf), (-0.05, 0.05), (-np.inf, 0.0)])
+    def test_bounds_limit_the_strength_and_the_score(self, lower, upper):
+        found, gamma = module._solve(self.columns, self.rows, 4, (lower, upper))
+        exact = self.columns.T @ self.rows / (self.columns**2).sum(axis=0)
+        assert (exact > 0).any()
+        assert (exact < 0).any()
+        limited = np.clip(exact, lower, upper)
+        assert gamma[:, 0] == pytest.approx(limited)
+        rest = self.rows[:, None] - self.columns * limited
+        assert found == pytest.approx(self.rows @ self.rows - (rest**2).sum(axis=0))
+
+    def test_a_column_of_zeros_has_no_score(self):
+        found, _ = module._solve(np.zeros((9, 2)), self.rows, 2, (-np.inf, np.inf))
+        assert found == pytest.approx([0.0, 0.0])
+
+    def test_bounds_are_those_of_a_strength_without_a_phase(self):
+        assert module._bounds(LIBRARY["casing.air.quadratic"]) == (0.0, math.inf)
+        assert module._bounds(LIBRARY["setup.inertia"]) == (-0.3, 0.3)
+        assert module._bounds(LIBRARY["casing.precession"]) == (-math.inf, math.inf)
+
+
+def tried(trials, columns, draws=20_001, scale=1.0):
+    """A score whose null data are exactly those of the largest of some independent chi-squares."""
+    uniform = (np.arange(draws) + 0.5) / draws
+    null = chi2(columns).isf(-np.expm1(np.log(uniform) / trials))
+    process = SimpleNamespace(ratios=np.array([scale]), weights=np.ones(1))
+    none = np.zeros(0)
+    return Score(
+        LIBRARY["casing.air.quadratic"], 0.0, none, ({},), columns, trials, absorbed=False, direction=none, null=null,
+        shares=(1.0,), noise=(SimpleNamespace(process=process),),
+    )  # fmt: skip
+
+
+class TestProbability:
+    @pytest.mark.parametrize("columns", [1, 2])
+    @pytest.mark.parametrize("trials", [1, 30])
+    def test_of_the_largest_of_several_trials(self, trials, columns):
+        null = NullDistribution(tried(trials, columns))
+        for x in (1.0, 12.0, 30.0):
+            single = chi2(columns).sf(x)
+            assert null(x)[0] == pytest.approx(-np.expm1(trials * np.log1p(-single)), rel=0.01)
+        assert null.of_draws() == pytest.approx((np.arange(20_001)[::-1] + 0.5) / 20_001, abs=0.01)
+        assert null(-3.0)[0] == pytest.approx(1.0)
+
+    def test_a_score_with_fewer_strengths(self):
+        null = NullDistribution(tried(30, 2))
+        assert null.of(12.0, 1)[0] == pytest.approx(-np.expm1(30 * np.log1p(-chi2(1).sf(12.0))), rel=0.01)
+
+    def test_an_error_of_the_noise_scales_the_score(self):
+        assert NullDistribution(tried(1, 1, scale=4.0))(12.0)[0] == pytest.approx(chi2(1).sf(3.0), rel=0.01)
+
+    @pytest.mark.parametrize("tests", [1, 25])
+    def test_of_the_smallest_of_many_tests(self, tests):
+        smallest = -np.expm1(np.log1p(-(np.arange(5001) + 0.5) / 5001) / tests)
+        for p in (1e-4, 0.01, 0.2):
+            assert over_many_tests(p, smallest) == pytest.approx(-np.expm1(tests * np.log1p(-p)), rel=0.01)
+
+    def test_there_is_at_least_one_test(self):
+        assert over_many_tests(0.2, np.full(11, 0.9)) == pytest.approx(0.2)
+
+    def test_equal_candidates_count_once(self):
+        family = FamilywiseNull([NullDistribution(tried(1, 1))] * 3)
+        assert family(np.array([0.02]), np.ones(1)) == pytest.approx(0.02, rel=0.01)
+        # the mean over the possible levels of the noise
+        assert family(np.array([0.01, 0.03]), np.array([0.25, 0.75])) == pytest.approx(0.025, rel=0.01)
+
+
+class TestShapes:
+    @pytest.mark.parametrize(
+        ("value", "low", "high"),
+        [(2.0, 1.0, 4.0), (4.0, 2.0, 8.0), (1.0, 0.3, 2.0), (8.0, 4.0, 8.0 + 7 / 3)],
+    )
+    def test_the_neighbours_of_a_point_of_a_grid(self, value, low, high):
+        """Beyond the ends by the mean step, and not below 0.3 of the value."""
+        assert module._neighbours([8.0, 1.0, 4.0, 2.0], value) == pytest.approx((low, high))
+
+    def test_neighbours_of_a_lonely_point(self):
+        assert module._neighbours([5.0], 5.0) == (5.0, 5.0)
+        assert module._neighbours([5.0, 6.0], 5.0) == (4.0, 6.0)
+
+    def test_rows_of_one_case_are_zero_in_the_others(self):
+        context = SimpleNamespace(ends=np.array([0, 2, 5]))
+        ((shape, rows),) = rows_of_case(context, [Trial({"w": 1.0}, np.ones((3, 1)))], 1)
+        assert shape == ({"w": 1.0},)
+        assert rows[:, 0].tolist() == [0, 0, 1, 1, 1]
+
+    def test_cases_are_stacked_or_have_their_own_columns(self):
+        trials = [
+            [Trial({"w": x}, np.full((2, 1), x)) for x in (1.0, 2.0)],
+            [Trial({"w": 3.0}, np.full((1, 1), 3.0))],
+        ]
+        common, own = stacked(trials, per_case=False), stacked(trials, per_case=True)
+        assert [g[0] for g in common] == [({"w": 1.0}, {"w": 3.0}), ({"w": 2.0}, {"w": 3.0})]
+        assert common[1][1].tolist() == [[2.0], [2.0], [3.0]]
+        assert own[1][1].tolist() == [[2.0, 0.0], [2.0, 0.0], [0.0, 3.0]]
+
+    @pytest.mark.parametrize(
+        ("name", "cases", "phases", "per_case"),
+        [
+            ("casing.precession", 2, True, False),
+            ("casing.precession", 1, False, False),
+            ("camera.centre", 2, False, False),
+            ("touchpoint.step", 2, False, True),
+            ("touchpoint.step", 1, False, False),
+        ],
+    )
+    def test_what_may_differ_between_cases(self, name, cases, phases, per_case):
+        assert has_phases(LIBRARY[name], cases) is phases
+        assert module._is_per_case(LIBRARY[name], cases) is per_case
+
+    @pytest.mark.parametrize(("margin", "own"), [(0.1, True), (-0.1, False)])
+    def test_a_phase_of_each_case_needs_evidence_per_case(self, monkeypatch, margin, own):
+        def best(context, effect, groups, levels, *, null=True):
+            value = 40.0 + (2 * DEFAULT.own_phase + margin if groups == "own" else 0.0)
+            return Score(
+                effect,
+                value,
+                np.zeros(0),
+                ({},),
+                2,
+                1,
+                absorbed=False,
+                direction=np.zeros(0),
+                null=np.zeros(0),
+            )
+
+        monkeypatch.setattr(module, "best_group", best)
+        monkeypatch.setattr(module, "stacked", lambda trials, *, per_case: "own" if per_case else "common")
+        found = module._score(
+            SimpleNamespace(levels=[]), LIBRARY["casing.precession"], [[1], [1], [1]], DEFAULT
+        )
+        assert found.own_phase is own
+        assert found.score == (40.0 + 2 * DEFAULT.own_phase + margin if own else 40.0)
+
+    @pytest.mark.parametrize(("share", "refined"), [(1.01, True), (0.99, False)])
+    def test_shapes_of_promising_candidates_are_refined(self, monkeypatch, share, refined):
+        """A score 10 - (w - 2.3)^2 on a grid of 1, 2, 4."""
+        tops = {"touchpoint.stribeck": 10.0 * share * DEFAULT.shape_share, "casing.air.quadratic": 10.0}
+
+        def scored(context, effect, trials, criteria, *, null=True, own_phase=None):
+            top, (tried,) = tops[effect.name], trials
+            values = [top - (t.shape.get("w", 2.3) - 2.3) ** 2 * 1e-3 for t in tried]
+            best = int(np.argmax(values))
+            return Score(
+                effect, values[best], np.zeros(0), (tried[best].shape,), 1, len(tried), absorbed=False,
+                direction=np.zeros(0), null=np.full(3, float(null)), own_phase=bool(own_phase),
+            )  # fmt: skip
+
+        def trials(effect, choices=None):
+            usual = [{"w": w} for w in (1.0, 2.0, 4.0)] if effect.name == "touchpoint.stribeck" else [{}]
+            return [Trial(c, np.zeros((1, 1))) for c in (usual if choices is None else choices)]
+
+        monkeypatch.setattr(module, "_score", scored)
+        effects = [LIBRARY[n] for n in tops]
+        found, _ = score(None, effects, [SimpleNamespace(trials=trials)], DEFAULT, context="given")
+        w = found.shape[0]["w"]
+        # three rounds of nine points: 3 / 8, 3 / 32, 3 / 128 apart
+        assert abs(w - 2.3) < 0.02 if refined else w == 2.0
+        assert (found.trials, found.null.tolist()) == (3, [1.0, 1.0, 1.0])
+
+
+def test_each_case_may_choose_its_own_shape():
+    """Two cases whose residuals are two different laws: each law is chosen, and its own part of the score is added."""
+    base = gyroscope(cases=("a", "b"), level=1e-7, per_case=("touchpoint", "casing"))
+    ends = np.cumsum([0, *(len(p.rows) for p in base.predictions)])
+    columns = [CaseColumns(base, i) for i in (0, 1)]
+    step = LIBRARY["touchpoint.step"]
+    trials = [c.trials(step, [{"t0": t} for t in (6.0, 9.0, 12.0)]) for c in columns]
+    rows = [
+        residual(len(p.rows), 7 + i) + 3e-5 * trials[i][k].columns[:, 0]
+        for i, (p, k) in enumerate(zip(base.predictions, (0, 2), strict=True))
+    ]
+    base = gyroscope(cases=("a", "b"), level=1e-7, per_case=("touchpoint", "casing"), residual=rows)
+    found = module._score(ScoreContext(base, 5), step, trials, DEFAULT)
+    assert [s["t0"] for s in found.shape] == [6.0, 12.0]
+    assert found.trials == 6
+    assert found.gamma == pytest.approx([3e-5, 3e-5], rel=0.1)
+    assert len(found.null) == 5
+    assert ends[-1] == len(found.direction)

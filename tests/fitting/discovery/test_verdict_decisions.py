@@ -1,0 +1,536 @@
+"""From a selection to a verdict: tables of small cases with the answer, its words, and what is asked on the way."""
+
+import math
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting._workers import WorkerPool
+from fitting.discovery import _verdict as module
+from fitting.discovery._lack_of_fit import (
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAWS,
+    HarmonicTest,
+    PeriodogramPeak,
+    SmoothTest,
+)
+from fitting.discovery._measurement import SLIP, START
+from fitting.discovery._remainder import Grade, Nuisance, Remainder
+from fitting.discovery._select import Candidate, Selection
+from fitting.discovery._verdict import diagnose, slipped
+from fitting.effects._library import LIBRARY
+from fitting.inference._result import Estimate
+
+DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
+LEFT = Remainder(1e-6, 0.03, 1e-5, "Remainder 1 uN m rms.")
+
+
+def estimate(value=4e-8, stderr=1e-9, unit="N m s2", *, at_bound=False):
+    return Estimate(value, stderr, unit, at_bound=at_bound)
+
+
+def data(*, oscillation=None, lines=(), slips=(), label="run"):
+    samples = SimpleNamespace(sigma=np.full(3, 1e-3))
+    return SimpleNamespace(
+        oscillation=oscillation, spectral_lines=lines, slips=slips,
+        casing=SimpleNamespace(scale=2.0, samples=samples), rotor=(),
+        record=SimpleNamespace(label=label),
+    )  # fmt: skip
+
+
+def problem(*cases):
+    return SimpleNamespace(data=list(cases), layout=SimpleNamespace(index={}))
+
+
+def named(*effects):
+    return SimpleNamespace(names=tuple(effects))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A fit, as far as an answer depends on it."""
+
+    model: Any = field(default_factory=named)
+    wrong: bool = False
+    noisy: bool = False
+    needs_random: bool = False
+    findings: tuple = ()
+    noise: tuple = (SimpleNamespace(level=2e-6, pure=1e-6),)
+    torque_unit: str = "N m"
+    converged: bool = True
+    undetermined: tuple = ()
+    estimates: dict = field(default_factory=dict)
+    lacks_restoring_torque: bool = False
+    rows: int = 500
+    problem: Any = field(default_factory=lambda: problem(data()))
+
+    def fails(self, criteria):
+        return self.wrong
+
+    def has_excess_noise(self, criteria):
+        return self.noisy
+
+    def needs_random_torque(self, criteria):
+        return self.needs_random
+
+
+def candidate(name=DRAG, *, alike=(), significant=True, fit=Found(), estimates=None, effect=None, score=50.0):
+    effect = LIBRARY[name] if effect is None else effect
+    return Candidate(
+        effect, score, -40.0, 1e-6, 0.0, tuple(alike), estimates or {}, significant, SimpleNamespace(), fit
+    )
+
+
+def selection(chosen=None, *, named=None, final=None, others=()):
+    return Selection(
+        ([chosen] if chosen else []) + list(others), chosen, named or Found(), final or named or Found()
+    )
+
+
+class Answer:
+    """`diagnose` with the results of its steps given."""
+
+    @pytest.fixture(autouse=True)
+    def steps(self, monkeypatch):
+        self.given = {
+            "rank": [], "separate_values": None, "select": selection(), "with_free_inertia": None,
+            "contradiction": None, "significant_peak": None, "grade": Grade(None, None, None),
+            "inertia_within_uncertainty": "", "with_random_torque": None, "describes": False,
+            "is_established": True, "smooth_test": SmoothTest("casing", 0.5), "nonparametric_rivals": (),
+            "nuisance_parameters": [], "largest_hidden": (), "find_failures": [], "separating_run": "next run",
+            "whiteness": [], "residual_torques": [], "angle_harmonics": [], "combined_uncertainties": {},
+            "reselected": None,
+        }  # fmt: skip
+        self.asked, self.arguments = [], {}
+
+        def step(name):
+            def run(*args, **options):
+                self.asked.append(name)
+                self.arguments[name] = (args, options)
+                return self.given[name]
+
+            return run
+
+        for name in self.given:
+            monkeypatch.setattr(module, name, step(name))
+
+    def answer(self, fit=None, *, brief=True, **given):
+        self.given |= given
+        self.asked.clear()
+        return diagnose(Found(wrong=True) if fit is None else fit, brief=brief)
+
+
+COMPLETE = Grade("exact", 1.0, None)
+
+
+def random_torque(**options):
+    fit = Found()
+    words = "a random torque of 1 uN m rms"
+    return SimpleNamespace(fit=fit, words=words, **options)
+
+
+class TestVerdict(Answer):
+    def test_without_a_lack_of_fit_a_model_is_adequate(self):
+        found = self.answer(Found())
+        assert (found.verdict, found.form, found.explained, found.failures) == ("adequate", None, None, ())
+        assert "largest_hidden" not in self.asked  # not asked for in brief
+        limit = SimpleNamespace(effect=DRAG, torque_Nm=3e-7)
+        found = self.answer(Found(), brief=False, largest_hidden=(limit,))
+        assert found.upper_limits == (limit,)
+        assert f"95 % upper limits of the rms torque: {DRAG} 0.3 uN m." in found.sentence
+
+    def test_effects_of_the_user_and_criteria_are_passed_on(self):
+        own, strict = candidate().effect, Criteria(significance=0.001)
+        base, workers = Found(wrong=True), WorkerPool(0)
+        known, history = [candidate()], ["step"]
+        diagnose(base, (own,), criteria=strict, workers=workers)
+        assert self.arguments["rank"] == ((base, (own,)), {"criteria": strict, "workers": workers})
+        diagnose(
+            base, (own,), criteria=strict, candidates=known, history=history, workers=workers, brief=True
+        )
+        assert self.arguments["separate_values"] == ((base, known, (own,), strict), {})
+        assert self.arguments["select"] == ((base, known, (own,), strict, workers, history), {})
+        final = self.given["select"]
+        assert self.arguments["with_free_inertia"] == ((base, final, (own,), strict), {})
+        assert self.arguments["grade"] == ((base, final, None, strict), {"misfit": False})
+        assert self.arguments["contradiction"] == ((None, final.final, strict), {})
+        self.answer(Found(), brief=False)
+        assert self.arguments["largest_hidden"][0][1:] == ((), DEFAULT)
+        self.answer(
+            select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(), describes=True
+        )
+        ((random, named_fit, tests, _), _) = self.arguments["is_established"]
+        assert (random, named_fit, tests) == (self.given["with_random_torque"], self.given["select"].named, 1)
+
+    def test_a_lack_of_fit_that_nothing_explains(self):
+        found = self.answer(
+            Found(), select=selection(final=Found(wrong=True)), find_failures=["at 2 s"], brief=False
+        )
+        assert found.verdict == "unexplained"
+        assert found.sentence.startswith("Significant lack of fit: at 2 s.")
+        assert "An unexplained torque of 2 uN m rms remains" in found.sentence
+        assert found.failures == ("at 2 s",)
+
+    def test_an_effect_that_suffices_is_missing(self):
+        chosen = candidate(estimates={f"{DRAG}.k": estimate()})
+        found = self.answer(select=selection(chosen), grade=COMPLETE)
+        assert (found.verdict, found.form, found.explained) == ("missing_effect", "exact", 1.0)
+        assert f"The missing effect is {DRAG}, k = " in found.sentence
+        assert found.next_experiment == ""
+        assert self.answer(brief=False).next_experiment == "next run"
+
+    def test_a_test_that_contradicts_the_final_fit_counts(self):
+        found = self.answer(Found(), contradiction=SmoothTest("casing", 1e-5))
+        assert found.verdict == "unexplained"
+        assert "depends on the speed of the casing (p = 1e-05)" in found.sentence
+        # of a fit with a lack of fit no further test is asked for, but for a sinusoid in recordings with lines
+        wrong = selection(final=Found(wrong=True))
+        self.answer(select=wrong, contradiction=SmoothTest("casing", 1e-5))
+        assert "contradiction" not in self.asked
+        assert "significant_peak" not in self.asked
+        lined = Found(wrong=True, problem=problem(data(), data(lines=(1,))))
+        peak = PeriodogramPeak(2.0, 1e-6, 1e-4, "run", "casing", 1e-6, "casing: k*sin(2*t)")
+        found = self.answer(lined, select=wrong, significant_peak=peak)
+        assert 'add "casing: k*cos(2*t + phi)" as a hypothesis' in found.sentence
+
+    def test_an_effect_that_does_not_explain_a_sinusoid_is_not_named(self):
+        peak = PeriodogramPeak(2.0, 1e-6, 1e-4, "run", "casing", 1e-6, "law")
+        chosen = candidate()
+        found = self.answer(select=selection(chosen), contradiction=peak, significant_peak=peak)
+        assert found.verdict == "unexplained"
+        assert f"after {DRAG}" not in found.sentence
+        found = self.answer(significant_peak=None)
+        assert f"after {DRAG}" in found.sentence
+        # with an approximate form the effect is part of the answer
+        found = self.answer(grade=Grade("approximate", 0.97, LEFT), significant_peak=peak)
+        assert found.verdict == "missing_effect"
+
+    @pytest.mark.parametrize(
+        ("text", "verdict"), [("within its uncertainty", "adequate"), ("", "missing_effect")]
+    )
+    def test_an_inertia_within_its_uncertainty_is_no_missing_effect(self, text, verdict):
+        chosen = candidate("setup.inertia")
+        found = self.answer(select=selection(chosen), grade=COMPLETE, inertia_within_uncertainty=text)
+        assert found.verdict == verdict
+        assert not text or (found.sentence, found.explained, found.form) == (text, None, None)
+        # of an effect with a remainder it is not asked for
+        self.answer(grade=Grade("approximate", 0.97, LEFT))
+        assert "inertia_within_uncertainty" not in self.asked
+
+    def test_an_effect_that_is_not_determined_is_a_hint(self):
+        weak = Found(estimates={f"{DRAG}.k": estimate(2e-9, 1e-9)})
+        found = self.answer(select=selection(candidate(), named=weak), grade=COMPLETE)
+        assert (found.verdict, found.form, found.explained) == ("undecided", None, None)
+        assert f"so {DRAG} is a hint only." in found.sentence
+        assert "with_random_torque" not in self.asked
+        found = self.answer(select=selection(candidate(), named=weak, final=Found(wrong=True)))
+        assert found.verdict == "unexplained"
+        starts = candidate(effect=START, estimates={"camera.start.dt": estimate(3e-3, 1e-3, "s")})
+        assert self.answer(select=selection(starts, named=weak)).verdict == "missing_effect"
+
+    @pytest.mark.parametrize(
+        ("established", "describes", "smooth_p", "verdict"),
+        [
+            (False, True, 0.0011, "undecided"),
+            (False, True, 0.0009, "missing_effect"),
+            (False, False, 0.5, "missing_effect"),
+            (True, True, 0.5, "missing_effect"),
+        ],
+    )
+    def test_a_random_torque_is_an_alternative(self, established, describes, smooth_p, verdict):
+        found = self.answer(
+            select=selection(candidate(alike=(LAMINAR,))), grade=COMPLETE, with_random_torque=random_torque(),
+            describes=describes, is_established=established, smooth_test=SmoothTest("casing", smooth_p),
+        )  # fmt: skip
+        assert found.verdict == verdict
+        if verdict == "undecided":
+            assert (
+                f"A random torque of 1 uN m rms describes the data as well as {DRAG}, {LAMINAR}"
+                in found.sentence
+            )
+            assert "Repeat the recording" in found.sentence
+
+    def test_a_random_torque_that_describes_an_unexplained_lack_of_fit(self):
+        wrong = selection(final=Found(wrong=True))
+        found = self.answer(select=wrong, with_random_torque=random_torque(), describes=True)
+        assert found.verdict == "undecided"
+        assert "describes the data;" in found.sentence
+        assert "Repeat" not in found.sentence
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"select": selection(candidate("setup.inertia"))},
+            {"contradiction": HarmonicTest(3, 1e-5)},
+        ],
+    )
+    def test_of_artefacts_and_periodic_residuals_there_is_no_random_alternative(self, change):
+        given = {
+            "select": selection(candidate()),
+            "grade": COMPLETE,
+            "describes": True,
+            "is_established": False,
+        }
+        assert self.answer(**given, with_random_torque=random_torque()).verdict == "undecided"
+        self.answer(**(given | change))
+        assert "with_random_torque" not in self.asked
+
+    def test_of_an_oscillation_there_is_no_random_alternative(self):
+        swinging = Found(wrong=True, problem=problem(data(oscillation=object())))
+        self.answer(
+            swinging, select=selection(candidate()), grade=COMPLETE, describes=True, is_established=False
+        )
+        assert "with_random_torque" not in self.asked
+
+    @pytest.mark.parametrize(("describes", "verdict"), [(True, "undecided"), (False, "unexplained")])
+    def test_a_fit_that_needs_a_random_torque_is_not_adequate(self, describes, verdict):
+        found = self.answer(Found(needs_random=True), with_random_torque=random_torque(), describes=describes)
+        assert found.verdict == verdict
+
+    def test_a_parameter_that_differs_between_recordings_ends_the_search(self):
+        separate = SimpleNamespace(
+            fit=Found(), parameter=SimpleNamespace(sentence="The recordings may differ in a.k.")
+        )
+        found = self.answer(separate_values=separate, find_failures=["at 2 s"])
+        assert (found.verdict, found.differs) == ("unexplained", separate.parameter)
+        assert found.sentence == "Significant lack of fit: at 2 s. The recordings may differ in a.k."
+        assert "select" not in self.asked
+
+    def test_the_sentence_of_a_free_inertia_is_added(self):
+        rival = SimpleNamespace(better=False, sentence="An error of inertia explains it as well.")
+        chosen = candidate()
+        found = self.answer(
+            select=selection(chosen), grade=COMPLETE, with_free_inertia=rival, reselected=selection(chosen)
+        )
+        assert found.sentence.endswith("An error of inertia explains it as well.")
+        assert "reselected" in self.asked
+        self.answer(with_free_inertia=None)
+        assert "reselected" not in self.asked
+
+    def test_camera_effects_are_stated_unless_the_body_oscillates(self):
+        nuisance = [Nuisance("camera.centre", "run", 2e-3, 1e-5, "rad", 1e-9)]
+        words = "Camera centre offset 2 mrad (nuisance parameter, fitted)."
+        assert words in self.answer(Found(), nuisance_parameters=nuisance).sentence
+        swinging = Found(problem=problem(data(oscillation=object())))
+        assert words not in self.answer(swinging).sentence
+
+    @pytest.mark.parametrize(("limit", "stated"), [(0.2, 0.2), (math.inf, None)])
+    def test_the_limit_of_the_form_is_stated_where_it_is_finite(self, limit, stated):
+        test = SimpleNamespace(limit=limit, is_strong=lambda _: True, any_in_time=False)
+        size = replace(COMPLETE, test=test)
+        assert self.answer(select=selection(candidate()), grade=size).form_limit == stated
+
+
+class TestFindings(Answer):
+    """Slipped turns, which the data show without a model, are a candidate."""
+
+    slip = SimpleNamespace(turns=2, where="the casing", time=3.5)
+
+    def of(self, *slips):
+        return Found(findings=("Two turns slipped.",), problem=problem(data(slips=slips)))
+
+    def test_slipped_turns_are_the_missing_effect_of_an_adequate_fit(self):
+        found = self.answer(self.of(self.slip))
+        assert (found.verdict, found.form, found.explained) == ("missing_effect", "exact", 1.0)
+        assert found.candidates[0].effect is SLIP
+        assert found.sentence.startswith("Two turns slipped. ")
+        assert "nothing else is missing" in found.sentence
+
+    def test_another_verdict_remains(self):
+        found = self.answer(self.of(self.slip), select=selection(final=Found(wrong=True)))
+        assert (found.verdict, found.form) == ("unexplained", None)
+        assert found.candidates[0].effect is SLIP
+
+    def test_another_fault_of_the_recording_is_unexplained(self):
+        assert self.answer(self.of()).verdict == "unexplained"
+
+    def test_its_score_is_the_chi_square_of_the_steps(self):
+        """Of two turns, with 2 mrad of noise: (4 pi / 2e-3)^2 / 2."""
+        found = slipped(self.of(self.slip), [self.slip])
+        score = (4 * math.pi / 2e-3) ** 2 / 2
+        assert found.score == pytest.approx(score)
+        assert found.delta_bic == pytest.approx(math.log(500) - score)
+        assert (found.significant, found.p_value) == (True, 0.0)
+        both = slipped(self.of(self.slip), [self.slip] * 2)
+        assert both.score == pytest.approx(2 * score)
+        assert both.delta_bic == pytest.approx(2 * math.log(500) - 2 * score)
+
+
+@pytest.mark.parametrize(
+    ("form", "explained", "remainder", "significant", "verdict"),
+    [
+        ("exact", 1.0, None, False, "missing_effect"),
+        ("approximate", 0.97, LEFT, True, "missing_effect"),
+        (None, 1.0, None, False, "missing_effect"),
+        (None, 1.0, None, True, "unexplained"),
+        (None, 0.7, LEFT, True, "unexplained"),
+        (None, 0.7, LEFT, False, "unexplained"),  # nothing was added to the effect
+    ],
+)
+def test_size_and_significance_make_the_verdict(form, explained, remainder, significant, verdict):
+    chosen = selection(candidate(), named=Found(named(DRAG)))
+    assert (
+        module._verdict(chosen, Grade(form, explained, remainder), DEFAULT, significant=significant)
+        == verdict
+    )
+
+
+@pytest.mark.parametrize(("significant", "verdict"), [(True, "unexplained"), (False, "adequate")])
+def test_without_an_effect_significance_makes_the_verdict(significant, verdict):
+    assert module._verdict(selection(), Grade(None, None, None), DEFAULT, significant=significant) == verdict
+
+
+@pytest.mark.parametrize(
+    ("undetermined", "verdict"), [((f"{DRAG}.k",), "unexplained"), (("other.k",), "missing_effect")]
+)
+def test_an_effect_of_undetermined_strength_is_no_answer(undetermined, verdict):
+    chosen = selection(candidate(), named=Found(undetermined=undetermined))
+    assert module._verdict(chosen, COMPLETE, DEFAULT, significant=False) == verdict
+
+
+class TestWords:
+    def unexplained(self, chosen=None, size=None, doubt=None, final=None):
+        final = final or Found()
+        return " ".join(
+            module._unexplained(
+                selection(chosen, final=final), doubt, size or Grade(None, None, None), DEFAULT
+            )
+        )
+
+    @pytest.mark.parametrize(
+        ("explained", "words"),
+        [
+            (0.04, "No effect of the library explains more than 5 % of it."),
+            (0.06, f"the closest, {DRAG}, explains 6 % of the mean square unmodelled torque."),
+        ],
+    )
+    def test_the_closest_effect_is_a_hypothesis_from_five_percent(self, explained, words):
+        assert words in self.unexplained(candidate(), Grade(None, explained, LEFT))
+
+    def test_a_law_of_another_speed_explains_more(self):
+        text = self.unexplained(candidate(), Grade(None, 0.7, LEFT, unknown="omega_r"))
+        assert (
+            "a smooth law of omega_r explains more than the closest one, casing.air.quadratic (70 %" in text
+        )
+
+    def test_a_form_with_an_undetermined_strength(self):
+        text = self.unexplained(candidate(), Grade("approximate", 0.97, LEFT))
+        assert "but with an undetermined strength" in text
+        assert "undetermined" not in self.unexplained(candidate(), Grade(None, 0.9, LEFT))
+
+    @pytest.mark.parametrize(
+        ("levels", "words"),
+        [
+            ((1e-6, 3e-6), "An unexplained torque of 3 uN m rms remains"),
+            ((0.0,), "and no random torque describes it."),
+            ((), "and no random torque describes it."),
+        ],
+    )
+    def test_a_torque_without_a_name_has_its_largest_size(self, levels, words):
+        noise = tuple(SimpleNamespace(level=x) for x in levels)
+        assert words in self.unexplained(final=Found(noise=noise))
+
+    def test_candidates_that_were_not_fitted(self):
+        waiting = [candidate(fit=None, score=10.0), candidate(LAMINAR, fit=None, score=20.0)]
+        text = module._nothing_explains(Selection(waiting, None, None, None))
+        assert f"begins with {LAMINAR}" in text
+        assert module._nothing_explains(Selection([*waiting, candidate()], None, None, None)) == (
+            "No effect of the library explains it"
+        )
+        none = [candidate(fit=None, significant=False)]
+        assert "explains it" in module._nothing_explains(Selection(none, None, None, None))
+
+    def missing(self, chosen, size=COMPLETE, final=None):
+        return " ".join(module._missing(selection(chosen, final=final or Found()), size, DEFAULT))
+
+    def test_names_of_one_effect_and_of_a_class(self, monkeypatch):
+        monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
+        assert self.missing(None) == ""
+        assert self.missing(candidate()) == f"The missing effect is {DRAG}."
+        assert self.missing(candidate("setup.inertia")).startswith("The missing measurement effect is")
+        approximate = Grade("approximate", 0.97, LEFT)
+        assert self.missing(candidate(), approximate).startswith(f"The missing effect is close to {DRAG}.")
+        both = candidate(alike=(LAMINAR,))
+        assert self.missing(both) == f"One of {DRAG}, {LAMINAR} is missing; this data cannot separate them."
+        assert self.missing(both, approximate).startswith(f"A law close to {DRAG}, {LAMINAR} is missing")
+        unknown = (UNKNOWN_IN_TIME, next(iter(UNKNOWN_LAWS.values())))
+        text = self.missing(candidate(alike=unknown))
+        assert text.startswith(f"The missing effect is {DRAG}, or {unknown[0]}, or {unknown[1]};")
+        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("One of")
+
+    def test_the_remainder_the_noise_or_the_test_is_stated(self, monkeypatch):
+        monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
+        assert self.missing(candidate(), Grade("approximate", 0.97, LEFT)).endswith(LEFT.sentence)
+        most = (SimpleNamespace(level=5e-6, pure=4e-6), SimpleNamespace(level=3e-6, pure=1e-6))
+        noisy = self.missing(candidate(), Grade(None, 1.0, None, noisy=True), Found(noise=most))
+        assert "needs a random torque of 3 uN m rms, the recording shows 1 uN m" in noisy
+        weak = SimpleNamespace(limit=0.5, bounds=(), bounds_p=1.0, is_strong=lambda _: False)
+        assert "above 50 % of its torque" in self.missing(candidate(), Grade(None, 1.0, None, test=weak))
+        assert "torque" not in self.missing(candidate(), Grade("exact", 1.0, None, test=weak))
+
+    def test_phases_of_each_case_have_an_option(self, monkeypatch):
+        monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
+        own = {f"{UNBALANCE}.{k}@{c}": estimate() for k in ("k", "phi") for c in ("a", "b")}
+        text = self.missing(candidate(UNBALANCE, estimates=own))
+        assert f"--per-case {UNBALANCE}.k --per-case {UNBALANCE}.phi" in text
+
+    def test_errors_of_starts_have_an_rms(self):
+        own = {f"camera.start.dt@{i}": estimate(x, 1e-3, "s") for i, x in enumerate((3e-3, -4e-3))}
+        text = self.missing(candidate(effect=START, estimates=own))
+        assert "of 3.5 ms rms" in text
+        assert "cannot separate" not in text
+        assert f"from {DRAG}: no effect" in self.missing(
+            candidate(effect=START, estimates=own, alike=(DRAG,))
+        )
+
+    @pytest.mark.parametrize(
+        ("total", "text"),
+        [(1.04e-9, "4.00e-08 +- 0.10e-08"), (2e-9, "(statistical part 1e-09 N m s2)")],
+    )
+    def test_a_strength_has_its_combined_uncertainty(self, monkeypatch, total, text):
+        monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {f"{DRAG}.k": total})
+        found = module._strength(candidate(estimates={f"{DRAG}.k": estimate(), f"{DRAG}.n": estimate()}))
+        assert found.startswith(", k = ")
+        assert ("statistical" in found) is (total > 1.05e-9)
+        assert found.count("+-") == 1
+
+    def test_active_bounds_that_are_not_physical_are_stated(self):
+        layout = SimpleNamespace(index={"a.g": 0, "a.k": 1}, is_physical_bound=lambda name: name == "a.k")
+        both = {
+            "a.g": estimate(1.4, at_bound=True),
+            "a.k": estimate(0.0, at_bound=True),
+            "b.k": estimate(at_bound=True),
+        }
+        fit = Found(estimates=both, problem=SimpleNamespace(layout=layout))
+        assert module._active_bounds(fit) == ["Active bound: a.g = 1.4; the law there may be another one."]
+        assert module._active_bounds(replace(fit, estimates={"a.k": both["a.k"]})) == []
+
+
+def test_rivals_join_the_class_of_the_chosen_effect():
+    chosen = candidate(alike=(LAMINAR,))
+    found = module._with_rivals(
+        selection(chosen, others=[candidate(LAMINAR)]), (UNKNOWN_IN_TIME, LAMINAR, DRAG)
+    )
+    assert found.chosen.indistinguishable_from == (LAMINAR, UNKNOWN_IN_TIME)
+    assert found.candidates[0] is found.chosen
+    assert [c.effect.name for c in module._class_of(found)] == [DRAG, LAMINAR]
+    same = selection(chosen)
+    assert module._with_rivals(same, ()) is same
+    assert module._class_of(selection()) == []
+
+
+@pytest.mark.parametrize(("same", "asked"), [(True, "as given"), (False, "chosen")])
+def test_laws_outside_the_library_are_compared_with_the_effect_as_given(monkeypatch, same, asked):
+    """With a free inertia its score is another one."""
+    chosen = candidate(score=20.0)
+    given = candidate(DRAG if same else LAMINAR, score=90.0)
+    scores = []
+    monkeypatch.setattr(
+        module, "nonparametric_rivals", lambda fit, c, test, criteria: scores.append(c.score) or ()
+    )
+    module._with_unknown_laws(None, selection(chosen), given, COMPLETE, DEFAULT)
+    assert scores == [90.0 if asked == "as given" else 20.0]

@@ -1,0 +1,401 @@
+"""Sense of motion, jumps of the derivatives and times of events, against the formulas of dry friction.
+
+With unit inertia, stiffness k and dry friction b, a body released at x0 > b / k reverses every half period
+pi / sqrt(k), its turning points fall by 2 b / k each, and it stays where the spring no longer exceeds friction.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting._errors import SimulationError
+from fitting.dynamics import _events as module
+from fitting.dynamics._collocation import NODES, Mesh, Path, Sampler
+from fitting.dynamics._events import Segments, halved, solve
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._sensitivities import sensitivities
+
+DRY, PUSH, SPRING = "touchpoint.constant", "external.constant", "casing.spring.linear"
+UNIT = {INERTIA_ROTOR: 1.0, INERTIA_CASING: 2.0}
+
+
+def pushed(push, friction=1.0, *names, **more):
+    """Dry friction and a constant torque on a casing of inertia 2."""
+    dynamics = Dynamics(Model.of((DRY, PUSH, *names)))
+    return Segments(dynamics, {f"{DRY}.b1": friction, f"{PUSH}.k": push, **UNIT, **more}, ())
+
+
+class TestSense:
+    @pytest.mark.parametrize(
+        ("push", "speed", "sense", "after"),
+        [
+            (0.0, 3.0, 1.0, 1.0),  # it moves
+            (9.0, -3.0, -1.0, -1.0),
+            (0.0, 0.0, 1.0, 0.0),  # it stops, and friction holds it
+            (0.9, 0.0, 1.0, 0.0),
+            (-0.9, 0.0, 1.0, 0.0),
+            (-1.1, 0.0, 1.0, -1.0),  # it stops and reverses
+            (1.1, 0.0, -1.0, 1.0),
+            (0.9, 0.0, -1.0, 0.0),
+            (1.1, 0.0, 0.0, 1.0),  # from rest
+            (-1.1, 0.0, 0.0, -1.0),
+            (0.9, 0.0, 0.0, 0.0),
+            (-0.9, 0.0, 0.0, 0.0),
+        ],
+    )
+    def test_a_casing_at_rest_moves_if_the_push_exceeds_friction(self, push, speed, sense, after):
+        assert pushed(push).sense_after(0.0, np.array([5.0, speed]), sense) == after
+
+    def test_without_dry_friction_nothing_is_held(self):
+        run = Segments(Dynamics(Model.of([PUSH])), {f"{PUSH}.k": -1.0, **UNIT}, ())
+        assert run.sense_after(0.0, np.zeros(2), 0.0) == 1.0
+
+    @pytest.mark.parametrize(("push", "sense"), [(1.5, 1.0), (-1.5, -1.0)])
+    def test_a_casing_is_released_in_the_sense_of_the_push(self, push, sense):
+        assert pushed(push).released(0.0, np.zeros(2)) == sense
+        assert pushed(push).acceleration(0.0, np.zeros(2), sense) == pytest.approx(sense * 0.25)
+
+    def test_friction_opposes_the_motion(self):
+        run = pushed(3.0)
+        assert run.acceleration(0.0, np.zeros(2), 1.0) == pytest.approx(1.0)
+        assert run.acceleration(0.0, np.zeros(2), -1.0) == pytest.approx(2.0)
+
+
+class TestJumps:
+    """f- = (p - b s) / I before, f+ after; the bearing adds a torque that acts on both bodies."""
+
+    @pytest.mark.parametrize(
+        ("push", "before", "after", "factor"),
+        [
+            (-3.0, 1.0, -1.0, (-3.0 + 1.0) / (-3.0 - 1.0)),
+            (3.0, -1.0, 1.0, (3.0 - 1.0) / (3.0 + 1.0)),
+            (-0.5, 1.0, 0.0, 0.0),  # held: the deviation of the speed vanishes
+            (0.3, -1.0, 0.0, 0.0),
+            (3.0, 0.0, 1.0, 1.0),  # from rest
+        ],
+    )
+    def test_of_the_speed_of_the_casing(self, push, before, after, factor):
+        found = pushed(push).saltation(0.0, np.array([5.0, 0.0]), before, after)
+        assert found == pytest.approx(np.diag([1.0, factor]))
+
+    def test_of_the_other_body(self):
+        """A bearing whose dry friction changes its sense: the rotor's rate does not jump, the casing's does."""
+        run = pushed(-3.0, 1.0, "bearing.linear", **{"bearing.linear.d": 0.1})
+        found = run.saltation(0.0, np.array([5.0, 0.0]), 1.0, -1.0)
+        drive = 0.1 * 5.0
+        assert found == pytest.approx(np.diag([1.0, (drive - 3.0 + 1.0) / (drive - 3.0 - 1.0)]))
+
+    def test_without_acceleration_there_is_no_jump(self):
+        assert pushed(1.0).saltation(0.0, np.zeros(2), 1.0, -1.0) == pytest.approx(np.eye(2))
+
+    def test_rates_that_are_not_finite_are_an_error(self):
+        with pytest.raises(SimulationError):
+            pushed(math.nan).saltation(0.0, np.zeros(2), 1.0, -1.0)
+
+    def pieces(self, *senses):
+        """Stretches of one interval each that end at rest."""
+        return [
+            Path(
+                Mesh(np.array([i, i + 1.0])),
+                np.zeros((1, NODES, 2)),
+                np.zeros((2, 2)),
+                ("omega_r", "omega_c"),
+                np.array([s]),
+            )
+            for i, s in enumerate(senses)
+        ]
+
+    @pytest.mark.parametrize(
+        ("push", "senses", "count"),
+        [
+            (3.0, (-1.0,), 1),
+            (3.0, (1.0,), 0),  # the push would not reverse it
+            (0.5, (-1.0,), 0),  # friction holds it
+            (3.0, (-1.0, 1.0), 1),
+            (3.0, (-1.0, -1.0), 0),  # the next stretch has another sense
+            (3.0, (0.0, 1.0), 0),
+            (3.0, (), 0),
+        ],
+    )
+    def test_reversals_until_the_first_rest(self, push, senses, count):
+        run = pushed(push)
+        found = run.reversals(self.pieces(*senses))
+        assert len(found) == count
+        for matrix in found:
+            assert matrix == pytest.approx(run.saltation(0.0, np.zeros(2), -1.0, 1.0))
+
+
+def released(x0, stiffness, friction, span=9.0, guess=None, **options):
+    dynamics = Dynamics(Model.of([SPRING, DRY]))
+    numbers = {f"{SPRING}.k": stiffness, f"{DRY}.b1": friction, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    path = solve(dynamics, numbers, np.array([0.0, 0.0, x0]), Mesh.uniform(0.0, span, 36), guess, **options)
+    return dynamics, numbers, path
+
+
+class TestOscillation:
+    """k = 10, b = 0.3: the turning points are 1, -0.94, 0.88 ... at multiples of pi / sqrt(10)."""
+
+    @pytest.mark.parametrize("x0", [1.0, -1.0])
+    @pytest.mark.parametrize("from_another", [False, True])
+    def test_reversals_are_at_half_periods_with_linearly_falling_amplitudes(self, x0, from_another):
+        guess = released(x0, 10.1, 0.28)[2] if from_another else None
+        dynamics, numbers, path = released(x0, 10.0, 0.3, guess=guess)
+        half = math.pi / math.sqrt(10.0)
+        count = int(9.0 / half)
+        assert path.kinks == pytest.approx(half * np.arange(1, count + 1), abs=1e-8)
+        turning = x0 * (-1.0) ** np.arange(1, count + 1) * (1 - 0.06 * np.arange(1, count + 1))
+        places = sorted(path.jumps)
+        assert path.edges[places, 2] == pytest.approx(turning, abs=1e-8)
+        assert path.sense[[p - 1 for p in places]].tolist() == [
+            -np.sign(x0) * (-1.0) ** i for i in range(count)
+        ]
+        # the derivatives of the last turning point: -2 n by b / k, n (2 b / k) / k by k, and (-1)^n by the start
+        end = released(x0, 10.0, 0.3, span=(count + 0.5) * half)[2]
+        slope = sensitivities(dynamics, numbers, end).edges
+        at, sign = sorted(end.jumps)[-1], np.sign(x0) * (-1.0) ** count
+        keys = list(dynamics.parameters)
+        assert slope[at, 2, keys.index(f"{DRY}.b1")] == pytest.approx(-2 * count * sign / 10.0, abs=1e-6)
+        assert slope[at, 2, keys.index(f"{SPRING}.k")] == pytest.approx(
+            2 * count * sign * 0.3 / 100.0, abs=1e-6
+        )
+
+    @pytest.mark.parametrize("from_another", [False, True])
+    def test_it_rests_where_friction_exceeds_the_spring(self, from_another):
+        """b / k = 0.12: 1, -0.76, 0.52, -0.28, 0.04, where it stays."""
+        guess = released(1.0, 10.1, 1.19)[2] if from_another else None
+        _, _, path = released(1.0, 10.0, 1.2, guess=guess)
+        half = math.pi / math.sqrt(10.0)
+        assert path.kinks == pytest.approx(half * np.arange(1, 5), abs=1e-8)
+        assert path.edges[-1] == pytest.approx([0.0, 0.0, 0.04], abs=1e-8)
+        assert path.sense[-1] == 0.0
+
+    def test_a_body_that_friction_holds_at_once(self):
+        _, _, path = released(0.1, 10.0, 1.2)
+        assert (path.y[..., 2] == 0.1).all()
+        assert path.kinks == ()
+
+    def test_too_many_events_are_refused(self):
+        with pytest.raises(SimulationError, match="too often"):
+            released(1.0, 10.0, 0.3, most=4)
+        assert released(1.0, 10.0, 0.3, most=10)[2].kinks
+
+
+class TestRelease:
+    """Friction 2 - 0.4 t holds a push of 1 until t = 2.5 s."""
+
+    NAMES = (DRY, PUSH, "touchpoint.drift")
+
+    def run(self, push, drift=-0.4, step=None):
+        names = self.NAMES if step is None else (*self.NAMES, "touchpoint.step")
+        numbers = {f"{DRY}.b1": 2.0, f"{PUSH}.k": push, "touchpoint.drift.k": drift, **UNIT}
+        if step is not None:
+            numbers |= {"touchpoint.step.k": -1.5, "touchpoint.step.t0": step}
+        dynamics = Dynamics(Model.of(names))
+        return solve(dynamics, numbers, np.zeros(2), Mesh.uniform(0.0, 4.0, 5))
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_a_casing_is_released_when_friction_has_fallen_below_the_push(self, sign):
+        path = self.run(sign)
+        assert path.kinks == pytest.approx((2.5,), abs=1e-9)
+        assert path.sense.tolist()[-1] == sign
+        # I w' = p - (2 - 0.4 t): w = 0.2 (t - 2.5)^2 / 2
+        assert path.edges[-1, 1] == pytest.approx(sign * 0.4 * 1.5**2 / 2 / 2.0)
+
+    def test_friction_that_never_falls_below_holds_it(self):
+        path = self.run(0.3)
+        assert path.kinks == ()
+        assert (path.edges[:, 1] == 0.0).all()
+
+    def test_a_step_of_friction_releases_it_at_its_time(self):
+        path = self.run(1.0, drift=0.0, step=1.3)
+        assert path.kinks == (1.3,)
+        assert path.edges[-1, 1] == pytest.approx((1.0 - 0.5) * 2.7 / 2.0)
+
+
+class TestPaths:
+    def straight(self, *speeds, sense=1.0, edges=None):
+        """A path whose speed is linear between these values at the edges; the angle of the rotor counts intervals."""
+        at = np.arange(len(speeds), dtype=float) if edges is None else np.array(edges)
+        mesh = Mesh(at)
+        y = np.stack([np.zeros_like(mesh.times), np.interp(mesh.times, at, speeds)], axis=-1)
+        states = np.column_stack([np.zeros(len(at)), speeds])
+        return Path(mesh, y, states, ("omega_r", "omega_c"), np.full(len(at) - 1, sense))
+
+    @pytest.mark.parametrize(
+        ("speeds", "sense", "expected"),
+        [
+            ((3.0, 1.0, 0.5), 1.0, None),
+            ((3.0, 1.0, -1.0), 1.0, 1.5),
+            ((-3.0, -1.0, 1.0), -1.0, 1.5),
+            ((3.0, 1.0, -1.0), -1.0, 0.0),
+            ((3.0, 1.0, -1e-11), 1.0, None),  # rounding
+        ],
+    )
+    def test_the_first_crossing_of_the_speed(self, speeds, sense, expected):
+        found = module._first_crossing(self.straight(*speeds, sense=sense))
+        assert found == expected if expected is None else found == pytest.approx(expected, abs=0.02)
+
+    def test_intervals_are_halved_with_their_senses_and_jumps(self):
+        path = replace(
+            self.straight(0.0, 2.0, 1.0, 5.0),
+            sense=np.array([1.0, -1.0, 0.0]),
+            jumps={1: "first", 2: "second"},
+        )
+        found = halved(path, np.array([True, False, True]), 6)
+        assert found.mesh.edges.tolist() == [0.0, 0.5, 1.0, 2.0, 2.5, 3.0]
+        assert found.edges[:, 1] == pytest.approx([0.0, 1.0, 2.0, 1.0, 3.0, 5.0])
+        assert found.sense.tolist() == [1.0, 1.0, -1.0, 0.0, 0.0]
+        assert found.jumps == {2: "first", 3: "second"}
+        assert found.y[..., 1] == pytest.approx(np.interp(found.mesh.times, [0, 1, 2, 3], [0, 2, 1, 5]))
+        with pytest.raises(SimulationError):
+            halved(path, np.array([True, False, True]), 5)
+
+    def test_a_path_up_to_an_edge(self):
+        path = replace(self.straight(0.0, 2.0, 1.0, 5.0), jumps={1: "first", 2: "second"})
+        found = module._until(path, 2)
+        assert found.mesh.edges.tolist() == [0.0, 1.0, 2.0]
+        assert (len(found.y), len(found.edges), len(found.sense)) == (2, 3, 2)
+        assert found.jumps == {1: "first"}
+
+    def test_a_path_at_rest_has_no_speed(self):
+        path = self.straight(1.0, 2.0)
+        found = module._at_rest(path)
+        assert not found.y[..., 1].any()
+        assert not found.edges[:, 1].any()
+        assert path.edges[1, 1] == 2.0
+
+    def test_stretches_are_joined_with_their_events(self):
+        pieces = [self.straight(1.0, 0.0), self.straight(0.0, -1.0, -2.0, sense=-1.0, edges=(1.0, 2.0, 4.0))]
+        found = module._joined(pieces, ["jump"], (3.0,))
+        assert found.mesh.edges.tolist() == [0.0, 1.0, 2.0, 4.0]
+        assert found.edges[:, 1].tolist() == [1.0, 0.0, -1.0, -2.0]
+        assert found.sense.tolist() == [1.0, -1.0, -1.0]
+        assert (found.kinks, found.jumps) == ((1.0, 3.0), {1: "jump"})
+        assert module._joined(pieces[:1], [], (0.5,)).kinks == (0.5,)
+
+    @pytest.mark.parametrize(
+        ("pieces", "count"),
+        [
+            ([(1.0, (2.0, 0.0)), (-1.0, (0.0, -2.0))], 2),
+            ([(1.0, (2.0, 0.0)), (-1.0, (0.0, 2.0))], 1),  # the second one moves against its sense
+            ([(1.0, (-2.0, 0.0))], 0),
+            ([(1.0, (2.0, -1e-11))], 1),  # rounding
+        ],
+    )
+    def test_stretches_are_valid_until_one_moves_against_its_sense(self, pieces, count):
+        paths = [self.straight(*speeds, sense=sense) for sense, speeds in pieces]
+        assert len(pushed(0.0)._valid(paths)) == count
+
+    @pytest.mark.parametrize(("push", "count"), [(0.5, 2), (1.5, 1)])
+    def test_rest_is_valid_while_friction_holds(self, push, count):
+        paths = [self.straight(2.0, 0.0), self.straight(0.0, 0.0, sense=0.0)]
+        assert len(pushed(push)._valid(paths)) == count
+
+    @pytest.mark.parametrize(
+        ("speed", "end", "braked", "rests"),
+        [(0.0, 2.0, True, True), (1e-8, 2.0, True, False), (0.0, 1.0, True, False), (0.0, 2.0, False, False)],
+    )
+    def test_when_a_stretch_ends_at_rest(self, speed, end, braked, rests):
+        """Before the end of the record, with no speed left, decelerated by friction."""
+        run = pushed(0.0 if braked else 3.0)
+        assert run._rests(self.straight(3.0, speed), end) is rests
+
+    def test_a_law_that_sets_in_before_the_stop_must_be_an_edge(self):
+        run = replace(pushed(0.0), breaks=(0.5,))
+        assert not run._rests(self.straight(3.0, 0.0), 2.0)
+        assert run._rests(self.straight(3.0, 1.5, 0.0, edges=(0.0, 0.5, 1.0)), 2.0)
+        assert replace(run, breaks=(1.5,))._rests(self.straight(3.0, 0.0), 2.0)
+
+
+class TestBeginning:
+    """A known motion with reversals at 1 s and 2 s, that begins in the positive sense."""
+
+    def known(self, first=1.0):
+        edges = np.array([0.0, first, first + 1.0, first + 2.0])
+        speeds = np.array([0.1, 0.0, 0.0, 1.0])
+        y = np.zeros((3, NODES, 2))
+        states = np.column_stack([np.zeros(4), speeds])
+        return Path(
+            Mesh(edges), y, states, ("omega_r", "omega_c"), np.array([1.0, -1.0, 1.0]), (first, first + 1.0),
+            {1: np.eye(2), 2: np.eye(2)},
+        )  # fmt: skip
+
+    def test_the_same_sense_keeps_it(self):
+        found = pushed(-3.0)._with_beginning(np.array([0.0, 0.1]), 1.0, self.known())
+        assert found.mesh.edges.tolist() == [0.0, 1.0, 2.0, 3.0]
+        assert sorted(found.jumps) == [1, 2]
+
+    @pytest.mark.parametrize(("first", "count"), [(0.09, 1), (0.11, 2)])
+    def test_a_first_stretch_shorter_than_a_tenth_is_determined_again(self, first, count):
+        sense = -1.0 if count == 1 else 1.0
+        found = pushed(3.0)._with_beginning(np.array([0.0, 0.01 * sense]), sense, self.known(first))
+        assert len(found.jumps) == count
+        assert found.mesh.edges[0] == 0.0
+        assert found.mesh.edges[-1] == pytest.approx(first + 2.0)
+        assert found.sense[0] == sense
+
+    @pytest.mark.parametrize(("speed", "found"), [(-0.1, True), (-0.59, True), (-0.61, False), (0.1, False)])
+    def test_a_stretch_in_the_other_sense_is_added(self, speed, found):
+        """With a push of 3 and friction of 1 on an inertia of 2, a speed of -0.2 is gone after 0.1 s; up to 0.3 s."""
+        start = np.array([0.0, speed])
+        path = pushed(3.0)._with_beginning(start, -1.0, self.known())
+        assert (path is not None) is found
+        if found:
+            delay = -speed / 2.0
+            assert path.mesh.edges[:3] == pytest.approx([0.0, delay, 1.0])
+            assert path.sense.tolist() == [-1.0, 1.0, -1.0, 1.0]
+            assert sorted(path.jumps) == [1, 2, 3]
+            assert path.edges[0] == pytest.approx(start)
+            assert path.edges[1, 1] == 0.0
+            share = (path.mesh.times[0]) / delay
+            assert path.y[0, :, 1] == pytest.approx(speed * (1 - share))
+
+
+def test_a_stop_at_the_end_of_the_record_is_no_event():
+    """w = 5 - t / 2: at rest after 10 s."""
+    run = pushed(0.0)
+    for span, stops in ((9.9, ()), (10.1, (10.0,))):
+        path = solve(run.dynamics, run.numbers, np.array([0.0, 5.0]), Mesh.uniform(0.0, span, 4))
+        assert path.kinks == pytest.approx(stops)
+        t = np.linspace(0.0, span, 50)
+        exact = np.maximum(5.0 - 0.5 * t, 0.0)
+        assert Sampler(path.mesh, t).value(path.y)[:, 1] == pytest.approx(exact, abs=1e-9)
+
+
+class TestUntilRest:
+    """Where the stop is no unknown of the equations, it is found by Newton steps on the speed at the end."""
+
+    def stopped(self, monkeypatch, run, start, span, sense, guess):
+        monkeypatch.setattr(Segments, "_rests", lambda *_: False)
+        mesh = Mesh.uniform(0.0, span, 6)
+        path = run._rough(start, mesh, sense, None)
+        return run._until_rest(path, mesh, guess)
+
+    @pytest.mark.parametrize("guess", [9.2, 10.4])
+    @pytest.mark.parametrize("sense", [1.0, -1.0])
+    def test_a_constant_deceleration(self, monkeypatch, sense, guess):
+        """w = 5 - t / 2."""
+        found = self.stopped(monkeypatch, pushed(0.0), np.array([0.0, 5.0 * sense]), 14.0, sense, guess)
+        assert found.mesh.edges[-1] == pytest.approx(10.0, abs=1e-9)
+        assert found.edges[-1, 1] == pytest.approx(0.0, abs=1e-9)
+
+    def test_a_deceleration_that_grows(self, monkeypatch):
+        """I w' = -1 - 0.2 t: w = 5 - t / 2 - t^2 / 20 vanishes at sqrt(125) - 5."""
+        run = pushed(0.0, 1.0, "touchpoint.drift", **{"touchpoint.drift.k": 0.2})
+        found = self.stopped(monkeypatch, run, np.array([0.0, 5.0]), 9.0, 1.0, 7.0)
+        assert found.mesh.edges[-1] == pytest.approx(math.sqrt(125.0) - 5.0, abs=1e-8)
+
+    def test_the_first_of_several_crossings(self, monkeypatch):
+        """w = cos t, and a guess at its second zero."""
+        dynamics = Dynamics(Model.of([SPRING, DRY]))
+        numbers = {f"{SPRING}.k": 1.0, f"{DRY}.b1": 0.0, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+        run = Segments(dynamics, numbers, ())
+        found = self.stopped(monkeypatch, run, np.array([0.0, 1.0, 0.0]), 6.0, 1.0, 4.7)
+        assert found.mesh.edges[-1] == pytest.approx(math.pi / 2, abs=1e-8)
+
+    def test_a_casing_that_does_not_stop_within_the_record(self, monkeypatch):
+        found = self.stopped(monkeypatch, pushed(0.0), np.array([0.0, 5.0]), 9.0, 1.0, 8.0)
+        assert found.mesh.edges[-1] == 9.0
+        assert found.edges[-1, 1] == pytest.approx(0.5)

@@ -1,0 +1,488 @@
+"""Initial values against the exact motion of known laws, and the choice of shape constants on a grid."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from linearised import BEGIN, SPAN, VALUES, gyroscope
+
+from fitting._errors import EstimationError, SimulationError
+from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._model import Model
+from fitting.effects._effect import Parameter
+from fitting.effects._library import LIBRARY, LINEAR, REDUCED
+from fitting.effects._user import resolve
+from fitting.inference import _initial_values as module
+from fitting.inference._initial_values import (
+    equation_error,
+    initial_shapes,
+    initial_values,
+    start_values,
+    unknown_shapes,
+)
+from fitting.inference._parameters import ParameterLayout
+from fitting.inference._record import Samples
+
+TIME = np.linspace(BEGIN, BEGIN + SPAN, 1500)
+
+
+def moved(names=LINEAR, values=None, **options):
+    """Return times and exact speeds of both bodies of the first case."""
+    fit = gyroscope(names, values, **options)
+    (path, *_) = (p.path for p in fit.predictions)
+    return TIME, Sampler(path.mesh, TIME).value(path.y)[:, :2]
+
+
+def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None):
+    """Return the initial values by name."""
+    records = [
+        SimpleNamespace(label=c, span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5) for c in cases
+    ]
+    layout = ParameterLayout.of(
+        Model.of(names) if isinstance(names, tuple) else names, records, per_case=per_case
+    )
+    still = [np.zeros(len(t)) for t, _ in rough] if deflections is None else deflections
+    theta = start_values(layout, reference, rough, still, prior)
+    return dict(zip(layout.names, theta.tolist(), strict=True))
+
+
+class TestStrengths:
+    def test_laws_of_the_exact_motion_are_recovered(self):
+        found = started(LINEAR, [moved()])
+        for key, value in VALUES.items():
+            assert found[key] == pytest.approx(value, rel=2e-3)
+        assert found["initial.omega_r@case"] == pytest.approx(300.0)
+        assert found["initial.omega_c@case"] == pytest.approx(20.0)
+
+    @pytest.mark.parametrize(
+        ("name", "key", "value"),
+        [
+            ("casing.air.quadratic", "k", 4e-8),
+            ("casing.windage", "k", 2e-10),
+            ("bearing.quadratic", "e", 3e-10),
+            ("touchpoint.drift", "k", -4e-7),
+        ],
+    )
+    def test_a_further_law_is_recovered_with_its_sign(self, name, key, value):
+        names = (*LINEAR, name)
+        found = started(names, [moved(names, {f"{name}.{key}": value})])
+        assert found[f"{name}.{key}"] == pytest.approx(value, rel=0.01)
+
+    def test_friction_is_not_negative(self):
+        """The motion has a torque that drives the casing; the dry friction is at its bound."""
+        names = ("rotor.air.quadratic", "external.constant", "casing.air.linear", "bearing.linear")
+        rough = [moved(names, {"external.constant.k": 3e-5})]
+        assert started(names, rough)["external.constant.k"] == pytest.approx(3e-5, rel=5e-3)
+        found = started(LINEAR, rough)
+        assert found["touchpoint.constant.b1"] == 0.0
+
+    def test_known_parameters_are_held(self):
+        known = {"bearing.linear.d": 3e-7, "touchpoint.constant.b1": 2e-5}
+        found = started(LINEAR, [moved(values=known)], prior=known)
+        for key, value in (VALUES | known).items():
+            assert found[key] == pytest.approx(value, rel=2e-3)
+        wrong = started(LINEAR, [moved()], prior={"bearing.linear.d": 1e-7})
+        assert wrong["bearing.linear.d"] == 1e-7
+        assert wrong["touchpoint.constant.b1"] < 0.5e-5  # less friction beside less drive
+
+    def test_a_power_law_beside_the_linear_one_has_a_tenth_of_its_torque(self):
+        found = started(REDUCED, [moved()], reference=200.0)
+        torque = VALUES["bearing.linear.d"] * 200.0
+        assert found["bearing.linear.d"] * 200.0 == pytest.approx(0.9 * torque, rel=5e-3)
+        g = found["bearing.power.g"]
+        assert g == LIBRARY["bearing.power"].parameters[1].start
+        assert found["bearing.power.f"] * 200.0**g == pytest.approx(0.1 * torque, rel=5e-3)
+
+    def test_a_power_law_alone_is_a_strength_like_others(self):
+        names = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.power")
+        found = started(names, [moved(names, {"bearing.power.f": 6e-8, "bearing.power.g": 1.2})])
+        assert found["bearing.power.g"] == 1.2
+        assert found["bearing.power.f"] == pytest.approx(6e-8, rel=5e-3)
+
+    def test_cases_have_their_own_friction_and_a_common_bearing(self):
+        cases = ("a", "b")
+        rough = [
+            moved(values={"touchpoint.constant.b1": 1e-5}),
+            moved(values={"touchpoint.constant.b1": 3e-5, "casing.air.linear.b2": 2e-6}),
+        ]
+        found = started(LINEAR, rough, cases=cases)
+        assert found["touchpoint.constant.b1@a"] == pytest.approx(1e-5, rel=5e-3)
+        assert found["touchpoint.constant.b1@b"] == pytest.approx(3e-5, rel=5e-3)
+        assert found["casing.air.linear.b2@b"] == pytest.approx(2e-6, rel=5e-3)
+        assert found["bearing.linear.d"] == pytest.approx(2e-7, rel=5e-3)
+
+    def test_other_parameters_have_their_declared_values(self):
+        found = started((*LINEAR, "touchpoint.step", "touchpoint.stribeck"), [moved()])
+        grid = next(p.grid for p in LIBRARY["touchpoint.step"].parameters if p.symbol == "t0")
+        assert found["touchpoint.step.t0"] == pytest.approx(BEGIN + SPAN * grid[len(grid) // 2])
+        assert found["touchpoint.stribeck.w"] == 5.0
+
+    @pytest.mark.parametrize(("ratio", "slope"), [(2.0, 0.0), (-0.5, 0.0)])
+    def test_the_ratio_of_a_contact_is_that_of_the_speeds(self, ratio, slope):
+        speed = 30.0 * np.exp(-TIME / 20.0)
+        found = started(
+            ("contact.rolling", "casing.air.linear"), [(TIME, np.column_stack([ratio * speed, speed]))]
+        )
+        assert found["contact.rolling.n"] == pytest.approx(ratio)
+        # (I_c + n^2 I_r) dw/dt = -b2 w
+        total = 2e-5 + ratio**2 * 5.5e-5
+        assert found["casing.air.linear.b2"] == pytest.approx(total / 20.0, rel=1e-3)
+
+    def test_a_law_that_is_singular_along_the_motion_is_refused(self):
+        law = resolve("casing: -k/(omega_c - omega_c)")
+        with pytest.raises(EstimationError, match="no finite value"):
+            started(Model.of(LINEAR).with_effect(law), [moved()])
+
+    @pytest.mark.parametrize(("stiffness", "offset"), [(4e-4, 0.0), (1e-3, 0.0), (1e-3, 0.01)])
+    def test_the_stiffness_of_a_spring(self, stiffness, offset):
+        """I w' = -k x - b w; an equilibrium that is not zero changes the stiffness little."""
+        rate, decay = math.sqrt(stiffness / 2e-5), 0.05
+        since = TIME - BEGIN
+        envelope = np.exp(-decay * since)
+        damped = math.sqrt(rate**2 - decay**2)
+        x = envelope * np.cos(damped * since)
+        speed = envelope * (-decay * np.cos(damped * since) - damped * np.sin(damped * since))
+        rough = [(TIME, np.column_stack([np.zeros(len(TIME)), speed]))]
+        found = started(("casing.spring.linear", "casing.air.linear"), rough, deflections=[x + offset])
+        assert found["casing.spring.linear.k"] == pytest.approx(stiffness, rel=5e-3)
+        if not offset:
+            assert found["casing.air.linear.b2"] == pytest.approx(2 * decay * 2e-5, rel=0.01)
+        assert found["initial.deflection@case"] == pytest.approx(1.0 + offset)
+
+
+class TestSamples:
+    def test_rest_is_left_out(self):
+        """The longest interval above a hundredth of the largest speed."""
+        speed = np.array([0.0, 0.5, 5.0, 9.0, 0.05, 100.0, -50.0, 1.01, 0.99, 2.0])
+        assert module._longest_motion(speed).tolist() == [False] * 5 + [True] * 3 + [False] * 2
+        assert module._longest_motion(np.zeros(4)).all()
+        assert module._longest_motion(np.ones(3)).all()
+
+    def test_the_ratio_of_speeds_is_that_of_the_end_unless_rigid(self):
+        casing = np.linspace(10.0, 5.0, 100)
+        rotor = np.where(np.arange(100) < 80, 9.0, 2.0) * casing
+        speeds = np.column_stack([rotor, casing])
+        assert module._ratio(speeds, rigid=False) == pytest.approx(2.0)
+        assert module._ratio(speeds, rigid=True) == pytest.approx(9.0)
+        casing[::2] = 0.01
+        assert module._ratio(np.column_stack([rotor, casing]), rigid=False) == pytest.approx(2.0)
+        assert module._ratio(np.zeros((40, 2)), rigid=True) == 1.0
+
+    def test_periods_begin_where_the_deflection_passes_upwards(self):
+        x = np.array([1.0, -1.0, -2.0, 0.0, 1.0, 2.0, -1.0, 3.0])
+        assert module._periods(x).tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
+
+    def test_means_of_groups(self):
+        columns = np.array([[1.0, 5.0], [3.0, 7.0], [10.0, 0.0]])
+        assert module._means(np.array([0, 0, 1]), columns).tolist() == [[2.0, 6.0], [2.0, 6.0], [10.0, 0.0]]
+
+    @pytest.mark.parametrize(("count", "size"), [(2.0, 50), (0.1, 24), (30.0, 500)])
+    def test_the_first_periods_of_a_record(self, count, size):
+        t = np.arange(500) * 0.04
+        run = Samples(t + 3.0, np.sin(t), np.ones(500))
+        record = SimpleNamespace(casing=run)
+        data = SimpleNamespace(record=record, oscillation=SimpleNamespace(period=1.0, periods=20.0))
+        made = []
+        patched = lambda record, *, casing, digest: made.append(digest) or SimpleNamespace(casing=casing)  # noqa: E731
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "replace", patched)
+            found = module._first_periods(data, count)
+        assert len(found.casing) == size
+        assert found.casing.time[0] == 3.0
+        assert made == ([] if size == 500 else [""])
+        data.oscillation = None
+        assert module._first_periods(data, count) is record
+
+
+class TestEquationError:
+    def data(self, names, values):
+        rough = moved(names, values)
+        record = SimpleNamespace(
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+        )
+        return [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
+
+    def test_it_vanishes_for_the_right_laws_only(self):
+        names, drag = (*LINEAR, "casing.air.quadratic"), {"casing.air.quadratic.k": 2e-7}
+        right = equation_error(Model.of(names), self.data(names, drag))
+        wrong = equation_error(Model.of(LINEAR), self.data(names, drag))
+        without = equation_error(Model.of(["rotor.air.quadratic"]), self.data(names, drag))
+        assert right < 1e-6
+        assert 1e-3 < wrong < without < 1.0
+
+    def test_without_laws_that_act_it_is_one(self):
+        """A strength of zero leaves all of the change of the speeds."""
+        t = np.linspace(BEGIN, BEGIN + SPAN, 300)
+        rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
+        record = SimpleNamespace(
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+        )
+        data = [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
+        assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
+
+
+class TestGivenValues:
+    def test_the_given_ones_replace_those_of_the_data(self, monkeypatch):
+        fit = gyroscope()
+        usual = initial_values(fit.problem, None)
+        index = fit.problem.layout.index
+        found = initial_values(fit.problem, {"bearing.linear.d": 5e-7, "unknown.k": 3.0})
+        assert found[index["bearing.linear.d"]] == 5e-7
+        others = [i for n, i in index.items() if n != "bearing.linear.d"]
+        assert found[others] == pytest.approx(usual[others])
+        monkeypatch.setattr(module, "start_values", None)  # not asked for where all are given
+        everything = {n: float(i) for n, i in index.items()}
+        assert initial_values(fit.problem, everything).tolist() == list(range(len(index)))
+
+    @pytest.mark.parametrize(
+        ("known", "kept", "zero"),
+        [
+            ({"initial.omega_c@run": 2.0, "casing.air.linear.b2": 7.0}, False, False),
+            (
+                {"initial.omega_c@run": 2.0, "initial.deflection@run": 0.3, "casing.air.linear.b2": 7.0},
+                True,
+                True,
+            ),
+            ({"casing.air.linear.b2": 7.0}, True, False),
+        ],
+    )
+    def test_values_of_a_model_that_does_not_oscillate_are_discarded(self, monkeypatch, known, kept, zero):
+        """A spring: those of a model with a deflection are kept, and new strengths start at zero."""
+        names = ("casing.spring.linear", "casing.air.linear")
+        record = SimpleNamespace(label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0)
+        layout = ParameterLayout.of(Model.of(names), [record])
+        problem = SimpleNamespace(
+            layout=layout, data=[SimpleNamespace(initial_speeds=([], []), prior=None)], reference=1.0
+        )
+        monkeypatch.setattr(module, "_deflection", lambda *_: None)
+        monkeypatch.setattr(module, "start_values", lambda *_: np.full(len(layout.names), 9.0))
+        monkeypatch.setattr(module, "averaged", lambda *_: None)
+        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: theta + 1.0)
+        found = dict(zip(layout.names, initial_values(problem, known), strict=True))
+        assert found["casing.air.linear.b2"] == (7.0 if kept else 10.0)
+        assert found["casing.spring.linear.k"] == (0.0 if zero else 9.0 if kept else 10.0)
+
+    @pytest.mark.parametrize(
+        "known", [("omega_c@a",), ("omega_c@a", "deflection@a"), ("omega_c@a", "deflection@b")]
+    )
+    def test_one_deflection_of_several_runs_is_enough(self, monkeypatch, known):
+        given = {f"initial.{k}": 0.5 for k in known} | {"casing.air.linear.b2": 7.0}
+        records = [SimpleNamespace(label=c, span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0) for c in "ab"]
+        layout = ParameterLayout.of(Model.of(("casing.spring.linear", "casing.air.linear")), records)
+        data = SimpleNamespace(initial_speeds=([], []), prior=None)
+        problem = SimpleNamespace(layout=layout, data=[data] * 2, reference=1.0)
+        monkeypatch.setattr(module, "_deflection", lambda *_: None)
+        monkeypatch.setattr(module, "start_values", lambda *_: np.full(len(layout.names), 9.0))
+        monkeypatch.setattr(module, "averaged", lambda *_: None)
+        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: theta + 1.0)
+        found = dict(zip(layout.names, initial_values(problem, given), strict=True))
+        assert (0.5 in found.values()) is (len(known) == 2)
+
+    @pytest.mark.parametrize(("error", "taken"), [(0.9, "averaged"), (1.1, "periods"), (None, "periods")])
+    def test_averaged_equations_are_taken_where_they_follow_the_phase(self, monkeypatch, error, taken):
+        record = SimpleNamespace(label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0)
+        layout = ParameterLayout.of(Model.of(("casing.spring.linear",)), [record])
+        problem = SimpleNamespace(
+            layout=layout, data=[SimpleNamespace(initial_speeds=([], []), prior=None)], reference=1.0
+        )
+        count = len(layout.names)
+        slow = (
+            None
+            if error is None
+            else SimpleNamespace(phase_error=error * module.LARGEST_PHASE_ERROR, theta=np.full(count, 5.0))
+        )
+        monkeypatch.setattr(module, "_deflection", lambda *_: None)
+        monkeypatch.setattr(module, "start_values", lambda *_: np.zeros(count))
+        monkeypatch.setattr(module, "averaged", lambda *_: slow)
+        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: np.full(count, 8.0))
+        assert set(initial_values(problem, None)) == {5.0 if taken == "averaged" else 8.0}
+
+    def test_the_number_of_periods_is_doubled(self, monkeypatch):
+        counts = []
+        monkeypatch.setattr(module, "_first_periods", lambda data, count: counts.append(count))
+        monkeypatch.setattr(module, "CaseData", SimpleNamespace(of=lambda r: SimpleNamespace(record=r)))
+        monkeypatch.setattr(module, "Problem", SimpleNamespace(of=lambda layout, data: None))
+        monkeypatch.setattr(module, "replace", lambda layout, records: layout)
+        monkeypatch.setattr(module, "search", lambda part, theta, **_: SimpleNamespace(theta=theta + 1))
+        data = [SimpleNamespace(oscillation=SimpleNamespace(periods=p)) for p in (9.0, 17.0)]
+        found = module._period_by_period(SimpleNamespace(layout=None, data=data), np.zeros(1))
+        assert counts[::2] == [2.0, 4.0, 8.0, 16.0]
+        assert found.tolist() == [4.0]
+
+
+class TestShapes:
+    @pytest.mark.parametrize(
+        ("name", "searched"),
+        [
+            ("touchpoint.step", True),
+            ("touchpoint.stribeck", True),
+            ("bearing.heating", True),
+            ("bearing.power", False),  # it has transformed variables
+            ("casing.precession", False),
+            ("casing.air.quadratic", False),
+            ("contact.sliding", False),
+        ],
+    )
+    def test_which_laws_need_a_search(self, name, searched):
+        record = SimpleNamespace(label="case", span=(BEGIN, BEGIN + SPAN))
+        layout = ParameterLayout.of(Model.of(dict.fromkeys((*LINEAR, name))), [record])
+        assert [e.name for e in unknown_shapes(layout, None)] == ([name] if searched else [])
+        if searched:
+            shape = next(p.symbol for p in LIBRARY[name].parameters if p.role == "shape")
+            assert unknown_shapes(layout, {f"{name}.{shape}@case": 1.0}) == []
+            assert len(unknown_shapes(layout, {f"{name}.k": 1.0})) == 1
+
+    def test_a_bearing_law_alone_needs_none(self):
+        law = resolve("bearing: k*abs(delta)**n*sign(delta)")
+        record = SimpleNamespace(label="case", span=(BEGIN, BEGIN + SPAN))
+        for names, searched in ((("casing.air.linear",), False), (("bearing.linear",), True)):
+            layout = ParameterLayout.of(Model.of(names).with_effect(law), [record])
+            assert bool(unknown_shapes(layout, None)) is searched
+
+    def grid(self, effect):
+        record = SimpleNamespace(span=(2.0, 2.0 + SPAN))
+        data = [SimpleNamespace(initial_speeds=moved())]
+        problem = SimpleNamespace(layout=SimpleNamespace(records=[record]), data=data)
+        return list(module._grid(problem, effect))
+
+    def test_shapes_are_tried_as_declared(self):
+        assert self.grid(LIBRARY["touchpoint.stribeck"]) == [{"w": w} for w in (1.0, 2.0, 5.0, 12.0, 30.0)]
+        times = [c["tau_T"] for c in self.grid(LIBRARY["bearing.heating"])]
+        assert times == pytest.approx([SPAN * x for x in (0.05, 0.15, 0.4, 1.2, 4.0)])
+        steps = [c["t0"] for c in self.grid(LIBRARY["touchpoint.step"])]
+        declared = next(p.grid for p in LIBRARY["touchpoint.step"].parameters if p.symbol == "t0")
+        assert steps == pytest.approx([2.0 + SPAN * x for x in declared])
+        lonely = replace(LIBRARY["touchpoint.stribeck"], parameters=(
+            Parameter("k", "N m"), Parameter("w", "s-1", "shape", 0.1, 9.0, 4.0),
+        ))  # fmt: skip
+        assert self.grid(lonely) == [{"w": 4.0}]
+
+    def test_exponents_of_a_users_power_law(self):
+        law = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
+        tried = [c["n"] for c in self.grid(law)]
+        (shape,) = (p for p in law.parameters if p.symbol == "n")
+        every = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
+        assert tried == [v for v in every if shape.lower <= v <= shape.upper]
+        assert len(tried) > 3
+
+    def test_the_number_of_trials_is_limited(self):
+        both = replace(LIBRARY["touchpoint.stribeck"], parameters=(
+            Parameter("k", "N m"),
+            Parameter("w", "s-1", "shape", grid=tuple(np.linspace(1.0, 2.0, 10))),
+            Parameter("v", "s-1", "shape", grid=tuple(np.linspace(1.0, 2.0, 10))),
+        ))  # fmt: skip
+        assert len(self.grid(both)) == 80
+
+    def stepped(self, strength=0.0, *, lower=0.0, upper=np.inf, jacobian=None, residual=None):
+        j = np.array([[1.0, 2.0], [0.0, 1.0], [1.0, 1.0]]) if jacobian is None else jacobian
+        r = np.array([1.0, -3.0, 0.5]) if residual is None else residual
+        layout = SimpleNamespace(bounds=lambda: (np.array([-np.inf, lower]), np.array([np.inf, upper])))
+        problem = SimpleNamespace(layout=layout, residuals=lambda predictions: (r, j))
+        return r, j, module._stepped(problem, np.array([5.0, strength]), [], np.array([1]))
+
+    def test_one_step_of_all_variables_gives_the_strength(self):
+        r, j, (cost, end) = self.stepped()
+        step = np.linalg.lstsq(j, -r, rcond=None)[0]
+        assert step[1] > 0
+        assert end == pytest.approx([5.0, step[1]])  # the others stay
+        assert cost == pytest.approx(np.sum((r + j @ step) ** 2))
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"lower": 1e9},
+            {"upper": 0.1},
+            {"jacobian": np.array([[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])},  # no response to the law
+            {"jacobian": np.array([[np.inf, 1.0], [0.0, 1.0], [1.0, 1.0]])},
+        ],
+    )
+    def test_a_step_beyond_the_bounds_or_without_response_is_none(self, change):
+        assert self.stepped(**change)[2] is None
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_bounds_of_the_strength(self, sign):
+        r, _, (_, end) = self.stepped(lower=-np.inf, residual=sign * np.array([1.0, -3.0, 0.5]))
+        below, above = end[1] - 1e-6, end[1] + 1e-6
+        for lower, upper, possible in (
+            (below, np.inf, True),
+            (above, np.inf, False),
+            (-np.inf, above, True),
+            (-np.inf, below, False),
+        ):
+            found = self.stepped(lower=lower, upper=upper, residual=r)[2]
+            assert (found is not None) is possible
+
+    def test_a_variable_without_response_does_not_move(self):
+        _, _, (_, end) = self.stepped(jacobian=np.array([[0.0, 2.0], [0.0, 1.0], [0.0, 1.0]]))
+        assert end[0] == 5.0
+
+    def problem(self, levels):
+        """Two shapes, and the deviance of each at each level of the noise."""
+        layout = SimpleNamespace(
+            records=[1], places=lambda i, keys: np.array([0 if k.endswith(".k") else 1 for k in keys])
+        )
+
+        def predict(theta):
+            if theta[1] == 3.0:
+                raise SimulationError("it diverges", "")
+            return theta[1]
+
+        problem = SimpleNamespace(layout=layout, predict=predict)
+        problem.with_noise = lambda noise: SimpleNamespace(noise=noise, level=noise[0].level, **vars(problem))
+        return problem
+
+    def test_shape_and_level_of_the_least_deviance_are_chosen(self, monkeypatch):
+        class Level(SimpleNamespace):
+            def at(self, level):
+                determinant = SimpleNamespace(log_determinant=10 * level)
+                return Level(level=level, least=self.least, whitener=determinant)
+
+        tried = []
+
+        def stepped(trial, begin, predictions, places):
+            tried.append(trial.level)
+            return (abs(begin[1] - 2.0) * 30 + 1 / trial.level, begin + np.array([trial.level, 0.0]))
+
+        monkeypatch.setattr(module, "_grid", lambda *_: iter([{"w": w} for w in (1.0, 2.0, 3.0)]))
+        monkeypatch.setattr(module, "_stepped", stepped)
+        noise = [Level(level=1.0, least=0.05)]
+        found, theta = initial_shapes(
+            self.problem(None),
+            np.array([7.0, 9.0]),
+            [LIBRARY["touchpoint.stribeck"]],
+            fitted=True,
+            noise=noise,
+        )
+        # 10 s + 1 / s is least at 0.3 of the trial levels, and no level is below 0.05
+        assert theta.tolist() == [0.3, 2.0]
+        assert found.level == 0.3
+        assert tried[::2] == pytest.approx([1.0, 0.3, 0.1, 0.05, 0.05, 0.05])
+        tried.clear()
+        noise = [Level(level=10.0, least=0.0)]
+        initial_shapes(
+            self.problem(None),
+            np.array([7.0, 9.0]),
+            [LIBRARY["touchpoint.stribeck"]],
+            fitted=True,
+            noise=noise,
+        )
+        assert tried[::2] == pytest.approx([10.0, 3.0, 1.0, 0.3, 0.1, 0.01])
+
+    def test_without_a_possible_step_nothing_changes(self, monkeypatch):
+        class Level(SimpleNamespace):
+            def at(self, level):
+                return Level(level=level, least=self.least, whitener=SimpleNamespace(log_determinant=0.0))
+
+        monkeypatch.setattr(module, "_grid", lambda *_: iter([{"w": 1.0}]))
+        monkeypatch.setattr(module, "_stepped", lambda *_: None)
+        noise = [Level(level=1.0, least=0.05)]
+        found, theta = initial_shapes(
+            self.problem(None),
+            np.array([7.0, 9.0]),
+            [LIBRARY["touchpoint.stribeck"]],
+            fitted=True,
+            noise=noise,
+        )
+        assert (theta.tolist(), found.level) == ([0.0, 9.0], 1.0)

@@ -1,0 +1,591 @@
+"""Pulses by hand: which edges, doubles, gaps and counts are taken, on either side of each threshold."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io.readers import _pulses as module
+from gyrotrack.io.readers._motion_table import ReadOptions
+from gyrotrack.io.readers._pulses import (
+    clock_scale,
+    counters_of,
+    from_counts,
+    from_events,
+    is_regular,
+    is_sampled,
+    mark_errors,
+    passages_of,
+    read_counter,
+    read_pulses,
+    rising_edges,
+    sampled_counts,
+    signal_columns,
+    varies_both_ways,
+)
+from gyrotrack.io.readers._raw_table import RawTable
+
+TURN = 2 * math.pi
+PATH = Path("pulses.csv")
+
+
+def table(*columns, names=None):
+    names = tuple(names or [""] * len(columns))
+    columns = tuple(np.asarray(c, dtype=float) for c in columns)
+    return RawTable(PATH, names, ("",) * len(names), columns, np.arange(len(columns[0])) + 2)
+
+
+def slowing(count=80, first=0.1, growth=1.01):
+    """Times of pulses whose intervals grow by a constant factor."""
+    return np.concatenate([[0.0], np.cumsum(first * growth ** np.arange(count - 1))])
+
+
+class TestSampled:
+    @pytest.mark.parametrize(
+        ("deviation", "share", "sampled"),
+        [(0.009, 0.45, True), (0.011, 0.45, False), (0.5, 0.08, True), (0.5, 0.12, False)],
+    )
+    def test_nine_in_ten_intervals_of_a_sampler_are_equal_within_a_hundredth(self, deviation, share, sampled):
+        step = np.full(1000, 0.1)
+        few = int(1000 * share)
+        step[:few] *= 1 + deviation * np.where(np.arange(few) % 2, 1, -1)
+        assert is_sampled(np.cumsum(step)) is sampled
+
+    def test_repeated_times_are_no_clock(self):
+        assert not is_sampled(np.zeros(20))
+        assert not is_sampled(np.zeros(1))
+
+    def test_a_signal_has_eight_values(self):
+        levels = np.tile(np.arange(7.0), 5)
+        assert signal_columns(table(np.arange(35.0), levels, levels + np.eye(35)[3] * 9), 0) == [2]
+
+    @pytest.mark.parametrize(("change", "regular"), [(1.34, True), (1.36, False)])
+    def test_intervals_of_a_rotation_change_by_less_than_three_tenths(self, change, regular):
+        """exp(0.3) = 1.35."""
+        step = np.where(np.arange(50) % 2, 1.0, change)
+        assert is_regular(np.cumsum(step)) is regular
+        assert not is_regular(np.array([0.0, 1.0, 2.0]))
+
+
+def triangle(t, period=1.0):
+    """A triangle wave between -1 and 1 that rises through zero at whole periods."""
+    return 2 / np.pi * np.arcsin(np.sin(2 * np.pi * t / period))
+
+
+class TestEdges:
+    def test_pulses_are_where_the_signal_rises_through_its_middle(self):
+        t = np.arange(0.0, 20.0, 0.013)
+        edges, after = rising_edges(t, triangle(t), "v", [])
+        assert edges == pytest.approx(np.round(edges), abs=2e-3)
+        assert np.diff(edges) == pytest.approx(np.ones(len(edges) - 1), abs=4e-3)
+        assert len(edges) >= 19
+        assert (t[after] >= edges).all()
+        assert (t[after - 1] < edges).all()
+        falling, _ = rising_edges(t, -triangle(t), "v", [])
+        assert falling % 1.0 == pytest.approx(np.full(len(falling), 0.5), abs=4e-3)
+
+    @pytest.mark.parametrize(
+        ("probe", "more"),
+        [
+            ([0.0, 0.66, 0.0], 0),
+            ([0.0, 0.68, 0.0], 1),
+            ([1.0, 0.34, 1.0], 0),
+            ([1.0, 0.32, 1.0], 1),
+            ([0.0, 0.45, 0.55, 0.45, 0.55, 0.0], 0),
+        ],
+    )
+    def test_the_trigger_is_armed_below_a_third_and_fires_above_two_thirds(self, probe, more):
+        """Beside forty pulses between 0 and 1."""
+        square = [0.0, 0.0, 1.0, 1.0] * 20
+        signal = np.array([*square, *([0.0] if probe[0] == 0 else []), *probe, *square])
+        edges, after = module._edges(np.arange(float(len(signal))), signal, len(signal))
+        assert len(edges) == 40 + more
+        assert edges[:3] == pytest.approx([1.5, 5.5, 9.5])
+        assert after[:3].tolist() == [2, 6, 10]
+
+    def test_a_weak_part_of_the_signal_is_no_pulse(self):
+        """Below a quarter of the typical height the body is at rest."""
+        t = np.arange(0.0, 40.0, 0.01)
+        for height, most in ((0.22, 21), (0.28, 41)):
+            size = np.where(t < 30.0, 1.0, height)
+            edges, _ = module._edges(t, size * triangle(t), 200)
+            assert (edges > 32.0).any() == (most == 41)
+
+    def test_slow_levels_are_followed(self):
+        t = np.arange(0.0, 60.0, 0.02)
+        edges, _ = rising_edges(t, triangle(t) + 0.8 * np.sin(2 * np.pi * t / 60.0), "v", [])
+        assert len(edges) >= 57
+        assert np.abs(edges - np.round(edges)).max() < 0.15
+
+    @pytest.mark.parametrize(("samples", "enough"), [(4.4, True), (3.4, False)])
+    def test_a_pulse_needs_four_samples(self, samples, enough):
+        t = np.arange(0.0, 100.0, 1 / samples)
+        if enough:
+            edges, _ = rising_edges(t, np.sin(2 * np.pi * t), "v", [])
+            assert len(edges) > 80
+        else:
+            with pytest.raises(DatasetError, match="samples per pulse"):
+                rising_edges(t, np.sin(2 * np.pi * t), "v", [])
+
+    def test_the_longest_stretch_with_enough_samples_is_used(self):
+        t = np.arange(0.0, 60.0, 0.05)
+        turns = np.where(t < 20.0, 9.0 * t, 180.0 + 0.5 * (t - 20.0))
+        notes = []
+        edges, _ = rising_edges(t, np.sin(2 * np.pi * turns), "v", notes)
+        assert edges[0] > 19.0
+        assert "fewer than 4 samples per pulse" in notes[0]
+
+
+class TestIntervals:
+    def test_typical_intervals_are_of_the_neighbours_on_both_sides(self):
+        step = np.array([1.0, 1.0, 1.0, 50.0, 4.0, 4.0, 4.0])
+        found = module._typical_interval(step)
+        assert found[3] == pytest.approx(2.0)  # the geometric mean of 1 and 4, without itself
+        assert module._typical_interval(np.array([3.0, 5.0])) == pytest.approx([4.0, 4.0])
+        assert len(module._typical_interval(np.zeros(0))) == 0
+
+    def test_at_the_end_the_speed_is_continued(self):
+        """Of a body that slows down at a constant rate the last intervals are as expected."""
+        speed, rate = 10.0, 0.4
+        k = np.arange(60)
+        time = (speed - np.sqrt(speed**2 - 2 * rate * k)) / rate
+        step = np.diff(time)
+        ratio = module._ratios_at_end(step)
+        assert ratio == pytest.approx(np.ones(59), abs=2e-3)
+        missed = np.diff(np.delete(time, -2))
+        assert module._ratios_at_end(missed)[-1] == pytest.approx(2.0, abs=0.02)
+
+    def test_a_body_that_comes_to_rest_has_no_expected_interval(self):
+        step = np.append(np.full(20, 0.1), [0.2, 0.5, 3.0])
+        ratio = module._ratios_at_end(step)
+        assert ratio[-1] == 1.0 or ratio[-1] > 1.5
+        assert module._ratios_at_end(np.full(3, 0.1)).tolist() == [1.0] * 3
+
+
+def read(time, per_turn=1.0, **options):
+    notes = []
+    time = np.asarray(time, dtype=float)
+    found = from_events(table(time), time, np.arange(len(time)) + 2, per_turn, notes)
+    return found, notes
+
+
+class TestEvents:
+    @pytest.mark.parametrize("lost", [1, 2, 5])
+    def test_missed_pulses_are_counted(self, lost):
+        time = slowing()
+        kept = np.delete(time, np.arange(40, 40 + lost))
+        found, notes = read(kept)
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 79, abs=0.05)
+        assert f"{lost} missed pulses were added" in " ".join(found.notes + tuple(notes))
+        assert f"before line {40 + 2}" in " ".join(found.notes)
+
+    @pytest.mark.parametrize(("stretch", "added"), [(2.23, 1), (2.25, 0), (1.77, 1), (1.75, 0), (1.3, 0)])
+    def test_an_interval_of_a_whole_multiple_is_a_missed_pulse(self, stretch, added):
+        """Within 12 %."""
+        step = np.full(60, 0.1)
+        step[30] *= stretch
+        found, _ = read(np.concatenate([[0.0], np.cumsum(step)]))
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * (60 + added), abs=0.01)
+
+    @pytest.mark.parametrize("where", [20, 50])
+    def test_double_pulses_are_left_out(self, where):
+        time = slowing()
+        double = np.insert(time, where + 1, time[where] + 0.1 * (time[where + 1] - time[where]))
+        found, notes = read(double)
+        assert len(found.time) == 80
+        assert time[where] in found.time
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 79, abs=0.01)
+        assert any("1 double pulses were excluded" in n for n in notes)
+
+    @pytest.mark.parametrize(("share", "double"), [(0.34, True), (0.36, False)])
+    def test_a_pulse_closer_than_0_35_intervals_is_double(self, share, double):
+        time = np.arange(60.0)
+        assert module._not_double(np.insert(time, 31, 30.0 + share)).all() is np.bool_(not double)
+
+    def test_the_more_regular_one_of_two_is_kept(self):
+        time = np.arange(60.0)
+        early, late = np.insert(time, 31, 30.2), np.insert(time, 30, 29.8)
+        assert np.flatnonzero(~module._not_double(early)).tolist() == [31]
+        assert np.flatnonzero(~module._not_double(late)).tolist() == [30]
+
+    @pytest.mark.parametrize(("longer", "double"), [(1.31, False), (1.29, True)])
+    def test_two_pulses_that_approach_each_other_are_not_double(self, longer, double):
+        """An interval of 0.3 between two longer ones: with either of them it is more than 1.6."""
+        step = np.ones(59)
+        step[28:31] = longer, 0.3, longer
+        time = np.concatenate([[0.0], np.cumsum(step)])
+        assert module._not_double(time).all() == (not double)
+
+    def test_a_gap_at_constant_speed_is_refused(self):
+        step = np.full(60, 0.1)
+        for gap, refused in ((19.0, False), (22.0, True)):
+            step[30] = 0.1 * gap
+            if refused:
+                with pytest.raises(DatasetError, match="without a pulse"):
+                    read(np.concatenate([[0.0], np.cumsum(step)]))
+            else:
+                read(np.concatenate([[0.0], np.cumsum(step)]))
+        slower = np.where(np.arange(60) > 30, 0.1 * math.exp(0.31), 0.1)
+        slower[30] = 2.3
+        read(np.concatenate([[0.0], np.cumsum(slower)]))  # it rested, and turned on at another speed
+
+    @pytest.mark.parametrize(("count", "enough"), [(8, True), (7, False)])
+    def test_eight_pulses_are_needed(self, count, enough):
+        if enough:
+            assert len(read(np.arange(float(count)))[0].time) == 8
+        else:
+            with pytest.raises(DatasetError, match="at least 8"):
+                read(np.arange(float(count)))
+
+    @pytest.mark.parametrize(("repeated", "refused"), [(19, False), (21, True)])
+    def test_half_of_the_times_may_be_repeated(self, repeated, refused):
+        time = np.sort(
+            np.concatenate(
+                [np.arange(20.0), np.arange(20.0)[: min(repeated, 20)], np.zeros(max(repeated - 20, 0))]
+            )
+        )
+        if refused:
+            with pytest.raises(DatasetError, match="are repeated"):
+                read(time)
+        else:
+            assert len(read(time)[0].time) == 20
+
+    @pytest.mark.parametrize(
+        ("swing", "waves", "driven"), [(0.25, 3, True), (0.15, 3, False), (0.25, 0.9, False)]
+    )
+    def test_a_speed_that_rises_and_falls_is_driven(self, swing, waves, driven):
+        """Twice by a fifth or more between turning points."""
+        k = np.arange(400)
+        step = 0.1 * np.exp(0.5 * swing * np.cos(2 * np.pi * waves * k / 400))
+        time = np.cumsum(step)
+        assert varies_both_ways(time) is driven
+        if driven:
+            assert any("missed and double pulses are not looked for" in n for n in read(time)[1])
+        assert not varies_both_ways(time[:15])
+
+    def test_jittering_counts_are_described_together(self):
+        """A fifth of an interval of jitter: single intervals show nothing, a spline through the counts does."""
+        rng = np.random.default_rng(2)
+        time = np.arange(400.0) + 0.14 * rng.standard_normal(400)
+        kept = np.delete(np.sort(time), [150])
+        steps = module._steps_of_jittering_counts(kept)
+        assert steps.sum() == 1
+        assert abs(int(np.flatnonzero(steps)[0]) - 150) <= 3
+        double = np.insert(np.sort(time), 201, np.sort(time)[200] + 0.2)
+        steps = module._steps_of_jittering_counts(double)
+        assert steps.sum() == -1
+        assert module._steps_of_jittering_counts(np.arange(400.0)) is None
+        assert module._steps_of_jittering_counts(kept[:60]) is None
+        assert module._steps_of_jittering_counts(kept[:61]) is not None
+
+
+class TestCounts:
+    def test_angles_and_their_uncertainty(self):
+        """10 turns a second, three pulses a turn, times rounded to 1 ms: omega / sqrt(12) ms."""
+        time = np.round(np.arange(300) / 30.0, 3)
+        notes = []
+        found = from_counts(table(time), time, np.arange(300.0), np.arange(300), 3.0, notes)
+        assert found.value == pytest.approx(TURN * np.arange(300) / 3.0, abs=0.03)
+        assert np.median(found.sigma) == pytest.approx(TURN * 10.0 * 1e-3 / math.sqrt(12), rel=0.15)
+        assert "resolution of the clock 1e+03 us" in notes[-1]
+
+    @pytest.mark.parametrize(
+        ("unit", "step", "expected"), [(1e-3, 5, 5e-3), (1e-6, 4, 4e-6), (1e-3, 1, 1e-3), (1.7e-7, 1, 0.0)]
+    )
+    def test_the_resolution_of_a_clock_is_the_common_divisor(self, unit, step, expected):
+        ticks = step * np.cumsum(np.array([7, 4, 9, 11, 6, 5, 8, 13]))
+        assert module._clock_resolution(unit * ticks) == pytest.approx(expected)
+
+    @pytest.mark.parametrize("error", [0.05, -0.05])
+    def test_errors_of_marks_are_removed(self, error):
+        """One of four marks is displaced; the mean error is zero."""
+        k = np.arange(400)
+        time = (k + error * (k % 4 == 2)) / 4.0
+        notes = []
+        found = mark_errors(time, k.astype(float), 4.0, table(time), notes)
+        displaced = np.where(k % 4 == 2, 0.75 * -error, 0.25 * error)
+        assert found == pytest.approx(displaced, abs=1e-3)
+        made = from_counts(table(time), time, k.astype(float), k, 4.0, [])
+        assert made.value - TURN * time == pytest.approx(
+            np.full(400, (made.value - TURN * time).mean()), abs=1e-3
+        )
+
+    @pytest.mark.parametrize(("per_turn", "count"), [(1.0, 400), (2.5, 400), (513.0, 5200), (50.0, 400)])
+    def test_marks_without_enough_turns_have_no_known_errors(self, per_turn, count):
+        k = np.arange(count)
+        time = (k + 0.2 * (k % 2)) / per_turn
+        assert not mark_errors(time, k.astype(float), per_turn, table(time), []).any()
+
+    @pytest.mark.parametrize(("size", "significant"), [(0.0044, True), (0.0036, False)])
+    def test_insignificant_errors_stay(self, size, significant):
+        """Of a mark whose deviations are -0.02, 0 and 0.02 about its error in a hundred turns: 2 x 0.02 / 10."""
+        k = np.arange(400)
+        time = (k + (k % 4 == 2) * (size + 0.02 * (k // 4 % 3 - 1))) / 4.0
+        assert mark_errors(time, k.astype(float), 4.0, table(time), []).any() == significant
+
+
+class TestClock:
+    @pytest.mark.parametrize(
+        ("step", "scale"),
+        [(1, 1.0), (10, 1.0), (11, 1e-3), (999, 1e-3), (1000, 1e-6), (4_900_000, 1e-6), (5_100_000, None)],
+    )
+    def test_whole_numbers_are_ticks_by_the_size_of_their_steps(self, step, scale):
+        ticks = step * np.arange(20.0)
+        if scale is None:
+            with pytest.raises(DatasetError, match="their unit is not stated"):
+                clock_scale(table(ticks), ticks)
+        else:
+            assert clock_scale(table(ticks), ticks) == scale
+            assert clock_scale(table(ticks), ticks + 0.5) == 1.0
+            assert clock_scale(table(ticks), ticks[::-1]) == scale
+        assert clock_scale(table(ticks), np.array([math.nan])) == 1.0
+
+
+class TestReading:
+    def options(self, **more):
+        return ReadOptions(pulses_per_turn=1.0, **more)
+
+    @pytest.mark.parametrize("per_turn", [0.0, -1.0, None])
+    def test_the_number_of_pulses_is_positive(self, per_turn):
+        with pytest.raises(UsageError, match="not positive"):
+            read_pulses(table(np.arange(20.0)), ReadOptions(pulses_per_turn=per_turn))
+
+    def test_rising_states_of_a_gate_are_pulses(self):
+        """Changes from 1 to 0 are none."""
+        t = np.arange(60) * 0.37 + 0.01 * np.arange(60) ** 2 / 60
+        state = np.arange(60) % 2
+        found = read_pulses(table(t, state, names=("t", "gate")), self.options())
+        assert found.time == pytest.approx(t[1::2])
+        assert any("changes of" in n for n in found.notes)
+        start = read_pulses(table(t, state, names=("t", "gate")), self.options(start=100.0))
+        assert start.time == pytest.approx(100.0 + t[1::2])
+
+    def test_times_that_do_not_increase_are_sorted_and_the_first_is_named(self):
+        t = np.arange(60) * 0.37 + 0.01 * np.arange(60) ** 2 / 60
+        mixed = t.copy()
+        mixed[[20, 21, 40, 41]] = t[[21, 20, 41, 40]]
+        found = read_pulses(table(mixed, names=("t",)), self.options())
+        assert found.time == pytest.approx(t)
+        assert sum("not increasing (line 23)" in n for n in found.notes) == 1
+
+    def test_intervals_are_summed(self):
+        step = 0.2 + 0.02 * np.sin(np.arange(60.0))
+        found = read_pulses(table(step), self.options())
+        assert found.time == pytest.approx(np.cumsum(step))
+        assert found.value[-1] - found.value[0] == pytest.approx(59 * TURN, rel=1e-2)
+        step[20] = 0.0
+        named = table(step, names=("interval",))
+        with pytest.raises(DatasetError, match="line 22"):
+            read_pulses(named, self.options())
+
+    def test_rows_out_of_order_are_sorted(self):
+        t = slowing(60)
+        t[[20, 21]] = t[[21, 20]]
+        found = read_pulses(table(t, np.arange(60.0) % 7, names=("t", "x")), self.options())
+        assert (np.diff(found.time) > 0).all()
+
+    def test_the_numbers_of_the_rows_are_no_times(self):
+        with pytest.raises(DatasetError, match="numbers the rows"):
+            read_pulses(table(np.arange(40.0), np.full(40, 0.3)), self.options())
+
+
+class TestCounter:
+    def counted(self, time, count, **options):
+        return read_counter(table(time, count, names=("t", "n")), 1, ReadOptions(**options))
+
+    def test_steps_are_pulses_at_their_rows(self):
+        t = np.arange(400) * 0.05
+        count = np.floor(t / 0.31 + 1e-9)
+        found = self.counted(t, count)
+        assert len(found.time) == int(count[-1])
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * (count[-1] - 1))
+
+    def test_a_counter_restarts_and_continues(self):
+        t = slowing(60)
+        count = np.arange(60.0)
+        count[30:] -= 30
+        found = self.counted(t, count)
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 58, abs=0.05)
+        assert any("restarts at line 32" in n for n in found.notes)
+
+    @pytest.mark.parametrize(("restarts", "refused"), [(3, False), (4, True)])
+    def test_a_counter_restarts_at_most_three_times(self, restarts, refused):
+        t, count = slowing(400, 0.1, 1.001), np.arange(400.0)
+        for k in range(restarts):
+            count[80 * (k + 1) :] -= 80
+        if refused:
+            with pytest.raises(DatasetError, match="is not a counter"):
+                self.counted(t, count)
+        else:
+            self.counted(t, count)
+
+    @pytest.mark.parametrize(
+        ("step", "share", "refused"), [(20, 0.05, False), (21, 0.05, True), (21, 0.015, False)]
+    )
+    def test_large_steps_are_rare(self, step, share, refused):
+        increments = np.ones(400)
+        every = int(1 / share)
+        increments[every // 2 :: every] = step
+        t = np.cumsum(0.1 * increments)
+        if refused:
+            with pytest.raises(DatasetError, match="is not a counter"):
+                self.counted(t, np.cumsum(increments))
+        else:
+            self.counted(t, np.cumsum(increments))
+
+    def test_a_count_of_pulses_is_divided(self):
+        t = slowing(80)
+        found = self.counted(t, np.arange(80.0), pulses_per_turn=4.0)
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 78 / 4.0, abs=0.01)
+
+    def test_a_false_pulse_is_no_turn(self):
+        t = np.insert(np.arange(60.0), 31, 30.1)
+        found = self.counted(t, np.arange(61.0))
+        assert len(found.time) == 59
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 58, abs=0.01)
+        assert any("1 false pulses were excluded" in n for n in found.notes)
+
+    @pytest.mark.parametrize("offset", [0, 1])
+    def test_the_more_regular_rows_are_used(self, offset):
+        """A logger that writes each event twice, the count with it or one row late."""
+        events = slowing(60)
+        t = np.sort(
+            np.concatenate(
+                [
+                    events,
+                    events[:-1] + 0.31 * np.diff(events) * np.random.default_rng(1).uniform(0.2, 1.8, 59),
+                ]
+            )
+        )
+        at = np.searchsorted(t, events)
+        count = np.zeros(len(t))
+        rows = at + offset
+        count[rows[rows < len(t)]] = 1.0
+        found = self.counted(t, np.cumsum(count))
+        assert np.isin(np.round(found.time, 9), np.round(events, 9)).mean() > 0.95
+        assert any("one row late" in n for n in found.notes) == (offset == 1)
+
+    def test_roughness_is_the_mean_change_of_the_speed(self):
+        time, count = np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 1.0, 2.0, 4.0])
+        assert module._roughness(time, count) == pytest.approx((math.log(2.0) + 1.0) / 2)
+
+
+class TestEncoders:
+    @pytest.mark.parametrize(
+        ("count", "column"),
+        [
+            (np.cumsum(np.full(50, 7.0)), 1),
+            (np.cumsum(np.tile([5.0, -3.0], 25)), 1),
+            (np.arange(50.0), None),  # steps of one: events
+            (np.arange(50.0) + 0.5, None),
+            (np.arange(50.0) % 2, None),  # states
+            (np.arange(7.0) * 9, None),
+        ],
+    )
+    def test_sampled_counts_are_whole_numbers_in_larger_steps(self, count, column):
+        raw = table(0.01 * np.arange(len(count)), count)
+        assert sampled_counts(raw, {"t": 0}) == column
+        assert sampled_counts(raw, {"t": 0, "revolutions": 1}) == column
+        assert sampled_counts(raw, {"t": 0, "angle": 1}) is None
+
+    @pytest.mark.parametrize("bits", [8, 16])
+    def test_overflows_are_continued(self, bits):
+        size = 2**bits
+        true = np.arange(0.0, 5 * size, size / 7)
+        for wrapped in (true % size, (true + size / 2) % size - size / 2):
+            found, known = module._continued_count(np.floor(wrapped))
+            assert known == bits
+            assert np.diff(found) == pytest.approx(np.diff(true), abs=1.0)
+        same, none = module._continued_count(np.array([0.0, 100.0, 50.0]))
+        assert (same.tolist(), none) == ([0.0, 100.0, 50.0], 0)
+
+    def test_counters_without_header(self):
+        t = slowing(60, 0.03)
+        often = np.floor(np.arange(60) / 2.0)
+        assert counters_of(table(np.arange(60) * 0.1, often)) == [1]
+        assert counters_of(table(np.arange(60) * 0.1, np.arange(60.0))) == []  # the numbers of the rows
+        assert counters_of(table(t, np.arange(60.0))) == [1]  # at the times of pulses
+        assert counters_of(table(np.arange(60) * 0.1, often + 0.5)) == []
+        assert counters_of(table(np.arange(60) * 0.1, often * 2)) == []
+        falling = often.copy()
+        falling[30:] -= 20
+        assert counters_of(table(np.arange(60) * 0.1, falling)) == []
+
+
+class TestPassages:
+    """Two gates that a pendulum passes back and forth, or a wheel in one sense."""
+
+    def states(self, *, back=True, order=True):
+        t, a, b = [-0.5], [0], [0]
+        for k in range(40):
+            first = (k % 2 == 0) or not back
+            for gate, state, dt in ((0, 1, 0.0), (0, 0, 0.02), (1, 1, 0.03), (1, 0, 0.05)):
+                own = gate if first else 1 - gate
+                t.append(k + dt)
+                a.append(state if own == 0 else 0)
+                b.append(state if own == 1 else 0)
+        return table(t, a, b, names=("t", "A", "B"))
+
+    def test_gates_in_alternating_order_are_a_pendulum(self):
+        found = passages_of(self.states(), ReadOptions())
+        assert len(found.time) == 40
+        assert found.time == pytest.approx(np.arange(40) + 0.025)
+        assert found.duration == pytest.approx(np.full(40, 0.04))
+        with pytest.raises(UsageError, match="pendulum"):
+            read_pulses(self.states(), ReadOptions(pulses_per_turn=1.0))
+
+    def test_one_gate_of_a_pendulum_that_decays(self):
+        """Passages last longer and longer, in proportion to exp(t / 40)."""
+        t, state = [-0.5], [0]
+        for k in range(40):
+            t += [k, k + 0.02 * math.exp(k / 40)]
+            state += [1, 0]
+        found = passages_of(table(t, state, names=("t", "A")), ReadOptions())
+        width = 0.02 * np.exp(np.arange(40) / 40)
+        assert found.duration == pytest.approx(width)
+        assert found.time == pytest.approx(np.arange(40) + width / 2)
+
+    def test_gates_in_one_order_are_a_rotation(self):
+        assert passages_of(self.states(back=False), ReadOptions()) is None
+        assert passages_of(table([0.0, 1.0], [0.0, 1.0]), ReadOptions()) is None
+
+    @pytest.mark.parametrize(("growth", "pendulum"), [(0.14, True), (0.06, False)])
+    def test_passages_that_take_longer_and_longer_are_a_pendulum(self, growth, pendulum):
+        """ln (duration / time between) rises by three quarters of the growth from first to last quarter: above 0.1."""
+        begin = np.arange(80.0)
+        width = 0.05 * np.exp(growth * np.arange(80) / 79)
+        blocked = np.column_stack([begin, begin + width])
+        assert module._slows_down(blocked) is pendulum
+        assert not module._slows_down(blocked[:9])
+
+    def test_scattering_durations_show_nothing(self):
+        rng = np.random.default_rng(1)
+        begin = np.arange(80.0)
+        width = 0.05 * np.exp(0.2 * np.arange(80) / 79 + 0.5 * rng.standard_normal(80))
+        assert not module._slows_down(np.column_stack([begin, begin + width]))
+
+    def test_flickers_are_removed(self):
+        t, state = [-0.5], [0]
+        for k in range(20):
+            for dt, s in (
+                ((0.0, 1), (0.1, 0))
+                if k != 7
+                else ((0.0, 1), (0.05, 0), (0.055, 1), (0.1, 0), (0.4, 1), (0.405, 0))
+            ):
+                t.append(k + dt)
+                state.append(s)
+        notes = []
+        found = module._blocked(np.array(t), np.array(state, dtype=float), table(t), notes)
+        assert found == pytest.approx(np.column_stack([np.arange(20.0), np.arange(20) + 0.1]))
+        assert "2 flickers" in notes[0]
+
+    @pytest.mark.parametrize(("lost", "refused"), [(5, False), (14, True)])
+    def test_lost_passages_are_refused(self, lost, refused):
+        time = np.delete(np.arange(60.0), np.arange(4, 4 + 4 * lost, 4)[:lost])
+        if refused:
+            with pytest.raises(DatasetError, match="passages are missing"):
+                module._refuse_lost_passages(table(time), time)
+        else:
+            module._refuse_lost_passages(table(time), time)

@@ -1,0 +1,303 @@
+"""How a film is divided, and how its parts are put together again: small cases on either side of each rule."""
+
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _film_parts as module
+from gyrotrack.tracking._film_parts import (
+    LEARNT,
+    PartRows,
+    PartWorkers,
+    split,
+    turns_between,
+    zero_between,
+)
+from gyrotrack.video._container import Packets
+from gyrotrack.video._decoder import Part
+from gyrotrack.video._time_base import Timing
+
+TURN = 2 * np.pi
+
+
+def packets(count, keys, **options):
+    flags = np.zeros(count, dtype=bool)
+    flags[list(keys)] = True
+    return Packets(100 + 10 * np.arange(count), np.full(count, 900), flags, **({"complete": True} | options))
+
+
+class TestSplit:
+    @pytest.mark.parametrize(
+        ("count", "parts"),
+        [(799, 1), (800, 2), (5000, 2), (5001, 4), (10000, 4)],
+    )
+    def test_the_number_of_parts_is_even_and_each_is_at_most_2500_frames(self, count, parts):
+        found = split(packets(count, range(count)))
+        assert len(found) == parts
+        assert max(np.diff([p.first for p in found] + [count])) <= 2500
+
+    @pytest.mark.parametrize(("key", "parts"), [(399, 1), (400, 2), (600, 2), (601, 1)])
+    def test_a_part_has_400_frames_at_least(self, key, parts):
+        """Of 1000 frames with one key frame beside the first."""
+        assert len(split(packets(1000, [key]))) == parts
+
+    def test_parts_overlap_by_64_frames(self):
+        first, second = split(packets(1000, [0, 480, 530]))
+        assert (first.first, first.start, first.stop) == (0, None, 100 + 10 * (480 + 64))
+        assert (second.first, second.start, second.stop) == (480, 100 + 10 * 480, None)
+
+    def test_the_key_frame_nearest_to_the_division_is_taken(self):
+        assert [p.first for p in split(packets(1000, [0, 440, 530]))] == [0, 530]
+
+    def test_without_reliable_stamps_a_film_is_one_part(self):
+        whole = packets(1000, range(0, 1000, 50))
+        assert len(split(whole)) == 2
+        stamps = whole.stamps.copy()
+        stamps[700] = stamps[699]
+        assert split(
+            Packets(
+                stamps,
+                whole.sizes if hasattr(whole, "sizes") else np.full(1000, 900),
+                whole.key,
+                complete=True,
+            )
+        ) == (Part(),)
+        assert split(packets(1000, range(0, 1000, 50), complete=False)) == (Part(),)
+
+    @pytest.mark.parametrize(("keys", "part", "expected"), [
+        ([0, 255], Part(), None),
+        ([0, 256], Part(), 256),
+        ([0, 256, 512, 513], Part(), 512),  # at most a batch
+        ([0, 400, 700], Part(first=100, start=1100), 400),
+        ([0, 355], Part(first=100, start=1100), None),
+        ([0, 300], Part(stop=100 + 10 * 301), 300),
+        ([0, 300], Part(stop=100 + 10 * 300), None),
+    ])  # fmt: skip
+    def test_the_second_start_of_a_part(self, keys, part, expected):
+        assert LEARNT == 256
+        assert module._second_start(packets(1000, keys), part) == expected
+
+
+class TestBeginning:
+    @pytest.mark.parametrize(
+        ("keys", "part", "stop"),
+        [([0, 300], Part(), 300), ([0], Part(), 256), ([0, 900], Part(first=900, start=9100), 999)],
+    )
+    def test_a_part_begins_up_to_a_key_frame_or_256_frames(self, monkeypatch, keys, part, stop):
+        """At most to the last frame of the film."""
+        film = packets(1000, keys)
+        opened, learnt = [], []
+
+        class Reader:
+            stamps, bad_packets, corrupt = "stamps", 1, 2
+
+            def __init__(self, path, threads, part, info):
+                opened.append(part)
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+        work = SimpleNamespace(filled=3, learn_batch=lambda: learnt.append(1))
+        monkeypatch.setattr(module, "Reader", Reader)
+        monkeypatch.setattr(module, "_taken", lambda *_: iter(()))
+        monkeypatch.setattr(module.pickle, "loads", lambda _: work)
+        found = module._begin(
+            SimpleNamespace(packets=film, tracker=b"", info=SimpleNamespace(path="")), part, 1
+        )
+        assert opened[0].stop == 100 + 10 * stop
+        assert (opened[0].first, opened[0].start) == (part.first, part.start)
+        assert (found.stamps, found.bad_packets, found.corrupt, learnt) == ("stamps", 1, 2, [1])
+
+
+class TestAdvance:
+    def test_steps_are_in_median_periods(self):
+        """A frame that is missing doubles the step; the first frame of the film has none."""
+        stamps = np.array([0, 40, 80, 160, 200, 240, 280, 320, 360, 400])
+        clock = module._Advance(stamps, 1e-3, Timing("frames", 25.0))
+        assert not clock.stamped
+        step = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)]
+        assert step == [0.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+
+    def test_steps_of_a_varying_rate_are_those_of_the_stamps(self):
+        stamps = np.cumsum(np.where(np.arange(60) % 2, 30, 50))
+        clock = module._Advance(stamps, 1e-3, Timing("stamps", 25.0))
+        assert clock.stamped
+        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)][1:]
+        ratio = found[0] / found[1]
+        assert ratio == pytest.approx(30 / 50) or ratio == pytest.approx(1.0)
+
+
+class TestTurns:
+    @pytest.mark.parametrize("turns", [0, 2, -3])
+    @pytest.mark.parametrize("faster", [0, 1, -1])
+    def test_common_frames_determine_the_turns(self, turns, faster):
+        frame = np.arange(200.0)
+        angle = 0.4 * frame + 0.1 * np.random.default_rng(0).standard_normal(200)
+        late = frame[100:]
+        other = angle[100:] - TURN * turns - TURN * faster * (late - 100)
+        added = turns_between(frame[:140], angle[:140], late, other)
+        assert added == pytest.approx(TURN * turns + TURN * faster * (late - 100))
+
+    @pytest.mark.parametrize("rate", [0.4, -0.7])
+    def test_without_common_frames_the_motion_is_continued(self, rate):
+        """With the mean of the rates over 24 frames before and after."""
+        frame = np.arange(60.0)
+        late = np.arange(75.0, 130.0)
+        bent = rate * frame + 2e-3 * frame**2
+        after = rate * late + 2e-3 * late**2 - 4 * TURN
+        assert turns_between(frame, bent, late, after) == pytest.approx(np.full(55, 4 * TURN))
+        lost = np.where(frame < 5, bent, np.nan)
+        assert turns_between(frame, lost, late, np.full(55, np.nan)).tolist() == [0.0] * 55
+        assert turns_between(frame, np.full(60, np.nan), late, after).tolist() == [0.0] * 55
+
+    def test_one_common_frame_is_not_enough(self):
+        frame, late = np.arange(50.0), np.arange(49.0, 90.0)
+        angle = 0.4 * np.arange(90.0)
+        other = angle[49:] - 3 * TURN
+        other[0] += 1.7  # an outlier
+        assert turns_between(frame, angle[:50], late, other) == pytest.approx(np.full(41, 3 * TURN))
+
+    def test_a_single_frame_on_either_side_has_no_rate(self):
+        frame, late = np.arange(50.0), np.arange(60.0, 90.0)
+        first = np.full(50, np.nan)
+        first[49] = 1.0
+        second = np.full(30, np.nan)
+        second[0] = 1.5 - 2 * TURN
+        assert turns_between(frame, first, late, second) == pytest.approx(np.full(30, 2 * TURN))
+
+    def test_the_zero_of_a_texture_is_the_median_difference(self):
+        frame, late = np.arange(10.0), np.arange(6.0, 14.0)
+        angle = np.arange(10.0)
+        other = np.arange(6.0, 14.0) - 0.3
+        other[1] -= 5.0
+        other[2] = np.nan
+        assert zero_between(frame, angle, late, other) == pytest.approx(0.3)
+        assert zero_between(frame, angle, late + 20, other) == 0.0
+
+
+class TestRows:
+    """Two parts of 20 and 18 frames, of which four are in both."""
+
+    def made(self, *, turns=2, zero=0.4, bad=(1, 2)):
+        film = packets(34, [0, 16])
+        parts = (Part(stop=int(film.stamps[20])), Part(first=16, start=int(film.stamps[16])))
+        angle = 0.4 * np.arange(34.0)
+        scene = SimpleNamespace(bodies=("rotor",), of=lambda name: (SimpleNamespace(name="red"),))
+        store = module._PartResults(parts, film, None, {})
+        for index, (a, b) in enumerate(((0, 20), (16, 34))):
+            own = angle[a:b] - (TURN * turns if index else 0.0)
+            rows = {
+                "rotor/coarse": own,
+                "rotor/red/angle": own + 0.01,
+                "rotor/red/corner_angle": np.stack([own - 0.1, own + 0.1], axis=1),
+                "rotor/texture/angle": own - (zero if index else 0.0),
+                "again": np.full(b - a, bool(index)),
+            }
+            store.add(index, PartRows(rows, film.stamps[a:b], bad[index], 3 * bad[index]))
+        return store, scene, angle
+
+    def test_angles_are_continued_and_common_frames_are_those_of_the_first_part(self):
+        store, scene, angle = self.made()
+        assert (store.frames, store.todo, store.damage) == (34, [], (3, 9))
+        rows = store.rows(scene)
+        assert rows["rotor/coarse"] == pytest.approx(angle)
+        assert rows["rotor/red/angle"] == pytest.approx(angle + 0.01)
+        assert rows["rotor/red/corner_angle"] == pytest.approx(np.stack([angle - 0.1, angle + 0.1], axis=1))
+        assert rows["rotor/texture/angle"] == pytest.approx(angle)
+        assert rows["again"].tolist() == [False] * 20 + [True] * 14
+        assert rows[module._STAMPS].tolist() == (100 + 10 * np.arange(34)).tolist()
+
+    @pytest.mark.parametrize(
+        ("change", "belongs"),
+        [
+            ({}, True),
+            ({"part": 2}, False),
+            ({"parts": 3}, False),
+            ({"frames": 13}, False),
+            ({"corrupt": -1}, False),
+            ({"bad_packets": None}, False),
+        ],
+    )
+    def test_a_record_of_this_film(self, change, belongs):
+        store, _, _ = self.made()
+        found = store._memory[1]
+        arrays = found.rows | {module._STAMPS: found.stamps}
+        store._columns = {name: (a.shape[1:], a.dtype.str) for name, a in arrays.items()}
+        facts = store._facts[1] | change
+        assert store._belongs(SimpleNamespace(facts=facts, arrays=arrays)) is belongs
+        if not change:
+            strange = arrays | {module._STAMPS: found.stamps + 1}
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays=strange))
+            short = arrays | {"again": arrays["again"][1:]}
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays=short))
+            assert not store._belongs(SimpleNamespace(facts=facts, arrays={module._STAMPS: found.stamps}))
+
+    def test_parts_that_are_not_done(self):
+        store, _, _ = self.made()
+        del store._facts[0]
+        assert (store.todo, store.frames) == ([0], 14)
+
+
+@pytest.mark.parametrize(("frames", "done"), [([5, 7], 12), ([5, None, "x"], 5), ([], 0)])
+def test_frames_of_an_unfinished_run(frames, done):
+    journal = SimpleNamespace(records=lambda: [SimpleNamespace(facts={"frames": n}) for n in frames])
+    assert module.frames_done(journal) == done
+
+
+class TestWorkers:
+    """Parts of 30 frames; a process that has done its part says so at once."""
+
+    def workers(self, parts, *, others=None, broken=(), refused=()):
+        made = PartWorkers.__new__(PartWorkers)
+        made.parts, made.count, made._done, made._executor = parts, 3, None, None
+        if others is not None:
+            made._done = SimpleNamespace(value=others)
+
+            def submit(run, task, film, part):
+                if part in refused:
+                    raise OSError
+                future: Future[str] = Future()
+                if part in broken:
+                    future.set_exception(BrokenProcessPool())
+                else:
+                    future.set_result(f"{part} by a process")
+                return future
+
+            made._executor = SimpleNamespace(submit=submit)
+        return made
+
+    def ran(self, workers, todo, **options):
+        said = []
+        task = lambda film, part, threads, count: count(30) or f"{part} by {threads}"  # noqa: E731
+        found = dict(workers.run(task, "film", todo, 4, lambda *a: said.append(a), **options))
+        return found, said
+
+    def test_one_process_runs_all_parts_and_counts_their_frames(self):
+        found, said = self.ran(self.workers("abc"), [0, 2], done=100, total=140)
+        assert found == {0: "a by 4", 2: "c by 4"}
+        assert said == [(130, 140), (140, 140)]  # at most all
+        assert self.ran(self.workers("abc"), [1])[1] == [(30, None)]
+
+    def test_processes_take_the_first_parts_and_count_theirs(self):
+        found, said = self.ran(self.workers("ab", others=50), [1], done=100, total=999)
+        assert found == {1: "b by 4"}  # one part needs no process
+        assert said == [(180, 999)]
+        found, _ = self.ran(self.workers("ab", others=50), [0, 1])
+        assert found == {0: "a by a process", 1: "b by a process"}
+
+    def test_a_part_whose_process_was_killed_is_run_again(self):
+        found, said = self.ran(self.workers("ab", others=50, broken="a"), [0, 1], done=7, total=999)
+        assert found[0] == "a by 1"
+        assert said[-1][0] >= 87
+
+    def test_beside_a_process_a_part_has_one_thread(self):
+        found, _ = self.ran(self.workers("abc", others=0, refused="b"), [0, 1, 2])
+        assert found == {0: "a by a process", 1: "b by 1", 2: "c by 1"}
+        found, _ = self.ran(self.workers("abc", others=0, refused="abc"), [0, 1, 2])
+        assert found[0] == "a by 4"
