@@ -166,7 +166,7 @@ def test_memory_does_not_grow_with_the_film(tmp_path):
 
 def test_spindown_measures_a_film_at_the_rate_of_its_header(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    side, count, fps, omega, alpha = 96, 150, 1000.0, 40.0, -20.0
+    side, count, fps, omega, alpha = 96, 70, 1000.0, 40.0, -20.0
     t = np.arange(count) / fps
     angle = omega * t + 0.5 * alpha * t**2
     rng = np.random.default_rng(1)
