@@ -38,7 +38,7 @@ def data(*, oscillation=None, lines=(), slips=(), label="run"):
     return SimpleNamespace(
         oscillation=oscillation, spectral_lines=lines, slips=slips,
         casing=SimpleNamespace(scale=2.0, samples=samples), rotor=(),
-        record=SimpleNamespace(label=label),
+        record=SimpleNamespace(label=label, inputs=()),
     )  # fmt: skip
 
 
@@ -127,10 +127,8 @@ class Answer:
 COMPLETE = Grade("exact", 1.0, None)
 
 
-def random_torque(**options):
-    fit = Found()
-    words = "a random torque of 1 uN m rms"
-    return SimpleNamespace(fit=fit, words=words, **options)
+def random_torque(*, is_raised=True):
+    return SimpleNamespace(fit=Found(), words="a random torque of 1 uN m rms", is_raised=is_raised)
 
 
 class TestVerdict(Answer):
@@ -163,8 +161,9 @@ class TestVerdict(Answer):
         self.answer(
             select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(), describes=True
         )
-        ((random, named_fit, tests, _), _) = self.arguments["is_established"]
-        assert (random, named_fit, tests) == (self.given["with_random_torque"], self.given["select"].named, 1)
+        ((random, chosen, named_fit, tests, _), _) = self.arguments["is_established"]
+        assert random is self.given["with_random_torque"]
+        assert (chosen, named_fit, tests) == (self.given["select"].chosen, self.given["select"].named, 1)
 
     def test_a_lack_of_fit_that_nothing_explains(self):
         found = self.answer(
@@ -264,11 +263,11 @@ class TestVerdict(Answer):
     @pytest.mark.parametrize(
         "change",
         [
-            {"select": selection(candidate("setup.inertia"))},
+            {"select": selection(candidate(effect=SLIP))},
             {"contradiction": HarmonicTest(3, 1e-5)},
         ],
     )
-    def test_of_artefacts_and_periodic_residuals_there_is_no_random_alternative(self, change):
+    def test_of_slips_and_periodic_residuals_there_is_no_random_alternative(self, change):
         given = {
             "select": selection(candidate()),
             "grade": COMPLETE,
@@ -286,9 +285,13 @@ class TestVerdict(Answer):
         )
         assert "with_random_torque" not in self.asked
 
-    @pytest.mark.parametrize(("describes", "verdict"), [(True, "undecided"), (False, "unexplained")])
-    def test_a_fit_that_needs_a_random_torque_is_not_adequate(self, describes, verdict):
-        found = self.answer(Found(needs_random=True), with_random_torque=random_torque(), describes=describes)
+    @pytest.mark.parametrize(
+        ("raised", "describes", "verdict"),
+        [(True, True, "undecided"), (True, False, "unexplained"), (False, True, "unexplained")],
+    )
+    def test_a_fit_that_needs_a_random_torque_is_not_adequate(self, raised, describes, verdict):
+        random = random_torque(is_raised=raised)
+        found = self.answer(Found(needs_random=True), with_random_torque=random, describes=describes)
         assert found.verdict == verdict
 
     def test_a_parameter_that_differs_between_recordings_ends_the_search(self):
@@ -301,7 +304,8 @@ class TestVerdict(Answer):
         assert "select" not in self.asked
 
     def test_the_sentence_of_a_free_inertia_is_added(self):
-        rival = SimpleNamespace(better=False, sentence="An error of inertia explains it as well.")
+        told = {DEFAULT: "An error of inertia explains it as well."}
+        rival = SimpleNamespace(better=False, sentence=lambda criteria: told[criteria])
         chosen = candidate()
         found = self.answer(
             select=selection(chosen), grade=COMPLETE, with_free_inertia=rival, reselected=selection(chosen)

@@ -38,7 +38,8 @@ def moved(names=LINEAR, values=None, **options):
 def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None):
     """Return the initial values by name."""
     records = [
-        SimpleNamespace(label=c, span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5) for c in cases
+        SimpleNamespace(label=c, span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=())
+        for c in cases
     ]
     layout = ParameterLayout.of(
         Model.of(names) if isinstance(names, tuple) else names, records, per_case=per_case
@@ -200,7 +201,7 @@ class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
         )
         return [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
 
@@ -217,7 +218,7 @@ class TestEquationError:
         t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
         )
         data = [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)

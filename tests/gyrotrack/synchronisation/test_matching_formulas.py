@@ -690,14 +690,25 @@ class TestCommonDirection:
 
 
 class TestCommonRate:
-    @pytest.mark.parametrize(("rise", "common"), [(15.0, True), (15.3, False)])
-    def test_clocks_that_differ_significantly_have_their_own_rates(self, monkeypatch, rise, common):
-        """p = 1e-4 of one degree of freedom is 15.14."""
+    @pytest.mark.parametrize(
+        ("rise", "rate", "common"),
+        [
+            (15.0, 1e-3, True),
+            (15.3, 1e-3, False),
+            (15.3, 7.6e-4, True),
+            (15.3, 7.7e-4, False),
+            (0.5, 0.0, True),
+        ],
+    )
+    def test_clocks_that_differ_significantly_have_their_own_rates(self, monkeypatch, rise, rate, common):
+        """p = 1e-4 of one degree of freedom is 15.14; the rates, each +- 1e-4, must differ by 2e-4 + 4 u = 7.66e-4."""
 
         def solved(pairs, starts, *, common_rate, turns=None, windows=None):
             asked.append((common_rate, windows))
             chi2 = 100.0 + (rise if common_rate else 0.0)
-            return Solution(tuple(starts), np.eye(6) * 1e-8, chi2, True, tuple(starts))
+            if not common_rate and len(starts) > 1:
+                starts = [starts[0], replace(starts[1], eps=starts[0].eps + rate)]
+            return Solution(tuple(starts), np.eye(3 * len(starts)) * 1e-8, chi2, True, tuple(starts))
 
         asked = []
         monkeypatch.setattr(decision, "_solve", solved)
@@ -713,7 +724,10 @@ class TestCommonRate:
         # chi2 of the free rates is compared in the same windows
         assert asked[1] == (False, tuple(c.solutions[0].starts[0] for c in clips))
         assert [m.start.offset for m in found] == [1.0, 5.0]
-        assert found[0].offset_sigma == pytest.approx(1e-4)
+        # what separate rates would describe better is in the uncertainties of a common rate
+        widened = rise if common and rise > 1 else 1.0
+        assert found[0].offset_sigma == pytest.approx(1e-4 * math.sqrt(widened))
+        assert found[0].covariance == pytest.approx(1e-8 * widened * np.eye(3))
         (alone,) = decision._match_camera(clips[:1])
         assert not alone.common_rate
 

@@ -502,17 +502,24 @@ def test_typical_errors_have_their_stated_sizes():
     assert (HEIGHT, LUMA_SHIFT, DEPTH, module.PERSPECTIVE) == (0.03, 0.5, 0.5, 0.05)
 
 
-@pytest.mark.parametrize(("turns", "parabolas"), [(9.9, False), (10.1, True), (-10.1, True)])
-def test_the_zero_of_a_texture_varies_after_ten_turns(monkeypatch, turns, parabolas):
+@pytest.mark.parametrize(("turns", "varies"), [(9.9, False), (10.1, True), (-10.1, True)])
+def test_the_zero_of_a_texture_varies_after_ten_turns(monkeypatch, turns, varies):
     asked = []
 
-    def slow(off, *, parabolas):
-        asked.append(parabolas)
-        raise StopIteration
+    def stopped(kind):
+        def stop(off, template, *angles):
+            asked.append((kind, [a.tolist() for a in angles[0]] if angles else []))
+            raise StopIteration
 
-    monkeypatch.setattr(module, "_slow_part", slow)
+        return stop
+
+    monkeypatch.setattr(module, "template_zeros", stopped("each"))
+    monkeypatch.setattr(module, "scatter_of_templates", stopped("one"))
     found = body(np.linspace(0.0, turns * 2 * np.pi, 400))
-    texture = SimpleNamespace(levelled=lambda centre, p, q: found.angle)
+    other = np.linspace(0.0, 60.0, 400)
+    texture = SimpleNamespace(levelled=lambda centre, p, q: found.angle, template=np.zeros(400, dtype=int))
     with pytest.raises(StopIteration):
-        module.by_texture(found, texture, path(), NO_FLATTENING, found.angle, 100.0, 1e-3)
-    assert asked == [parabolas]
+        module.by_texture(found, texture, path(), NO_FLATTENING, found.angle, 100.0, 1e-3, others=[other])
+    # a marker errs with its own angle and with that to the other body
+    angles = [found.angle.tolist(), (other - found.angle).tolist()]
+    assert asked == [("each", angles) if varies else ("one", [])]
