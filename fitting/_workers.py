@@ -136,7 +136,7 @@ class WorkerPool:
     def _submit(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
         if self._executor is not None:
             try:
-                return self._executor.submit(work, *args)
+                return self._executor.submit(_unpacked, _packed(work, *args))
             except (OSError, RuntimeError):  # no process can be started; or the pool is broken or shut down
                 self._executor.shutdown(wait=False)
                 self._executor = None
@@ -159,6 +159,29 @@ class _Unpickler(pickle.Unpickler):
 
     def persistent_load(self, index: Any) -> object:
         return self._shared[index]
+
+
+# attempts to pickle a call whose arguments change in the meantime
+_ATTEMPTS = 20
+
+
+def _packed(work: Callable[..., object], *args: object) -> bytes:
+    """Return a pickled call.
+
+    The executor would pickle it in a thread of its own, at a time at which the calling thread may add a cached property
+    to one of the arguments; this ends in a RuntimeError, also where the next call is submitted by such a thread.
+    """
+    for _ in range(_ATTEMPTS - 1):
+        try:
+            return pickle.dumps((work, args), protocol=pickle.HIGHEST_PROTOCOL)
+        except RuntimeError:
+            continue
+    return pickle.dumps((work, args), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _unpacked(call: bytes) -> Any:
+    work, args = pickle.loads(call)  # noqa: S301 - from the process that started this one
+    return work(*args)
 
 
 def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:

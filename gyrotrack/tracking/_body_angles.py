@@ -696,6 +696,7 @@ def _followed(
 
 _HARMONICS = range(1, 13)
 _FIRST_STATED = 3  # order from which harmonics are no nuisance of the camera
+_LAWS_OF_SPEED = 3  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
 _DEGREE = 5
 _FEWEST_BATCHES = 5
 # variance of an amplitude over that of a complete set of angles from which an order resembles the motion
@@ -704,20 +705,22 @@ _FAR_FROM_NOISE = 3.0  # standard deviations of the mean square from which an er
 
 
 def harmonic_error(angle: Floats) -> float:
-    """Return the standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
+    """Return the standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
 
     In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
     covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by that of
     the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
     the motion are left out in their batches: there the frames are in step with the error, and it is slow.
 
+    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter), or fall
+    as its inverse square (a torque of the angle, such as an unbalance). What is left beside these three is their error.
+
     Parameters
     ----------
     angle : ndarray, shape (n,)
         Unwrapped angle of each frame [rad]; NaN where it is not known.
     """
-    excess: dict[int, list[float]] = {order: [] for order in _HARMONICS if order >= _FIRST_STATED}
-    noise: dict[int, list[float]] = {order: [] for order in excess}
+    found: dict[int, list[Floats]] = {order: [] for order in _HARMONICS}
     for first in range(0, len(angle) - BATCH + 1, BATCH):
         psi = angle[first : first + BATCH]
         if not np.isfinite(psi).all():
@@ -727,22 +730,33 @@ def harmonic_error(angle: Floats) -> float:
         waves = np.stack([f(order * psi) for order in _HARMONICS for f in (np.cos, np.sin)], axis=1)
         a = np.concatenate([powers, waves], axis=1)
         covariance = np.linalg.pinv(a.T @ a, hermitian=True)
-        found = covariance @ (a.T @ (psi - psi.mean()))
-        rest = psi - psi.mean() - a @ found
+        fitted = covariance @ (a.T @ (psi - psi.mean()))
+        rest = psi - psi.mean() - a @ fitted
         s2 = float(rest @ rest) / (BATCH - a.shape[1])
-        for order in excess:
+        for order in found:
             own = _DEGREE + 1 + 2 * (order - 1) + np.arange(2)
             variance = covariance[own, own]
             if variance.max() < _RESEMBLES_MOTION * 2.0 / BATCH:
-                excess[order].append(float(np.mean(found[own] ** 2 - s2 * variance)))
-                noise[order].append(s2 * float(variance.mean()))
+                found[order].append(np.array([*fitted[own], s2 * variance.mean(), abs(psi[-1] - psi[0])]))
     largest = 0.0
-    for order, squares in excess.items():
+    for order, each in found.items():
+        free = 0 if order >= _FIRST_STATED else _LAWS_OF_SPEED
+        if len(each) < _FEWEST_BATCHES + free:
+            continue
+        *amplitudes, noise, speed = np.array(each).T
+        left = _beside_laws_of_speed(np.stack(amplitudes), speed) if free else np.stack(amplitudes)
+        mean = 0.5 * float(np.sum(left**2)) / (len(each) - free) - float(noise.mean())
         # the mean square of two amplitudes has the variance of its expectation squared
-        limit = _FAR_FROM_NOISE * math.sqrt(float(np.sum(np.square(noise[order])))) / max(len(squares), 1)
-        mean = float(np.mean(squares)) if len(squares) >= _FEWEST_BATCHES else 0.0
+        limit = _FAR_FROM_NOISE * math.sqrt(float(np.sum(noise**2))) / (len(each) - free)
         largest = max(largest, mean if mean > limit else 0.0)
     return math.sqrt(largest)
+
+
+def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
+    """Return amplitudes, (2, batches), less their least-squares fit by a constant, the speed and its inverse square."""
+    relative = speed / speed.max()
+    laws = np.stack([np.ones_like(relative), relative, relative**-2.0], axis=1)
+    return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 
 # number of turns from which errors of the markers that repeat with the turn average out

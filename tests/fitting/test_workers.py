@@ -27,6 +27,35 @@ def test_a_task_runs_in_a_worker_that_ends_afterwards():
         os.kill(where, 0)
 
 
+class Changing:
+    """An object that a thread changes while it is pickled, for the first `times`."""
+
+    def __init__(self, times):
+        self.times = times
+
+    def __getstate__(self):
+        self.times -= 1
+        if self.times >= 0:
+            raise RuntimeError("dictionary changed size during iteration")
+        return {"times": 0}
+
+
+@pytest.mark.parametrize(("times", "there"), [(0, True), (3, True), (1000, False)])
+def test_arguments_that_change_while_they_are_pickled_are_pickled_again(times, there):
+    """Where it does not succeed, the call runs in the calling process."""
+    with WorkerPool(1) as workers:
+        (_, where) = workers.submit(_where, Changing(times)).result()
+    assert (where != os.getpid()) == there
+
+
+def test_arguments_are_those_at_the_time_of_the_call():
+    value = [1]
+    with WorkerPool(1) as workers:
+        task = workers.submit(_where, value)
+        value[0] = 2
+        assert task.result()[0] == [1]
+
+
 def test_exceptions_of_workers_are_raised_in_the_caller():
     with WorkerPool(1) as workers, pytest.raises(ValueError, match="seven"):
         workers.submit(_wrong, "seven").result()
