@@ -122,6 +122,8 @@ def _most_likely(
     both = np.concatenate([both[:, :-1][:, size > 0] / size[size > 0], both[:, -1:]], axis=1)
     # the level that the recording shows at its own time is part of every alternative
     own = noise.at(min(noise.level, ceiling))
+    if not ceiling > 0:
+        return own
     best = (_Profile(own.whitener, both)(own.level), own)
 
     def at(log_time: float) -> float:

@@ -136,7 +136,7 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     do, with an amplitude that changes slowly; they are removed. Two rises by more than 5 % of the largest speed and 6
     standard errors are required, of mean speeds over windows of a fiftieth of the record.
     """
-    if np.ptp(angle) < _FLUCTUATING_TURNS * TURN:
+    if np.ptp(angle) < _FLUCTUATING_TURNS * TURN or not _rises_repeatedly(time, angle, sigma):
         return False
     x = np.linspace(-1.0, 1.0, len(angle))
     even = (time - time[0]) / (time[-1] - time[0]) * 2.0 - 1.0
@@ -145,8 +145,14 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     rows = np.stack([*waves, *(even**k for k in range(7))], axis=1)
     if len(angle) < 4 * rows.shape[1]:
         return False
+    # over few turns the harmonics resemble the motion: subtracted alone, they would show rises that are not there
     found = np.linalg.lstsq(rows, angle - smooth, rcond=None)[0]
-    windows = _speeds(time, angle - rows[:, : len(waves)] @ found[: len(waves)], sigma)
+    return _rises_repeatedly(time, angle - rows[:, : len(waves)] @ found[: len(waves)], sigma)
+
+
+def _rises_repeatedly(time: Floats, angle: Floats, sigma: Floats) -> bool:
+    """Return whether the speed of a body that does not turn back rises repeatedly."""
+    windows = _speeds(time, angle, sigma)
     if windows is None:
         return False
     _, speed, error = windows

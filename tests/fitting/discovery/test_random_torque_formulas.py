@@ -117,6 +117,11 @@ def test_a_random_torque_is_limited_to_a_share_of_the_mean_torque():
     assert found.deviance < deviance(base, whitened(base, 1e-9, 1.0))
 
 
+def test_a_model_without_torque_has_no_random_torque(monkeypatch):
+    monkeypatch.setattr("fitting.discovery._random_torque.mean_torque", lambda *_: 0.0)
+    assert with_random_torque(seen(rows_of(4e-7, 1.0)), DEFAULT).noise.level == 0.0
+
+
 def test_it_is_no_worse_than_the_fit():
     base = seen(rows_of(0.0, 1.0), deviance=-1e9)
     found = with_random_torque(base, DEFAULT)

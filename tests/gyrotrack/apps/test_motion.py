@@ -116,6 +116,15 @@ def test_a_body_that_speeds_up_spins_up():
         assert motion_of(t, *noisy(sign * (11.0 * t - 0.3 * t**2))).kind == "spin-down"
 
 
+def test_over_three_turns_correlated_noise_does_not_fluctuate():
+    """There harmonics of the angle with a changing amplitude resemble the motion."""
+    t = np.arange(300) / 60
+    noise = np.random.default_rng(0).standard_normal(330)
+    smoothed = np.convolve(noise, np.exp(-np.arange(31) / 8), "valid")
+    angle = 4 * t - 0.1 * t**2 + 3e-3 * smoothed / smoothed.std()
+    assert motion_of(t, angle, np.full(300, 1e-3)).kind == "spin-down"
+
+
 @pytest.mark.parametrize(("wave", "kind"), [(0.03, "spin-down"), (0.3, "fluctuating")])
 def test_a_speed_that_rises_repeatedly_fluctuates(wave, kind):
     """A motor whose speed of 12 to 8 rad/s waves five times, by 1.5 % and by 15 % to each side."""
