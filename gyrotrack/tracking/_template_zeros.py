@@ -68,15 +68,16 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     off : ndarray, shape (n,)
         Angle of the markers less that of the texture [rad], without whole turns; NaN where one is not known.
     template : ndarray, shape (n,)
-        Number of the template of each frame, from 0.
+        Number of the template of each frame, from 0, in order.
     angles : sequence of ndarray, shape (n,)
         Angles with whose harmonics the markers err [rad], first that of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
-    batches = [np.flatnonzero((template == b) & np.isfinite(off)) for b in range(count)]
-    batches = [_without_outliers(off, frames) for frames in batches]
-    used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
     known = np.isfinite(off)
+    # templates follow each other
+    parts = [slice(*np.searchsorted(template, [b, b + 1])) for b in range(count)]
+    batches = [_without_outliers(off, part.start + np.flatnonzero(known[part])) for part in parts]
+    used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
     if len(used) < FEWEST_TEMPLATES:
         return TemplateZeros(np.full(len(off), median_of(off[known]) if known.any() else 0.0), 0.0)
     mean = np.array([float(off[batches[b]].mean()) for b in used])
@@ -92,7 +93,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     zero, left, per_speed = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
     each = np.interp(np.arange(count), used, zero)[template]
     for b in used if per_speed > 0 else ():
-        each += np.where(template == b, _within(off, angles[0], batches[b], template == b, per_speed), 0.0)
+        each[parts[b]] += _within(off, angles[0], batches[b], parts[b], per_speed)
     return TemplateZeros(each, float(np.sqrt(left.mean())))
 
 
@@ -138,10 +139,8 @@ def _mean_rate(angle: Floats, frames: Integers) -> float:
     return float(angle[-1] - angle[0]) / float(frames[-1] - frames[0])
 
 
-def _within(
-    off: Floats, angle: Floats, frames: Integers, batch: npt.NDArray[np.bool_], per_speed: float
-) -> Floats:
-    """Return the zero of a template in each frame of its batch less that at the mean speed, (n,) [rad]; 0 elsewhere.
+def _within(off: Floats, angle: Floats, frames: Integers, batch: slice, per_speed: float) -> Floats:
+    """Return the zero of a template in each frame of its batch less that at the mean speed [rad].
 
     `frames` are those in which the difference `off` is used, `per_speed` is the prior standard deviation of the slope
     [rad per (rad per frame)].
@@ -152,11 +151,9 @@ def _within(
     apart = faster - faster.mean()
     information = float(apart @ apart) / float(off[frames].var())
     if not information > 0:
-        return np.zeros(len(off))
+        return np.zeros(batch.stop - batch.start)
     slope = float(apart @ off[frames]) / float(apart @ apart) / (1.0 + 1.0 / (per_speed**2 * information))
-    within = np.zeros(len(off))
-    within[batch] = slope * (motion(np.flatnonzero(batch) - middle) - faster.mean())
-    return within
+    return np.asarray(slope * (motion(np.arange(batch.start, batch.stop) - middle) - faster.mean()))
 
 
 def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:
