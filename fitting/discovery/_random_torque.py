@@ -39,7 +39,7 @@ _TIMES, _LEVELS = 8, 16
 _PRECISION, _EVALUATIONS = 0.05, 8
 # correlation times in the shortest record of which at least this number passes
 _FEWEST_TIMES = 6.0
-# factor by which a fall may be too large, above all that were simulated (1.1 to 1.6); a larger fall needs no simulation
+# inflation above all that were simulated (1.0 to 1.8): an effect that is established even so needs no simulation
 _CERTAIN = 3.0
 # simulated rows; times and levels of their random torque, from a share of the true ones to as many times them
 _SEED, _DRAWS, _RANGE, _NEAR_TIMES, _NEAR_LEVELS = 11, 200, 4.0, 7, 11

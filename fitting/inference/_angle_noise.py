@@ -268,7 +268,8 @@ def stated_error_rows(
     mean is the zero of the angle, which is free. The other are harmonics of orders 1 and 2 of the angle with amplitudes
     of standard deviation `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal
     to the polynomials. Those of orders 3 to 12 have amplitudes of standard deviation `harmonic` [rad], independent in
-    each block: they are slow where the order times the rate of turn is close to a multiple of the frame rate.
+    each block: they are slow where the order times the rate of turn is close to a multiple of the frame rate. For
+    orders 1 and 2 over more turns see `stated_harmonic_scale`.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:

@@ -89,7 +89,7 @@ class Record:
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 3 to 12
+        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
         periods per turn [rad]; zeros without one.
     digest : str
         SHA-256 of the numbers.
@@ -222,7 +222,7 @@ def make_record(
         No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 3 to 12
+        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
         periods per turn [rad]; missing ones are zero.
     inputs : sequence of Input
         Recorded inputs on which torques may depend, on the same clock.

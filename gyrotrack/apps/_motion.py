@@ -133,8 +133,9 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     """Return whether the speed of a rotation in one sense rises repeatedly, as that of a motor or a swimming cell.
 
     Friction never makes a body faster. Harmonics of the angle, from an unbalance, a displaced hub or a tilted camera,
-    do, with an amplitude that changes slowly; they are removed. Two rises by more than 5 % of the largest speed and 6
-    standard errors are required, of mean speeds over windows of a fiftieth of the record.
+    do, with an amplitude that changes slowly: the speed must rise with them and without them. Two rises by more than
+    5 % of the largest speed and 6 standard errors are required, of mean speeds over windows of a fiftieth of the
+    record.
     """
     if np.ptp(angle) < _FLUCTUATING_TURNS * TURN or not _rises_repeatedly(time, angle, sigma):
         return False
@@ -145,7 +146,7 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     rows = np.stack([*waves, *(even**k for k in range(7))], axis=1)
     if len(angle) < 4 * rows.shape[1]:
         return False
-    # over few turns the harmonics resemble the motion: subtracted alone, they would show rises that are not there
+    # over few turns they resemble the motion, and without them the speed shows rises that are not there
     found = np.linalg.lstsq(rows, angle - smooth, rcond=None)[0]
     return _rises_repeatedly(time, angle - rows[:, : len(waves)] @ found[: len(waves)], sigma)
 

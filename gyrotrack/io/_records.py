@@ -117,7 +117,7 @@ class BodyTrack:
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn while the body is slow [rad]; 0 without one.
     harmonic_sigma : float
-        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
     """
 
     name: str
@@ -231,7 +231,7 @@ class Series:
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     harmonic_sigma : float
-        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
     """
 
     time: Floats

@@ -115,7 +115,7 @@ _CORRELATED = (
         "harmonic_sigma",
         float,
         "rad",
-        "standard deviation of each amplitude of an error of 3 to 12 periods per turn",
+        "standard deviation of each amplitude of an error of 1 to 12 periods per turn",
         0.0,
     ),
 )

@@ -9,7 +9,13 @@ from cases import data, fitted
 
 from fitting._criteria import DEFAULT
 from fitting.discovery import _random_torque
-from fitting.discovery._random_torque import RandomTorque, describes, is_established, with_random_torque
+from fitting.discovery._random_torque import (
+    RandomTorque,
+    describes,
+    inflation,
+    is_established,
+    with_random_torque,
+)
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import _undetermined, diagnose
 from fitting.effects._library import LIBRARY
@@ -135,6 +141,49 @@ def test_the_inflation_of_a_fall_is_its_mean_beside_a_free_random_torque(slow, m
     assert _random_torque._mean_fall(data, p, others, twice, without.noise, DEFAULT, random) == pytest.approx(
         found
     )
+
+
+def test_the_inflation_is_per_column(slow, monkeypatch):
+    """Two independent columns lower the deviance by twice as much as one."""
+    monkeypatch.setattr(_random_torque, "_NEAR_TIMES", 1)
+    monkeypatch.setattr(_random_torque, "_NEAR_LEVELS", 1)
+    monkeypatch.setattr(_random_torque, "_RANGE", 1.0)
+    (data,), (p,) = slow.problem.data, slow.predictions
+    columns, others = np.random.default_rng(1).standard_normal((len(data.z), 6)), p.columns[:, :0]
+    found = _random_torque._mean_fall(
+        data, p, others, columns, slow.noise[0].at(1e-7), DEFAULT, np.random.default_rng(0)
+    )
+    assert found == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("falls", "expected"), [((1.3, 1.6), 1.6), ((1.6, 1.3), 1.6), ((0.8, 0.9), 1.0)])
+def test_the_largest_inflation_of_all_cases_counts_and_is_at_least_one(monkeypatch, falls, expected):
+    """Columns of the effect, 10 and 20, are apart from those of the base; one at its bound (99) is in neither."""
+    asked = []
+
+    def mean_fall(data, p, free, columns, *_):
+        asked.append((free[0].tolist(), columns[0].tolist()))
+        return falls[len(asked) - 1]
+
+    monkeypatch.setattr(_random_torque, "_mean_fall", mean_fall)
+    names = ["a.k", "b.k", "c.k", "new.k", "new.t0"]
+    held = np.array([False, False, True, False, False])
+    data = SimpleNamespace(nuisance=np.full((3, 1), 7.0))
+    prediction = SimpleNamespace(places=np.arange(5), columns=np.tile([1.0, 2.0, 99.0, 10.0, 20.0], (3, 1)))
+    named = SimpleNamespace(
+        problem=SimpleNamespace(
+            data=[data] * 2, layout=SimpleNamespace(names=names, at_bound=lambda theta: held)
+        ),
+        predictions=[prediction] * 2, theta=np.zeros(5),
+    )  # fmt: skip
+    base = SimpleNamespace(
+        problem=SimpleNamespace(layout=SimpleNamespace(names=names[:3])),
+        noise=[SimpleNamespace(level=1e-7)] * 2,
+    )
+    assert inflation(RandomTorque(base, 0.0, 1e-4), named, DEFAULT) == expected
+    assert asked == [([1.0, 2.0, 7.0], [10.0, 20.0])] * 2
+    base.noise = [SimpleNamespace(level=0.0)] * 2  # white noise needs no simulation
+    assert inflation(RandomTorque(base, 0.0, 1e-4), named, DEFAULT) == 1.0
 
 
 def test_coloured_rows_have_the_covariance_that_is_whitened(slow):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _template_zeros as module
 from gyrotrack.tracking._body_angles import _averages_better
 from gyrotrack.tracking._template_zeros import scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import TextureObservations
@@ -65,6 +66,35 @@ def test_a_neighbour_in_step_with_the_frames_is_not_followed():
     off = error + noise()
     assert np.abs(zeros(off, ANGLE, relative)[0]).max() < 0.4e-3
     assert np.abs(zeros(off, ANGLE)[0]).max() > 1.5e-3
+
+
+def test_the_variance_by_a_harmonic_is_half_the_square_of_its_amplitude_where_it_stands_still():
+    """In 12 of 30 batches the third harmonic is constant; its amplitude is that of the others."""
+    rate = np.where(TEMPLATE < 12, 2 * np.pi / 3, 1.234 + 0.001 * TEMPLATE)
+    angle = np.cumsum(rate)
+    off = 4e-3 * np.cos(3 * angle + 0.4) + noise()
+    batches = list(np.arange(N).reshape(COUNT, BATCH))
+    found = module._harmonic_variance(off, angle, batches, np.full(COUNT, SIGMA**2 / BATCH))
+    assert found[:12] == pytest.approx(0.5 * 4e-3**2, rel=0.1)
+    assert found[12:].max() < 0.01 * 0.5 * 4e-3**2
+
+
+def test_zeros_and_variances_are_those_of_the_whole_linear_model(monkeypatch):
+    """Steps w ~ (q^2 gap + p^2 change) and means with variances r: the inverse of the sum of both informations."""
+    rng = np.random.default_rng(2)
+    mean, variance = rng.normal(0, 1e-3, 7), rng.uniform(0.5, 2.0, 7) * 1e-8
+    gaps, change = np.array([1.0, 1.0, 2.0, 1.0, 3.0, 1.0]), rng.uniform(0.1, 2.0, 6)
+    monkeypatch.setattr(module, "_STEPS", np.array([1.5]))
+    monkeypatch.setattr(module, "_COMMON", np.array([0.7]))
+    unit = np.sqrt(np.median(variance))
+    step = (1.5 * unit) ** 2 * (gaps + change / change.mean())
+    r = variance + (0.7 * unit) ** 2
+    difference = np.diff(np.eye(7), axis=0)
+    covariance = np.linalg.inv(np.diag(1 / r) + difference.T @ np.diag(1 / step) @ difference)
+    zero, left, per_speed = module._smoothed(mean, variance, gaps, change)
+    assert zero == pytest.approx(covariance @ (mean / r), rel=1e-9)
+    assert left == pytest.approx(np.diag(covariance), rel=1e-9)
+    assert per_speed == pytest.approx(1.5 * unit / np.sqrt(change.mean()))
 
 
 def test_a_neighbour_that_is_not_measured_elsewhere_is_no_reason_to_doubt():
