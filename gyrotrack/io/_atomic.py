@@ -343,6 +343,21 @@ def checkpoint_path(output: Path) -> Path:
     return output.with_name(output.name + SUFFIX)
 
 
+def written_records(path: Path) -> list[Record]:
+    """Return the complete records of a checkpoint that another process may be writing; none if it cannot be read."""
+    found: list[Record] = []
+    with suppress(OSError, *_CORRUPT), open_side_file(path, os.O_RDONLY) as stream:
+        if stream.read(len(_LINE)) != _LINE:
+            return []
+        while len(head := stream.read(_HEAD.size)) == _HEAD.size:
+            length, check = _HEAD.unpack(head)
+            content = stream.read(length) if _SIZE.size <= length <= _MAX_RECORD else b""
+            if len(content) != length or zlib.crc32(content) != check:
+                break
+            found.append(_unpacked(content))
+    return found[1:]  # the first one identifies the run
+
+
 class CheckpointFile:
     """The checkpoint of one run, in the folder of its output, locked against a second writer while it is open.
 

@@ -427,7 +427,7 @@ def dashboard_document(board: Dashboard) -> dict[str, Any]:
 
 def interval_document(i: Interval) -> dict[str, Any]:
     """Return an interval as a document for the script `charts.js`."""
-    return {"start": i.start, "stop": i.stop, "text": i.text}
+    return {"start": i.start, "stop": i.stop, "text": i.text, "body": i.body}
 
 
 def _trace(t: Trace) -> dict[str, Any]:

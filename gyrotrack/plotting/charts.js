@@ -30,6 +30,20 @@ const Charts = (() => {
     return `${mantissa.replace("-", "\u2212")}\u00a0\u00d7\u00a010${raised.join("")}`;
   }
 
+  /* a value with as many digits as its standard uncertainty allows: 3.398 \u00b1 0.017 */
+  function uncertain(value, u) {
+    if (!(u > 0) || !Number.isFinite(u)) return format(value, 4);
+    const leading = Math.floor(Math.log10(u)), digits = -leading + (u / 10 ** leading < 2.95 ? 1 : 0);
+    const power = Math.floor(Math.log10(Math.max(Math.abs(value), u)));
+    const fixed = (x, n) => x.toFixed(Math.min(20, Math.max(0, n))).replace("-", "\u2212");
+    if (power > -4 && power < 5) { const r = 10 ** Math.max(0, -digits); return `${fixed(Math.round(value / r) * r, digits)} \u00b1 ${fixed(Math.round(u / r) * r, digits)}`; }
+    const raised = [...String(power)].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]).join("");
+    return `(${fixed(value / 10 ** power, digits + power)} \u00b1 ${fixed(u / 10 ** power, digits + power)})\u00a0\u00d7\u00a010${raised}`;
+  }
+
+  /* a unit with raised exponents: N m s2 becomes N m s\u00b2 */
+  const unit = (text) => text.replace(/(?<=[a-z])-?\d(?![\w.])/gi, (m) => [...m].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]).join(""));
+
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 
   /* numbers as the program packs them; nan becomes null */
@@ -172,7 +186,7 @@ const Charts = (() => {
       const number = (u, splits) => splits.map((v) => format(v, 6));
       const own = this.chart.is_time;
       const options = {
-        width: Math.max(200, this.plot.clientWidth || 600), height: HEIGHT, series, bands, padding: [8, 10, 0, 0],
+        width: Math.max(200, this.plot.clientWidth || 600), height: this.board.height(), series, bands, padding: [8, 10, 0, 0],
         legend: { show: false },
         cursor: { drag: { x: true, y: false, setScale: false }, sync: own ? { key: this.board.key } : undefined, points: { size: 6 },
           bind: { mousedown: (u, target, zoom) => (event) => { if (!this.overLine(event)) zoom(event); return null; }, dblclick: () => () => { this.board.show(...this.board.whole); if (!own) this.local = null; this.rescale(); return null; } } },
@@ -247,6 +261,8 @@ const Charts = (() => {
       g.beginPath(); g.rect(left, top, width, height); g.clip();
       g.fillStyle = look.failing;
       for (const m of this.board.intervals) {
+        // charts of the rotor show the intervals of the rotor, all others those of the other body
+        if (this.board.options.body && m.body && (m.body === "rotor") !== this.chart.name.includes("rotor")) continue;
         const a = u.valToPos(m.start, "x", true), b = u.valToPos(m.stop, "x", true);
         g.fillRect(a, top, Math.max(2, b - a), height);
       }
@@ -308,7 +324,8 @@ const Charts = (() => {
 
     resize() {
       const width = this.plot.clientWidth;
-      if (width > 100 && Math.abs(width - this.u.width) > 1) this.u.setSize({ width, height: HEIGHT });
+      const height = this.board.height();
+      if (width > 100 && (Math.abs(width - this.u.width) > 1 || Math.abs(height - this.u.height) > 2)) this.u.setSize({ width, height });
     }
 
     file(kind) { return `${this.chart.name}.${kind}`; }
@@ -393,7 +410,7 @@ const Charts = (() => {
       this.key = `board${boards++}`;
       this.intervals = [];
       root.classList.add("board");
-      this.marks = element("span", { class: "marks" });
+      this.marks = element("span", { class: options.body ? "marks row" : "marks" });
       this.shown = element("p", { class: "shown", role: "status" });
       const tools = element("div", { class: "tools", role: "group", "aria-label": "zoom of all charts" },
         button("whole run", "show the whole run", () => this.show(...this.whole)),
@@ -408,8 +425,12 @@ const Charts = (() => {
       dark.addEventListener("change", () => { for (const p of this.panels) p.set(p.chart); });
     }
 
+    /* height of each chart [px] */
+    height() { return this.options.height ? Math.round(Math.min(460, Math.max(112, this.options.height()))) : HEIGHT; }
+
     set(board) {
-      const kept = this.range;
+      // the whole run is shown until it is zoomed, also if it grows
+      const kept = this.range && this.range[0] === this.whole[0] && this.range[1] === this.whole[1] ? null : this.range;
       let low = Infinity, high = -Infinity;
       for (const c of board.charts) if (c.is_time) for (const t of c.traces) {
         const x = column(t.x);
@@ -484,5 +505,5 @@ const Charts = (() => {
     }
   }
 
-  return { Board, element, button, format, column, limits };
+  return { Board, element, button, format, uncertain, unit, column, limits };
 })();

@@ -1,8 +1,4 @@
-"""The films of the workbench: frames of the clips of a case, manual corrections of markers, and previews of tracking.
-
-The angle of the body in a corrected frame is that of the clicked marker alone, with the uncertainty of a click. The
-recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each one marker, frame,
-position, angle before and after, date and version.
+"""The films of the workbench: frames of the clips of a case, positions of markers in them, and previews of tracking.
 
 The preview runs in a separate process, ``python -m gyrotrack.apps.workbench._films``, with a JSON request as its only
 argument. An excerpt of the film is copied without decoding to a temporary folder and tracked by the same functions as
@@ -15,20 +11,19 @@ import json
 import signal
 import sys
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import av
 import numpy as np
+from numpy.typing import NDArray
 
-from gyrotrack._errors import GyrotrackError, TrackingError, UsageError, VideoError
-from gyrotrack._smoothing import angular_velocity
-from gyrotrack._versions import __version__
-from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
+from gyrotrack._errors import GyrotrackError, TrackingError, VideoError
+from gyrotrack.io._records import Recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.plotting._frames import Film, Picture, find_film
@@ -50,6 +45,7 @@ class _Clip:
     recording: Recording
     path: Path | None
     film: Film | None = None
+    middles: dict[str, float] | None = None
 
 
 class Clips:
@@ -95,6 +91,22 @@ class Clips:
     def frame(self, key: str, index: int, *, overlay: bool) -> bytes:
         """Return a frame as JPEG; a VideoError says that there is no such clip, film or frame."""
         return jpeg(self._picture(key, index, overlay=overlay), SHOWN_WIDTH, QUALITY)
+
+    def marks(self, key: str, index: int) -> dict[str, Any]:
+        """Return centre and markers in a frame [px], with the size of the frame, for the overlay of the page."""
+        clip = self._clips.get(key)
+        if clip is None or not 0 <= index < len(clip.recording.time):
+            raise VideoError("There is no such frame.", "Reload the page.")
+        if clip.middles is None:
+            clip.middles = marker_middles(clip.recording, lambda k: self._picture(key, k, overlay=False))
+        r, frame = clip.recording, slice(index, index + 1)
+        return {
+            "size": [int(r.width), int(r.height)],
+            "centre": positions(r.centre[frame])[0],
+            "markers": [
+                m | {k: m[k][0] for k in ("place", "whole", "status", "corners")} for m in marker_positions(r, frame, clip.middles)
+            ],
+        }
 
     def colour(self, key: str, index: int, x: float, y: float) -> dict[str, Any]:
         """Return the colour at a position in a frame; see `colour_at`."""
@@ -165,82 +177,6 @@ def profile_text(wanted: Any) -> str:
     data = wanted if isinstance(wanted, dict) else {}
     allowed = {k: data[k] for k in ("name", "centre", "circle_colour", "marker") if k in data}
     return to_toml(parse(allowed, "profile"))
-
-
-CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
-_MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
-_TURN = 2 * np.pi
-
-
-def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
-    """Return a recording with the centre of a marker at `place` [px] in one frame, or with it lost there (None)."""
-    track = recording.markers.get(marker)
-    if track is None or not 0 <= frame < len(recording.time):
-        raise UsageError("There is no such marker in this frame.", "Choose a marker and a frame of the film.")
-    before = float(track.angle_fine[frame])
-    angle = sigma = float("nan")
-    if place is not None:
-        x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
-        radius = float(np.hypot(x, y))
-        if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
-            what = "This position determines no angle: the centre is unknown or too close."
-            raise UsageError(what, "Click on the marker itself.")
-        angle = recording.sense * float(np.arctan2(-y, x))  # counter-clockwise in the image; y points down
-        sigma = CLICK_SIGMA / radius
-    note: dict[str, Any] = {
-        "marker": marker,
-        "frame": frame,
-        "place_px": None if place is None else [float(v) for v in place],
-        "angle_rad": None if place is None else angle,
-        "sigma_rad": None if place is None else sigma,
-        "previous_angle_rad": before if np.isfinite(before) else None,
-        "by": "hand",
-        "at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "software_version": __version__,
-    }
-    body = recording.bodies.get(track.body)
-    bodies = dict(recording.bodies)
-    if body is not None:
-        bodies[track.body] = _with_frame(body, float(recording.time[frame]), angle - track.mount_angle, sigma)
-    earlier = recording.extra.get("corrections", [])
-    corrections = [*(c for c in earlier if (c["marker"], c["frame"]) != (marker, frame)), note]
-    notes = [w for w in recording.warnings if "by hand" not in w]
-    count = len(corrections)
-    notes.append(f"{count} frame{'s are' if count > 1 else ' is'} corrected by hand.")
-    return replace(
-        recording,
-        markers={**recording.markers, marker: _with_angle(track, frame, angle, sigma)},
-        bodies=bodies,
-        warnings=tuple(notes),
-        extra={**recording.extra, "corrections": corrections},
-    )
-
-
-def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> MarkerTrack:
-    """Return a marker with a new angle in one frame, and without corners there."""
-    removed = ("corner", "delta", "rho", "beta", "angle", "sigma", "u_r", "u_1", "u_2")
-    values: dict[str, Any] = dict.fromkeys(removed, np.nan)
-    values |= {"angle_fine": angle, "sigma_calibrated": sigma}
-    values["status"] = STATUS["blurred" if np.isfinite(angle) else "lost"]
-    changed = {name: getattr(track, name).copy() for name in values}
-    for name, value in values.items():
-        changed[name][frame] = value
-    return replace(track, **changed)
-
-
-def _with_frame(body: BodyTrack, time: float, angle: float, sigma: float) -> BodyTrack:
-    """Return a body with a new angle [rad] at one time, or without one if it is NaN; its speed is recomputed."""
-    names = ("time", "angle", "sigma", "sigma_paper", "n_markers")
-    others = np.abs(body.time - time) > 1e-9
-    kept: dict[str, Any] = {n: getattr(body, n)[others] for n in names}
-    if np.isfinite(angle):
-        at = int(np.searchsorted(kept["time"], time))
-        expected = np.interp(time, kept["time"], kept["angle"])
-        angle += _TURN * np.rint((expected - angle) / _TURN)
-        for name, value in zip(names, (time, angle, sigma, np.nan, 1), strict=True):
-            kept[name] = np.insert(kept[name], at, value)
-    omega, omega_sigma = angular_velocity(kept["time"], kept["angle"], kept["sigma"], body.smoothing_width)
-    return replace(body, **kept, omega=omega, omega_sigma=omega_sigma)
 
 
 FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps
@@ -314,16 +250,75 @@ def preview(
     }
 
 
-def marker_positions(recording: Recording, frames: slice = slice(None)) -> list[dict[str, Any]]:
-    """Return name, body, position [px] or None, and completeness of each marker in some frames."""
+_MIDDLE = 1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
+_SAMPLED = 5  # frames in which the outer edge of a marker is sought
+_FARTHEST = 3.0  # radius up to which it is sought, over that of the inner corners
+_INSIDE = (1.04, 1.12)  # radii of the colour of a marker, over that of the inner corners
+_STEPS = 80
+_STATUS = {code: word.replace("_", " ") for word, code in STATUS.items()}
+
+
+def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> dict[str, float]:
+    """Return the radius of the middle of each marker over that of its inner corners, from pictures of the film.
+
+    Outwards from the inner corners the colour is that of the marker, up to its outer edge.
+    """
+    found = {}
+    for m in recording.markers.values():
+        known = np.flatnonzero((m.status == STATUS["ok"]) & np.isfinite(m.rho) & np.isfinite(m.angle_fine))
+        some = known[np.linspace(0, len(known) - 1, min(_SAMPLED, len(known))).astype(int)] if len(known) else []
+        edges = []
+        for k in some:
+            with suppress(GyrotrackError):
+                angle = float(recording.sense * m.angle_fine[k])
+                edges.append(_outer_edge(picture(int(k)), recording.centre[k], angle, float(m.rho[k])))
+        edges = [e for e in edges if np.isfinite(e)]
+        found[m.name] = 0.5 * (1.0 + float(np.median(edges))) if edges else _MIDDLE
+    return found
+
+
+def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, radius: float) -> float:
+    """Return the radius at which the colour of a marker ends, over that of its inner corners; nan if it does not."""
+    share = np.linspace(_INSIDE[0], _FARTHEST, _STEPS)
+    place = centre + radius * share[:, None] * np.array([np.cos(angle), -np.sin(angle)])
+    column, row = np.rint(place).astype(int).T
+    seen = (row >= 0) & (row < picture.shape[0]) & (column >= 0) & (column < picture.shape[1])
+    share, colours = share[seen], picture[row[seen], column[seen]].astype(np.float64)
+    inside = share <= _INSIDE[1]
+    if inside.sum() < 1 or len(share) == inside.sum():
+        return float("nan")
+    apart = np.linalg.norm(colours - np.median(colours[inside], axis=0), axis=1)
+    outside = np.flatnonzero(apart > 0.5 * apart.max())
+    return float(share[outside[0]]) if len(outside) else float("nan")
+
+
+def marker_positions(
+    recording: Recording, frames: slice = slice(None), middles: Mapping[str, float] | None = None
+) -> list[dict[str, Any]]:
+    """Return each marker in some frames: name, body, middle [px] or None, completeness, status, inner corners."""
     found = []
     for m in recording.markers.values():
         known = np.isfinite(m.rho)
         radius = float(np.median(m.rho[known])) if known.any() else float("nan")
         angle = recording.sense * m.angle_fine[frames]
-        place = recording.centre[frames] + 1.15 * radius * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
-        whole = (m.status[frames] == STATUS["ok"]).tolist()
-        found.append({"name": m.name, "body": m.body, "place": positions(place), "whole": whole})
+        place = recording.centre[frames] + radius * (middles or {}).get(m.name, _MIDDLE) * np.stack(
+            [np.cos(angle), -np.sin(angle)], axis=1
+        )
+        status = m.status[frames]
+        corners = m.corner[frames]
+        found.append(
+            {
+                "name": m.name,
+                "body": m.body,
+                "place": positions(place),
+                "whole": (status == STATUS["ok"]).tolist(),
+                "status": [_STATUS[int(s)] for s in status],
+                "corners": [
+                    np.round(c, 2).tolist() if np.isfinite(c).all() and s == STATUS["ok"] else None
+                    for c, s in zip(corners, status, strict=True)
+                ],
+            }
+        )
     return found
 
 

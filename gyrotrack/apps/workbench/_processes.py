@@ -35,6 +35,7 @@ from gyrotrack.apps.batch._workers import end_process
 if TYPE_CHECKING:
     from fitting.discovery._score import CaseColumns
     from fitting.discovery._select import Candidate
+    from fitting.effects._effect import Effect
     from fitting.inference._result import Fit
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -86,6 +87,10 @@ class Jobs:
         self._jobs: dict[str, Job] = {}
         self._threads: set[threading.Thread] = set()
         self._closed = False
+
+    def active(self) -> dict[str, dict[str, Any]]:
+        """Return the summaries of all waiting and running jobs."""
+        return {k: j.summary() for k, j in list(self._jobs.items()) if j.is_active}
 
     def get(self, key: str) -> Job | None:
         """Return the latest job of a key."""
@@ -227,6 +232,20 @@ class Ranker:
         self._process: subprocess.Popen[str] | None = None
         self._busy = False
         self._closed = False
+        self._began = 0.0
+        self._seconds: float | None = None  # duration of the last search
+
+    def progress(self) -> dict[str, Any]:
+        """Return seconds so far and the expected duration of the search; empty if there is none."""
+        if not self._busy:
+            return {}
+        return {"seconds": round(monotonic() - self._began, 2), "expected": self._seconds}
+
+    def cancel(self) -> None:
+        """End the search."""
+        with self._lock:
+            if self._busy:
+                self._end()
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
         """Return the diagnosis of a model; an unfinished search is cancelled, which raises a GyrotrackError there."""
@@ -234,7 +253,8 @@ class Ranker:
             if self._busy:
                 self._end()
             process = self._started()
-            self._busy = True
+            self._busy, began = True, monotonic()
+            self._began = began
         try:
             assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 - opened as pipes
             process.stdin.write(json.dumps(model) + "\n")
@@ -247,7 +267,8 @@ class Ranker:
             if newest:
                 self._busy = False
         if not line:
-            raise GyrotrackError(f"The search {'failed' if newest else 'was cancelled by a newer one'}.")
+            raise GyrotrackError(f"The search {'failed' if newest else 'was cancelled'}.")
+        self._seconds = monotonic() - began
         return dict(json.loads(line))
 
     def _started(self) -> subprocess.Popen[str]:
@@ -292,14 +313,42 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
         found = diagnose(fit)
         prediction, columns = Prediction(fit), CaseColumns(fit, 0)
         shown = [c for c in found.candidates if c.score > 0][:_MAX_CANDIDATES]
+        document = diagnosis_document(found, "")
+        excess = max(prediction.misfit**2 - 1.0, 1e-12)
+        for c, row in zip(found.candidates, document["candidates"], strict=True):
+            row |= {"fits": c.effect.signature, "contradiction": contradiction(c.effect)}
         predicted = {c.effect.name: prediction.with_candidate(c, columns) for c in shown}
-        return {
-            "diagnosis": diagnosis_document(found, ""),
-            "predicted": predicted,
-            "base_rms": prediction.rms,
-        }
+        for p in predicted.values():
+            p["share"] = min(1.0, max(0.0, 1.0 - (p["misfit"] ** 2 - 1.0) / excess)) if excess > _RESOLVED else None
+        return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
     except FittingError as error:
         return {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
+
+
+_RESOLVED = 0.05  # excess of the mean square residual over that of the noise, of which shares are given
+
+
+def contradiction(effect: Effect) -> str:
+    """Return the observation that would contradict an effect, from the variables of its law."""
+    from fitting.effects._expression import symbols
+
+    names = symbols(effect.expression)
+    body = {"rotor": "rotor", "bearing": "bearing"}.get(effect.joint, "body")
+    if effect.kind == "measurement":
+        return "The same deviation in a recording with another camera, or with the camera at another place."
+    if effect.state is not None or "temperature" in names:
+        return "No change when the run is repeated at once, while the friction is still warm."
+    if names & {"psi_r", "psi_c", "deflection", "strain"}:
+        return "A torque that does not return at the same angle in every turn."
+    if "t" in names:
+        return "The same torque at another time of a repeated run."
+    if "delta" in names:
+        return "A torque that remains while rotor and casing turn equally fast."
+    if {"omega_r", "omega_c"} <= names:
+        return "The same torque with the other body at rest."
+    if effect.joint == "casing" and "omega_r" in names:
+        return "The same torque on the casing after the rotor has stopped."
+    return f"Another torque on the {body} at the same speed: one while it speeds up, another while it slows down."
 
 
 def main() -> None:
@@ -313,7 +362,7 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_SLIDER_RANGE = 20.0  # half range, in standard errors or else in changes of the residual by its sigma
+_SLIDER_RANGE = 5.0  # half range, in standard errors or else in changes of the residual by its sigma
 _DRAWN = 200  # points of a torque curve
 
 
@@ -329,7 +378,7 @@ class Prediction:
     def sliders(self) -> dict[str, Any]:
         """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
-        ``parameters``: name, value, low, high, unit; ``time`` and ``value`` of each run, the casing first; ``sigma`` of
+        ``parameters``: name, value, low, high, unit, u; ``time`` and ``value`` of each run, the casing first; ``sigma`` of
         the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
@@ -345,7 +394,16 @@ class Prediction:
             size = max(float(np.sqrt(np.mean(slope[0][:, k] ** 2))), 1e-300)
             half = _SLIDER_RANGE * (estimate.stderr if known else noise / size)
             low, high = float(max(value - half, lower[k])), float(min(value + half, upper[k]))
-            rows.append({"name": name, "value": value, "low": low, "high": high, "unit": estimate.unit})
+            rows.append(
+                {
+                    "name": name,
+                    "value": value,
+                    "low": low,
+                    "high": high,
+                    "unit": estimate.unit,
+                    "u": float(estimate.stderr) if known else None,
+                }
+            )
             places.append(k)
         return {
             "parameters": rows,
@@ -368,13 +426,8 @@ class Prediction:
                 raise UsageError(f"{name} is outside its bounds.", f"They are {lower[k]:g} and {upper[k]:g}.")
             theta[k] = value
         predictions = fit.problem.predict(theta)
-        r, _ = fit.problem.residuals(predictions)
-        found = self._residuals(predictions[0].rows)
-        return {
-            "value": [v.tolist() for v in found],
-            "reduced_chi2": float(r @ r) / max(1, fit.problem.rows - len(theta)),
-            "rms": self._rms(found),
-        }
+        rows = predictions[0].rows
+        return {"value": [v.tolist() for v in self._residuals(rows)], "misfit": self._misfit(rows)}
 
     def _residuals(self, rows: Array) -> list[Array]:
         return self._map(self._fit.problem.data[0].z - rows)
@@ -384,13 +437,16 @@ class Prediction:
         return self._fit.speed_residuals(0)[0].sigma
 
     @property
-    def rms(self) -> float:
-        """The rms residual of the casing in units of the noise."""
-        return self._rms(self._residuals(self._fit.predictions[0].rows))
+    def misfit(self) -> float:
+        """The misfit of the fit; see `_misfit`."""
+        return self._misfit(self._fit.predictions[0].rows)
 
-    def _rms(self, values: Sequence[Array]) -> float:
-        known = self._sigma > 0
-        return float(np.sqrt(np.mean((values[0][known] / self._sigma[known]) ** 2)))
+    def _misfit(self, rows: Array) -> float:
+        """Return the rms residual of modelled rows over the noise: the root of `Fit.reduced_chi2`."""
+        data, project = self._fit.problem.data[0], self._fit.problem.projections[0]
+        residual = project(rows - data.z)
+        chi2 = sum(float(np.sum(residual[data.slices[k]] ** 2)) for k in ("casing", "harmonic"))
+        return float(np.sqrt((chi2 + data.casing.rest) / max(1.0, data.casing.n_effective)))
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
         """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.
@@ -411,7 +467,7 @@ class Prediction:
         else:
             rows = fit.predictions[0].rows + self._linear_change(candidate, columns)
         values = self._residuals(rows)
-        return {"value": [v.tolist() for v in values], "rms": self._rms(values), "torque": drawn}
+        return {"value": [v.tolist() for v in values], "misfit": self._misfit(rows), "torque": drawn}
 
     def _linear_change(self, candidate: Candidate, columns: CaseColumns) -> Array:
         """Return the change of the modelled rows by a candidate and the refitted parameters, to first order."""

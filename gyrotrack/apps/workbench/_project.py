@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import RLock
+from time import monotonic
 from typing import Annotated, Any, Literal
 
 from filelock import Timeout
@@ -26,7 +27,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
-from gyrotrack.apps.workbench._films import corrected, marker_positions, positions
+from gyrotrack.apps._sample import sample_folder
+from gyrotrack.apps.workbench._address import Address
+from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, without_correction
+from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
+from gyrotrack.apps.workbench._history import Change, History, apply, difference
 from gyrotrack.apps.workbench._processes import Job, Jobs
 from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special, remove_remains
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
@@ -80,6 +85,7 @@ class Source(BaseModel):
     profile: str = ""
     hub: tuple[FiniteFloat, FiniteFloat] | None = None
     picks: list[Pick] = Field(default_factory=list, max_length=20)
+    disc: Annotated[str, Field(max_length=20)] = ""  # colour of a disc that marks the hub
     output: _OwnFile = ""
     marked: _OwnProfile = ""
     words: list[str] = Field(default_factory=list)
@@ -103,6 +109,8 @@ class State(BaseModel):
     match: dict[str, Any] = Field(default_factory=dict)
     fitted: list[str] = Field(default_factory=list)
     fit: dict[str, Any] = Field(default_factory=dict)
+    removed: list[Source] = Field(default_factory=list)  # with all their settings, so that they can be restored
+    seconds: dict[str, FiniteFloat] = Field(default_factory=dict)  # duration of the last run of each step [s]
 
 
 class Project:
@@ -116,7 +124,9 @@ class Project:
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
+        self._middles: tuple[tuple[str, str, tuple[str, ...]], dict[str, float]] | None = None
         self._holds = ExitStack()
+        self.address = Address(self.folder / "workbench")
         try:
             self._holds.enter_context(locked(self.folder / "workbench", 0.0))
         except OutputError as error:
@@ -124,10 +134,15 @@ class Project:
                 raise
             what = f"Another workbench is open in {self.folder}."
             raise ConfigurationError(what, "Use that one, or close it.") from error
+        self._holds.callback(self.address.clear)
         remove_remains(self.folder)
         self.notes: list[str] = []
         self.state = self._read_state()
         self._saved = self.state.model_dump_json()
+        self.history = History()
+        self.when_fitted: Callable[[], object] = lambda: None  # called when a case can be opened
+        self._analysing = False  # whether each step is followed by the next one
+        self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
 
     def document(self) -> dict[str, Any]:
@@ -138,8 +153,14 @@ class Project:
                 "folder": str(self.folder),
                 "available": self._available(),
                 "profiles": self.profiles(),
-                "samples": _sample_clips() is not None,
+                "samples": sample_folder() is not None,
                 "sources": [self._source_document(x) for x in s.sources],
+                "removed": [{"key": x.key, "name": Path(x.file).name} for x in s.removed],
+                "revision": self.revision,
+                "analysing": self._analysing,
+                "undo": self.history.undo_label,
+                "redo": self.history.redo_label,
+                "seconds": s.seconds,
                 "fields": {k: getattr(s, k) for k in _FIELDS},
                 "inertias": {k: _inertia_field(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
                 "route": self._route(),
@@ -196,8 +217,8 @@ class Project:
         return self.folder / x.file  # absolute paths are unchanged
 
     def _available(self) -> list[str]:
-        known = {self.path(x) for x in self.state.sources}
-        ours = {x.output for x in self.state.sources} | {self.state.case, STATE_FILE}
+        known = {self.path(x) for x in (*self.state.sources, *self.state.removed)}
+        ours = {x.output for x in (*self.state.sources, *self.state.removed)} | {self.state.case, STATE_FILE}
         kinds = FILMS | TABLES | _DATASETS
         with os.scandir(self.folder) as entries:
             names = sorted(e.name for e in entries if e.is_file() and not e.name.startswith("."))
@@ -241,24 +262,30 @@ class Project:
             else:
                 what = f"{path.name} is not a film, table, recording or study.toml."
                 raise UsageError(what, "Open a case with `gyrotrack view CASE.h5`.")
-            self._save()
+            self._save(f"add {path.name}")
 
     def add_samples(self) -> None:
         """Add the sample clips with their study.toml."""
-        folder = _sample_clips()
+        folder = sample_folder()
         if folder is None:
             what = "The sample clips are not installed."
-            raise UsageError(what, "They are part of the source distribution.")
+            raise UsageError(what, "Install gyrotrack again.")
         self.add(folder / "study.toml")
 
     def _add_source(self, path: Path, kind: Literal["film", "recording", "table"]) -> Source:
         for x in self.state.sources:
             if self.path(x) == path:
                 return x
+        for x in self.state.removed:  # with its markers and its recording
+            if self.path(x) == path:
+                self.state.removed.remove(x)
+                self.state.sources.append(x)
+                return x
         if len(self.state.sources) >= _MAX_SOURCES:
             raise UsageError(f"The limit of {_MAX_SOURCES} sources is reached.", "Remove some.")
         inside = path.parent == self.folder
-        key = str(1 + max((int(x.key) for x in self.state.sources), default=0))
+        known = (*self.state.sources, *self.state.removed)
+        key = str(1 + max((int(x.key) for x in known), default=0))
         x = Source(key=key, file=path.name if inside else str(path), kind=kind)
         stem = path.stem.lower()
         x.body = next((b for b in ("casing", "rotor") if b in stem), "")
@@ -291,14 +318,33 @@ class Project:
         s.inertia_casing = study.inertia_casing or s.inertia_casing
 
     def remove(self, key: str) -> None:
-        """Remove a source; its files are kept."""
+        """Remove a source; its files, settings and markers are kept, so that `restore` brings it back."""
         with self._changing():
             x = self.source(key)
             for step in ("track", "preview", "profile", "read"):
                 self.jobs.cancel(f"{step}:{key}")
             self.state.sources.remove(x)
+            self.state.removed = [*self.state.removed, x][-_MAX_SOURCES:]
             self._infos.pop(key, None)
-            self._save()
+            self._save(f"remove {Path(x.file).name}")
+
+    def restore(self, key: str) -> None:
+        """Restore a source that was removed, with its settings and markers."""
+        with self._changing():
+            x = next((x for x in self.state.removed if x.key == key), None)
+            if x is None:
+                raise UsageError("There is no such removed film or table.", "Reload the page.")
+            self.state.removed.remove(x)
+            self.state.sources.append(x)
+            self._save(f"restore {Path(x.file).name}")
+
+    def undo(self) -> None:
+        """Undo the last change of an entry, a marker, a correction or the list of films."""
+        self.history.undo(self._lock)
+
+    def redo(self) -> None:
+        """Redo the last change that was undone."""
+        self.history.redo(self._lock)
 
     def set(self, key: str, name: str, value: Any) -> None:
         """Set one field of a source (with its key) or of the case; a UsageError rejects unknown fields and values."""
@@ -317,7 +363,7 @@ class Project:
                     x.profile = value
                 else:
                     raise UsageError("This field cannot be set.", "Reload the page.")
-            self._save()
+            self._save(f"change of {name.replace('_', ' ')}")
 
     async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
         """Write an uploaded file of the `declared` size [bytes] to the work folder, and add it.
@@ -356,7 +402,7 @@ class Project:
 
     def _unused_name(self, name: str) -> str:
         """Return a name that is not used by a file in the work folder or a planned output."""
-        planned = {x.output for x in self.state.sources}
+        planned = {x.output for x in (*self.state.sources, *self.state.removed)}
         stem, suffix = Path(name).stem, Path(name).suffix
         number, found = 1, name
         while found in planned or (self.folder / found).exists():
@@ -380,21 +426,27 @@ class Project:
                 raise UsageError("These positions are not valid.", "Click them again.") from error
             if x.hub is not None and not all(map(math.isfinite, x.hub)):
                 raise UsageError("The position of the hub is not valid.", "Click it again.")
+            x.disc = disc[:20]
             if x.body != "single" and x.picks:
                 x.profile = x.marked = x.marked or self._unused_name(f"{Path(x.file).stem}.toml")
-                content: dict[str, Any] = {
-                    "name": Path(x.file).stem,
-                    "centre": "circle" if disc else "orbit",
-                    "marker": [p.model_dump(include={"name", "colour", "body"}) for p in x.picks],
-                }
-                if disc:
-                    content["circle_colour"] = disc
-                text = to_toml(parse(content, "profile"))
-                with new_file(self.folder / x.profile, force=True) as stream:
-                    stream.write(text.encode())
+                self._write_profile(x)
                 x.result = {}  # obsolete: it belongs to other markers
-            self._save()
-            self.preview(key)
+            self._save("change of the markers")
+            if x.picks or (x.body == "single" and x.hub is not None):
+                self.preview(key)
+
+    def _write_profile(self, x: Source) -> None:
+        """Write the clicked markers of a film as its profile."""
+        content: dict[str, Any] = {
+            "name": Path(x.file).stem,
+            "centre": "circle" if x.disc else "orbit",
+            "marker": [p.model_dump(include={"name", "colour", "body"}) for p in x.picks],
+        }
+        if x.disc:
+            content["circle_colour"] = x.disc
+        text = to_toml(parse(content, "profile"))
+        with new_file(self.folder / x.profile, force=True) as stream:
+            stream.write(text.encode())
 
     def preview(self, key: str) -> None:
         """Track the first frames in a separate process."""
@@ -441,20 +493,41 @@ class Project:
 
     def tracked(self, key: str, index: int) -> dict[str, Any]:
         """Return the positions of centre and markers in a frame of a tracked film [px]; empty if it is not tracked."""
-        recording = self._recording(key)
+        recording = self.recording(key)
         if recording is None or not 0 <= index < len(recording.time):
             return {}
         frame = slice(index, index + 1)
-        markers = marker_positions(recording, frame)
-        corrections = recording.extra.get("corrections", [])
+        markers = marker_positions(recording, frame, self._middles_of(key, recording))
+        listed = corrections(recording)
+        by_hand = {c["marker"]: c["place_px"] for c in listed if c["frame"] == index}
         return {
             "centre": positions(recording.centre[frame])[0],
-            "markers": [m | {"place": m["place"][0], "whole": m["whole"][0]} for m in markers],
-            "corrected": [c["marker"] for c in corrections if c["frame"] == index],
-            "corrections": len(corrections),
+            "markers": [
+                m
+                | {k: m[k][0] for k in ("place", "whole", "status", "corners")}
+                | {"by_hand": m["name"] in by_hand, "clicked": by_hand.get(m["name"])}
+                for m in markers
+            ],
+            "time": float(recording.time[index]),
+            "corrections": [
+                {"marker": c["marker"], "frame": c["frame"], "lost": c["place_px"] is None, "at": c["at"]}
+                for c in listed
+            ],
         }
 
-    def _recording(self, key: str) -> Recording | None:
+    def _middles_of(self, key: str, recording: Recording) -> dict[str, float]:
+        """Return the radii at which the markers of a film are drawn, computed once."""
+        x = self.source(key)
+        stamp = (key, x.file, tuple(recording.markers))
+        if self._middles is None or self._middles[0] != stamp:
+            frames = SourceFrames()
+            try:
+                self._middles = stamp, marker_middles(recording, lambda k: frames.picture(self.path(x), k))
+            finally:
+                frames.close()
+        return self._middles[1]
+
+    def recording(self, key: str) -> Recording | None:
         """Return the recording of a tracked film with markers; the last one is cached."""
         with self._lock:
             x = self.source(key)
@@ -466,24 +539,73 @@ class Project:
                 self._read = (stamp, read_recording(path))
             return self._read[1]
 
-    def correct(self, key: str, marker: str, frame: int, place: Any) -> None:
-        """Correct a marker in one frame of a tracked film, or mark it as lost, and rewrite the recording."""
+    def correct(
+        self, key: str, marker: str, frame: int, place: Any, *, confirmed: bool = False
+    ) -> dict[str, float] | None:
+        """Correct a marker in one frame of a tracked film, or mark it as lost, and rewrite the recording.
+
+        A position far from those of the neighbouring frames is not stored unless it is `confirmed`: returned is then
+        the deviation ``{"jump_deg"}``, else None.
+        """
         with self._changing():
-            recording = self._recording(key)
-            if recording is None:
-                raise UsageError("This film is not tracked yet.", "Track it first.")
+            recording = self._tracked_recording(key)
             if place is not None and not (
                 isinstance(place, list) and len(place) == 2 and all(isinstance(v, int | float) for v in place)
             ):
                 raise UsageError("This position is not valid.", "Click it again.")
-            x = self.source(key)
-            path = self.folder / x.output
-            changed = corrected(recording, marker, frame, place)
-            command = shlex.join(["gyrotrack", "view"])
-            write_recording(path, changed, command=command, settings=read_settings(path), force=True)
-            x.result = {**x.result, "warnings": list(changed.warnings)}
-            self.state.matched = []
-            self._save()
+            if place is not None and not confirmed:
+                apart = jump(recording, marker, frame, place)
+                if apart is not None:
+                    return {"jump_deg": math.degrees(apart)}
+            earlier = next(
+                (c for c in corrections(recording) if (c["marker"], c["frame"]) == (marker, frame)), None
+            )
+            self._rewrite(key, corrected(recording, marker, frame, place))
+
+            def undo() -> None:
+                found = self._tracked_recording(key)
+                if earlier is None:
+                    self._rewrite(key, without_correction(found, marker, frame))
+                else:
+                    self._rewrite(key, corrected(found, marker, frame, earlier["place_px"]))
+
+            def redo() -> None:
+                self._rewrite(key, corrected(self._tracked_recording(key), marker, frame, place))
+
+            self.history.add(f"correction of {marker} in frame {frame}", undo, redo)
+            return None
+
+    def uncorrect(self, key: str, marker: str, frame: int) -> None:
+        """Delete a correction: the frame contains again what tracking found."""
+        with self._changing():
+            recording = self._tracked_recording(key)
+            known = [c for c in corrections(recording) if (c["marker"], c["frame"]) == (marker, frame)]
+            self._rewrite(key, without_correction(recording, marker, frame))
+            place = known[0]["place_px"]
+
+            def undo() -> None:
+                self._rewrite(key, corrected(self._tracked_recording(key), marker, frame, place))
+
+            def redo() -> None:
+                self._rewrite(key, without_correction(self._tracked_recording(key), marker, frame))
+
+            self.history.add(f"deletion of the correction of {marker} in frame {frame}", undo, redo)
+
+    def _tracked_recording(self, key: str) -> Recording:
+        found = self.recording(key)
+        if found is None:
+            raise UsageError("This film is not tracked yet.", "Track it first.")
+        return found
+
+    def _rewrite(self, key: str, changed: Recording) -> None:
+        """Write a recording with other corrections; the clips must then be synchronised again."""
+        x = self.source(key)
+        path = self.folder / x.output
+        command = shlex.join(["gyrotrack", "view"])
+        write_recording(path, changed, command=command, settings=read_settings(path), force=True)
+        x.result = {**x.result, "warnings": list(changed.warnings)}
+        self.state.matched = []
+        self._save()
 
     def track_words(self, x: Source) -> list[str]:
         """Return the command that tracks a film."""
@@ -548,10 +670,21 @@ class Project:
 
         def finished(job: Job) -> None:
             with suppress(UsageError), self._changing():  # of a source that was removed
+                self.revision += 1
                 if job.state == "done":
+                    self.state.seconds[key.partition(":")[0]] = round(monotonic() - job.began, 2)
                     done(job.document)
                     self._save()
 
+                if job.state == "done":
+                    self._go_on()
+                else:
+                    self._analysing = False
+            if job.state == "done" and self._can_open():
+                with suppress(GyrotrackError):  # the page shows the error when it opens the case
+                    self.when_fitted()
+
+        self.revision += 1
         self.jobs.start(key, words, finished)
 
     def _tracked(self, key: str, words: list[str], document: dict[str, Any]) -> None:
@@ -674,9 +807,39 @@ class Project:
 
             self._start("fit", ["fit", self.state.case], fitted)
 
+    def analyse(self) -> None:
+        """Run all steps that are missing, one after the other: tracking, synchronisation, fit."""
+        with self._lock:
+            if missing := self._missing_to_track():
+                raise UsageError(missing[0], "Complete it in step 1.")
+            self._analysing = True
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Start the next step of `analyse`; it ends where an entry is missing, which the page names."""
+        films = [x for x in self.state.sources if x.kind == "film"]
+        if not self._analysing or any(self._is_tracking(x) for x in films):
+            return
+        if any(not self._is_current(x) for x in films):
+            self.track()
+        elif self._is_matchable() and not self._is_matched():
+            self.match()
+        elif self._is_matched() and self._route() != "single" and not self._is_fitted():
+            self.fit()
+        else:
+            self._analysing = False
+            self.revision += 1
+
+    def _is_tracking(self, x: Source) -> bool:
+        job = self.jobs.get(f"track:{x.key}")
+        return job is not None and job.is_active
+
     def cancel(self, name: str) -> None:
-        """Cancel a step: "match", "fit", or "track:KEY"."""
-        self.jobs.cancel(name)
+        """Cancel a step: "match", "fit", "track:KEY", or "all" that are running."""
+        self._analysing = False
+        for key in [k for k in self.jobs.active() if k == name or name == "all"]:
+            self.jobs.cancel(key)
+        self.revision += 1
 
     def _relative(self, path: Path) -> str:
         return path.name if path.parent == self.folder else str(path)
@@ -691,8 +854,8 @@ class Project:
                 self.state = State.model_validate_json(self._saved)
                 raise
 
-    def _save(self) -> None:
-        """Write the state, if it passes the checks of reading."""
+    def _save(self, undoable: str = "") -> None:
+        """Write the state, if it passes the checks of reading; a change with a name can be undone."""
         try:
             text = json.dumps(self.state.model_dump(), indent=1, allow_nan=False)
             State.model_validate_json(text)
@@ -701,7 +864,22 @@ class Project:
             raise UsageError(what, "Correct it.") from error
         with new_file(self.folder / STATE_FILE, force=True) as stream:
             stream.write((text + "\n").encode())
+        changes = difference(json.loads(self._saved), json.loads(text)) if undoable else []
         self._saved = text
+        self.revision += 1
+        if changes:
+            self.history.add(undoable, partial(self._apply, changes, 0), partial(self._apply, changes, 1))
+
+    def _apply(self, changes: Sequence[Change], side: int) -> None:
+        """Set all changed fields to their values before (0) or after (1) a change."""
+        with self._changing():
+            content = self.state.model_dump()
+            apply(content, changes, side)
+            self.state = State.model_validate(content)
+            for x in self.state.sources:
+                if x.picks and x.profile and x.profile == x.marked:
+                    self._write_profile(x)
+            self._save()
 
     def _read_state(self) -> State:
         """Return the stored state; a file that cannot be read as one is renamed, and a new state begins."""
@@ -786,8 +964,3 @@ def _stored_result(document: dict[str, Any]) -> dict[str, Any]:
 def _duration(x: Source) -> float | None:
     frames, rate = x.result.get("frames"), x.result.get("capture_fps")
     return float(frames) / float(rate) if frames and rate else None
-
-
-def _sample_clips() -> Path | None:
-    here = Path(__file__).resolve().parents[3] / "sample_clips"
-    return here if (here / "study.toml").is_file() else None

@@ -28,6 +28,8 @@ from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._study import open_study
 from gyrotrack.apps.report._page import is_report
 from gyrotrack.apps.workbench import _films as films
+from gyrotrack.apps.workbench._address import Address
+from gyrotrack.apps.workbench._motion_charts import motion_board
 from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
@@ -244,6 +246,7 @@ class Laboratory:
     jobs: Jobs
     # the report that this process has written, and its name
     written: dict[str, bytes] = field(default_factory=dict)
+    key: str = field(default_factory=lambda: secrets.token_hex(4))  # of this opening of the case, for the pages
 
     @classmethod
     def open(
@@ -297,11 +300,40 @@ class Laboratory:
         words += ["--ledger", str(self.ledger.resolve())] if self.ledger is not None else []
         return tuple(words)
 
+    def certify(self, count: int) -> dict[str, Any]:
+        """Save the current fit, and test its answer on `count` simulated recordings, in a process."""
+        if not 1 <= count <= _MOST_RECORDINGS:
+            raise UsageError(f"The number of recordings is not between 1 and {_MOST_RECORDINGS}.", "Change it.")
+        return self._start("certificate", ["certify", self.case.name, "-n", str(count)])
+
+    def plan(self) -> dict[str, Any]:
+        """Save the current fit, and compute the best next run, in a process."""
+        return self._start("plan", ["plan", self.case.name])
+
+    def _start(self, key: str, words: list[str]) -> dict[str, Any]:
+        words += ["--from", self.session.kept()]
+        words += ["--ledger", str(self.ledger.resolve())] if self.ledger is not None else []
+        self.jobs.start(key, words, lambda _: None)
+        return self.outcome(key)
+
+    def outcome(self, key: str) -> dict[str, Any]:
+        """Return state, progress and document of the certificate, or of the plan of the next run."""
+        job = self.jobs.get(key)
+        if job is None:
+            return {"state": "none", "document": {}}
+        document = job.document if job.state == "done" else {}
+        if key == "plan" and document:
+            document = {k: document.get(k) for k in ("next_run", "warning")}
+        return job.summary() | {"document": document, "command": shlex.join(("gyrotrack", *job.words))}
+
     def close(self) -> None:
         """End all processes and close the films."""
         self.jobs.close()
         self.ranker.close()
         self.clips.close()
+
+
+_MOST_RECORDINGS = 2000  # simulated for one certificate
 
 
 class Workbench:
@@ -311,6 +343,10 @@ class Workbench:
         self._laboratory, self.project = laboratory, project
         self._frames = films.SourceFrames()
         self._opening = Lock()
+        self._opened: tuple[str, str, int] | None = None  # case, fit and time of the case that is open
+        if project is not None:
+            # the laboratory is ready when the page asks for it
+            project.when_fitted = lambda: self._open(project)
         self.stop: Callable[[], None] = lambda: None
 
     @property
@@ -327,7 +363,10 @@ class Workbench:
 
         routes = [
             Route("/", self._page),
+            Route("/api/pulse", self._pulse),
             Route("/api/state", self._get(self._state)),
+            Route("/api/marks", self._get(lambda a: self.laboratory.clips.marks(text(a, "clip"), whole(a, "index")))),
+            Route("/api/outcome", self._get(lambda a: self.laboratory.outcome(text(a, "key")))),
             Route("/api/frame", self._frame),
             Route("/api/report", self._get(lambda _: self.laboratory.report_state())),
             Route("/report", self._report),
@@ -346,6 +385,7 @@ class Workbench:
                 Route(
                     "/api/project/tracked", self._get(lambda a: p.tracked(text(a, "key"), whole(a, "index")))
                 ),
+                Route("/api/project/motion", self._get(lambda _: motion_board(p))),
                 Route("/api/project/frame", self._source_frame),
                 Route("/api/project/upload", self._upload, methods=["POST"]),
                 *(Route(f"/api/project/{k}", self._post(f), methods=["POST"]) for k, f in calls.items()),
@@ -369,6 +409,12 @@ class Workbench:
             "go": session(lambda s, a: s.go(whole(a, "place"))),
             "compare": session(lambda s, a: s.compare(whole(a, "place"))),
             "undo": session(lambda s, _: s.undo()),
+            "redo": session(lambda s, _: s.redo()),
+            "cancel_fit": session(lambda s, _: s.cancel()),
+            "cancel_rank": lambda _: self._cancelled_search(),
+            "certify": lambda a: self.laboratory.certify(whole(a, "count")),
+            "plan": lambda _: self.laboratory.plan(),
+            "cancel": lambda a: self._cancelled(text(a, "key")),
             "delete": session(lambda s, a: s.delete(whole(a, "place"))),
             "note": session(
                 lambda s, a: s.annotate(whole(a, "place"), name=text(a, "name"), note=text(a, "note"))
@@ -382,6 +428,14 @@ class Workbench:
             "profile": lambda a: {"toml": films.profile_text(a)},
         }
 
+    def _cancelled(self, key: str) -> dict[str, Any]:
+        self.laboratory.jobs.cancel(key)
+        return self.laboratory.outcome(key)
+
+    def _cancelled_search(self) -> dict[str, Any]:
+        self.laboratory.ranker.cancel()
+        return {}
+
     def _project_calls(self, p: Project) -> dict[str, Call]:
         def then(work: Call) -> Call:
             def call(query: dict[str, Any]) -> Any:
@@ -394,16 +448,26 @@ class Workbench:
             "add": then(lambda a: p.add_named(text(a, "name"))),
             "samples": then(lambda _: p.add_samples()),
             "remove": then(lambda a: p.remove(text(a, "key"))),
+            "restore": then(lambda a: p.restore(text(a, "key"))),
+            "undo": then(lambda _: p.undo()),
+            "redo": then(lambda _: p.redo()),
+            "uncorrect": then(lambda a: p.uncorrect(text(a, "key"), text(a, "marker"), whole(a, "index"))),
             "set": then(lambda a: p.set(text(a, "key"), text(a, "name"), a.get("value"))),
             "mark": then(lambda a: p.mark(text(a, "key"), a.get("hub"), a.get("picks"), text(a, "disc"))),
             "follow": then(lambda a: p.preview(text(a, "key"))),
             "find": then(lambda a: p.find_markers(text(a, "key"))),
             "read": then(lambda a: p.read(text(a, "key"))),
-            "correct": then(
-                lambda a: p.correct(text(a, "key"), text(a, "marker"), whole(a, "index"), a.get("place"))
-            ),
+            "correct": lambda a: p.correct(
+                text(a, "key"),
+                text(a, "marker"),
+                whole(a, "index"),
+                a.get("place"),
+                confirmed=a.get("confirmed") is True,
+            )
+            or p.document(),
             "track": then(lambda a: p.track([text(a, "key")] if text(a, "key") else [])),
             "match": then(lambda _: p.match()),
+            "analyse": then(lambda _: p.analyse()),
             "fit": then(lambda _: p.fit()),
             "cancel": then(lambda a: p.cancel(text(a, "step"))),
             "colour": lambda a: films.colour_at(
@@ -417,11 +481,14 @@ class Workbench:
     def _open(self, p: Project) -> dict[str, Any]:
         """Open the case of the project, and close another open one."""
         with self._opening:
+            stamp = (p.state.case, str(p.state.fit.get("fit_id", "")), _modified(p.folder / p.state.case))
+            if self._laboratory is not None and self._opened == stamp:
+                return {"opened": p.state.case}  # with its fits and its history
             if not p.state.case or not (p.folder / p.state.case).is_file():
                 raise UsageError("There is no case yet.", "Track and synchronise the films first.")
             folders = list(dict.fromkeys([p.folder, *(p.path(x).parent for x in p.state.sources)]))
             found = Laboratory.open(p.folder / p.state.case, folders)
-            old, self._laboratory = self._laboratory, found
+            old, self._laboratory, self._opened = self._laboratory, found, stamp
             if old is not None:
                 old.close()
         return {"opened": p.state.case}
@@ -432,6 +499,10 @@ class Workbench:
             yield
         finally:
             self.close()
+
+    def addresses(self) -> list[Address]:
+        """Return where this server stores its address for a second one on the same folder."""
+        return [self.project.address] if self.project is not None else []
 
     def interrupt(self) -> None:
         """End the ranking process, so that no request waits for it."""
@@ -460,6 +531,24 @@ class Workbench:
 
         return endpoint
 
+    async def _pulse(self, _request: Request) -> Response:
+        """Answer at once, also while all threads work: what has changed, and what is running."""
+        from starlette.responses import JSONResponse
+
+        lab, p = self._laboratory, self.project
+        found: dict[str, Any] = {"project": None, "laboratory": None}
+        if p is not None:
+            found["project"] = {"revision": p.revision, "jobs": p.jobs.active()}
+        if lab is not None:
+            found["laboratory"] = {
+                "key": lab.key,
+                "revision": lab.session.revision,
+                "fit": lab.session.progress(),
+                "search": lab.ranker.progress(),
+                "jobs": lab.jobs.active(),
+            }
+        return JSONResponse(found)
+
     async def _page(self, _request: Request) -> Response:
         from starlette.responses import HTMLResponse
 
@@ -479,6 +568,7 @@ class Workbench:
     def _state(self, _query: dict[str, Any]) -> dict[str, Any]:
         lab = self.laboratory
         return lab.session.state(whole=True) | {
+            "key": lab.key,
             "clips": lab.clips.document(),
             "library": library_document(),
         }
@@ -538,6 +628,13 @@ async def pictured(work: Callable[[], tuple[bytes, dict[str, str]]]) -> Response
     return Response(image, media_type="image/jpeg", headers=headers)
 
 
+def _modified(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, str]:
     """Return the page and its content security policy."""
     from jinja2 import Environment, StrictUndefined
@@ -545,7 +642,7 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     folder = resources.files("gyrotrack.apps.workbench")
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "films.js", "view.js")]
+    own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "filmview.js", "films.js", "view.js", "tour.js")]
     scripts = (*charts.scripts(), *own)
     style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style_sheet()
     begins = has_project and not has_case
@@ -597,6 +694,8 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
         bench.stop = stop
         listener.listen()  # connections before the server runs are queued
         address = f"http://{_ADDRESS}:{port}/?token={token}"
+        for own in bench.addresses():
+            own.publish(address)
         announce(address)
         if window:
             _run_in_window(server, listener, address)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from threading import RLock
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.plotting._charts import dashboard_document, interval_document
+from gyrotrack.plotting._charts import Interval, dashboard_document, interval_document
 
 if TYPE_CHECKING:
     from fitting.discovery._residuals import AngleHarmonics, ResidualTorque
+    from fitting.dynamics._model import Model
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
-    from fitting.study._history import Ledger
+    from fitting.study._history import Entry, Ledger
     from gyrotrack.apps.workbench._processes import Prediction
     from gyrotrack.io._records import Case
 
@@ -58,6 +62,29 @@ class Step:
         return self.found
 
 
+@dataclass
+class _Fitting:
+    """A running fit."""
+
+    label: str
+    expected: float | None  # duration of the last fit [s]
+    began: float = field(default_factory=monotonic)
+    is_cancelled: bool = False
+
+
+def on_screen(text: str) -> str:
+    """Return a sentence with µ, σ and minus signs."""
+    text = re.sub(r"(?<=\d )u(?=N m|rad|s\b)", "µ", text)
+    text = re.sub(r"(?<=\d) sigma\b", " σ", text)
+    return re.sub(r"(?<![\w.)*^])-(?=\d)", "−", text)
+
+
+def _misfit(reduced_chi2: float | None) -> float | None:
+    """Return the one measure of misfit of the page: rms of the residual over that of the noise; 1 = noise limit."""
+    known = reduced_chi2 is not None and math.isfinite(reduced_chi2) and reduced_chi2 >= 0
+    return math.sqrt(reduced_chi2) if known and reduced_chi2 is not None else None
+
+
 class Session:
     """The fits of one case as a tree, one of them current; indices are kept, and `undo` restores a deleted fit."""
 
@@ -71,7 +98,12 @@ class Session:
         self.steps[self.current].found = base
         # step to compare with the current one; if negative, the parent
         self.reference = -1
-        self._undo: list[Callable[[], None]] = []
+        # changes of the tree and of the view: name, undo, redo
+        self._undo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
+        self._redo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
+        self.revision = 0  # increased by every change, so that all pages show it
+        self._fitting: _Fitting | None = None
+        self.fit_seconds: float | None = None  # duration of the last fit
         # cached charts of the first view
         self._first: tuple[tuple[int, ...], dict[str, Any]] | None = None
         # initial values for each candidate, from the last search
@@ -90,17 +122,21 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add an effect (name or ``body: law``), remove one, or set initial values; fit; an error changes nothing."""
-        from fitting._errors import FittingError
+        """Add an effect (name or ``body: law``), remove one, or set initial values; fit; an error changes nothing.
+
+        The fit runs without the lock, so that other requests are answered; `cancel` discards its result.
+        """
         from fitting.discovery._select import found_starts, needs_search
         from fitting.effects._user import resolve
-        from fitting.inference._fit import fit
 
         if len(add) > _MAX_TEXT or len(drop) > _MAX_TEXT:
             raise GyrotrackError(f"A law has at most {_MAX_TEXT} characters.")
         with self._lock:
-            model, words = self.fit.model, []
-            start = {k: e.value for k, e in self.fit.estimates.items()}
+            if self._fitting is not None:
+                raise GyrotrackError("A fit is running.", "Wait until it has ended, or cancel it.")
+            place, old = self.current, self.fit
+            model, words = old.model, []
+            start = {k: e.value for k, e in old.estimates.items()}
             if add:
                 effect = resolve(add.strip(), self._data.record.inputs)
                 if effect.name in model.names:
@@ -109,7 +145,7 @@ class Session:
                 if effect.name in self.found:
                     start |= self.found[effect.name]
                 elif needs_search(effect):
-                    start |= found_starts(self.fit, [effect])
+                    start |= found_starts(old, [effect])
                 words.append(f"+{effect.name}")
             if drop:
                 model = model.without(drop)
@@ -119,14 +155,44 @@ class Session:
                 words.append("other initial values")
             if not words:
                 raise GyrotrackError("No change was requested.", "Enter the name of an effect, or a formula.")
-            noise = self.fit.noise
-            try:
-                found = fit(model, [self._data], start=start, noise=noise, quick=True)
-            except FittingError:  # the values of the previous fit can be poor initial values
-                found = fit(model, [self._data], noise=noise, quick=True)
-            self.steps.append(Step(" ".join(words), self.current, found, sharp=False))
-            self._show(len(self.steps) - 1)
+            mine = self._fitting = _Fitting(" ".join(words), self.fit_seconds)
+        try:
+            found = self._fitted(model, start, old)
+        finally:
+            with self._lock:
+                current, self._fitting = self._fitting, None if self._fitting is mine else self._fitting
+        with self._lock:
+            if current is not mine or mine.is_cancelled:
+                raise GyrotrackError("The fit was cancelled.", "Nothing was changed.")
+            self.fit_seconds = monotonic() - mine.began
+            self.steps.append(Step(mine.label, place, found, sharp=False))
+            self._added(len(self.steps) - 1)
             return self.state()
+
+    def _fitted(self, model: Model, start: dict[str, float], old: Fit) -> Fit:
+        from fitting._errors import FittingError
+        from fitting.inference._fit import fit
+
+        try:
+            return fit(model, [self._data], start=start, noise=old.noise, quick=True)
+        except FittingError:  # the values of the previous fit can be poor initial values
+            return fit(model, [self._data], noise=old.noise, quick=True)
+
+    def cancel(self) -> dict[str, Any]:
+        """Discard the result of the running fit."""
+        running = self._fitting
+        if running is not None:
+            running.is_cancelled = True
+            self._fitting = None
+        return self.progress()
+
+    def progress(self) -> dict[str, Any]:
+        """Return the running fit: its change, seconds so far, and the expected duration; empty if there is none."""
+        running = self._fitting
+        if running is None:
+            return {}
+        seconds = round(monotonic() - running.began, 2)
+        return {"label": running.label, "seconds": seconds, "expected": running.expected}
 
     def _prediction(self) -> Prediction:
         from gyrotrack.apps.workbench._processes import Prediction
@@ -156,15 +222,51 @@ class Session:
         """Compare the current step with another one, or with its parent if `place` is negative."""
         with self._lock:
             self.reference = self._existing(place) if place >= 0 else -1
+            self.revision += 1
             return self.state()
 
     def undo(self) -> dict[str, Any]:
-        """Undo the last change of the view or the tree; fits remain in the tree."""
+        """Undo the last change of the view or the tree."""
+        return self._moved_back(self._undo, self._redo, 1)
+
+    def redo(self) -> dict[str, Any]:
+        """Make the last change again that was undone."""
+        return self._moved_back(self._redo, self._undo, 2)
+
+    def _moved_back(self, source: list[Any], target: list[Any], which: int) -> dict[str, Any]:
         with self._lock:
-            if not self._undo:
-                raise GyrotrackError("There is nothing to undo.")
-            self._undo.pop()()
+            if not source:
+                raise GyrotrackError(f"There is nothing to {'undo' if which == 1 else 'redo'}.")
+            source[-1][which]()
+            target.append(source.pop())
+            self.revision += 1
             return self.state()
+
+    def _record(self, label: str, undo: Callable[[], None], redo: Callable[[], None]) -> None:
+        """Store a change that was made; what was undone before can no longer be redone."""
+        self._undo.append((label, undo, redo))
+        self._redo.clear()
+        self.revision += 1
+
+    def _added(self, place: int) -> None:
+        """Show a new step; undoing it removes the step from the tree, also from the ledger."""
+        before, step = (self.current, self.reference), self.steps[place]
+        entries: list[Entry] = []
+
+        def undo() -> None:
+            if step.fit_id:
+                entries[:] = [self._ledger.delete(step.fit_id)]
+            step.is_deleted = True
+            self.current, self.reference = before
+
+        def redo() -> None:
+            for entry in entries:
+                self._ledger.restore(entry)
+            step.is_deleted = False
+            self.current, self.reference = place, -1
+
+        self.current, self.reference = place, -1
+        self._record(f"fit {step.change}", undo, redo)
 
     def delete(self, place: int) -> dict[str, Any]:
         """Delete a step without successors, also from the ledger."""
@@ -175,21 +277,24 @@ class Session:
                 raise GyrotrackError("The only fit cannot be deleted.")
             if any(self.steps[i].parent == place for i in left):
                 raise GyrotrackError("This fit has successors.", "Delete those first.")
-            before = self.current, self.reference
-            entry = self._ledger.delete(step.fit_id) if step.fit_id else None
-            step.is_deleted = True
-            if self.current == place:
-                self.current = step.parent if step.parent >= 0 else left[0]
-            if place == self.reference:
-                self.reference = -1
+            before, entries = (self.current, self.reference), []
+
+            def remove() -> None:
+                entries[:] = [self._ledger.delete(step.fit_id)] if step.fit_id else []
+                step.is_deleted = True
+                if self.current == place:
+                    self.current = step.parent if step.parent >= 0 else left[0]
+                if place == self.reference:
+                    self.reference = -1
 
             def restore() -> None:
-                if entry is not None:
+                for entry in entries:
                     self._ledger.restore(entry)
                 step.is_deleted = False
                 self.current, self.reference = before
 
-            self._undo.append(restore)
+            remove()
+            self._record(f"deletion of fit {place + 1}", restore, remove)
             return self.state()
 
     def annotate(self, place: int, *, name: str, note: str) -> dict[str, Any]:
@@ -205,7 +310,7 @@ class Session:
                 step.name, step.note = name, note
 
             write(name, note)
-            self._undo.append(lambda: write(*old))
+            self._record(f"name or note of fit {place + 1}", lambda: write(*old), lambda: write(name, note))
             return self.state()
 
     def _existing(self, place: int) -> int:
@@ -219,8 +324,11 @@ class Session:
         def back() -> None:
             self.current, self.reference = before
 
-        self._undo.append(back)
-        self.current, self.reference = place, -1
+        def again() -> None:
+            self.current, self.reference = place, -1
+
+        again()
+        self._record(f"show fit {place + 1}", back, again)
 
     def keep(self) -> dict[str, Any]:
         """Refine the current fit, store it and its predecessors in the ledger, and return the state."""
@@ -243,6 +351,7 @@ class Session:
             step.fit, parent=parent, added=step.change, previous=self.steps[step.parent].fit
         )
         step.fit_id, step.rung = entry.fit_id, None
+        self.revision += 1
         if step.name or step.note:
             self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
         return step.fit_id
@@ -256,7 +365,7 @@ class Session:
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Store the parameters of candidates as initial values, and return the answer of the search, typeset."""
-        from fitting._numbers import typeset
+        from fitting._numbers import typeset, with_uncertainty
 
         candidates = answer.get("diagnosis", {}).get("candidates", [])
         found = {
@@ -266,7 +375,15 @@ class Session:
         with self._lock:
             self.found = found
         if "diagnosis" in answer:
-            answer["diagnosis"]["sentence"] = typeset(answer["diagnosis"]["sentence"])
+            for key in ("sentence", "next_experiment"):
+                answer["diagnosis"][key] = on_screen(typeset(answer["diagnosis"].get(key, "")))
+            for c in candidates:
+                values = [
+                    (k.rpartition(".")[2], with_uncertainty(v["value"], v["stderr"], v["unit"]))
+                    for k, v in c["parameters"].items()
+                    if isinstance(v["value"], float) and isinstance(v["stderr"], float)
+                ]
+                c["values"] = [f"{k.partition('@')[0]} = {v}" for k, v in values[:3]]
         return answer
 
     def model_document(self) -> dict[str, Any]:
@@ -305,13 +422,17 @@ class Session:
                     "parameters": self._parameters(step),
                     "ladder": [self._rung(i) for i, s in self._tree() if not s.is_deleted],
                     "compared": self._compared(step),
-                    "can_undo": bool(self._undo),
+                    "undo": self._undo[-1][0] if self._undo else "",
+                    "redo": self._redo[-1][0] if self._redo else "",
+                    "revision": self.revision,
+                    "misfit": _misfit(fit.reduced_chi2),
+                    "measures": self._measures(step),
                     "board": board,
                 }
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, and their differences from the compared one in standard uncertainties."""
+        """Return the parameters of a fit, and their differences from the compared one in units of both uncertainties."""
         from fitting._numbers import with_uncertainty
 
         compared = self._compared(step)
@@ -321,9 +442,32 @@ class Session:
             row = {"name": name, "value": with_uncertainty(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
             if (o := other.get(name)) is not None:
                 row["other"] = with_uncertainty(o.value, o.stderr, o.unit)
-                row["difference_sigma"] = (e.value - o.value) / e.stderr if e.stderr > 0 else None
+                u = math.hypot(*(x.stderr for x in (e, o) if math.isfinite(x.stderr)))
+                row["difference_u"] = (e.value - o.value) / u if u > 0 else None
             found.append(row)
         return found
+
+    def _measures(self, step: Step) -> list[dict[str, str]]:
+        """Return the measures of misfit beside that of the first screen: name, value, explanation."""
+        from fitting._numbers import scaled, short, unit_text
+
+        fit, left = step.fit, self._rung(self.current).get("torque_left_Nm")
+        found = [
+            ("χ²/n", short(fit.reduced_chi2), "Square of the misfit above: mean square of the residual over that of "
+             "the noise, with the effective number of samples."),
+            ("prediction error / noise", short(fit.held_out), "Error on stretches of the recording that were left "
+             "out of the fit, over the noise: 1 for a complete model; grows if a model has too many parameters."),
+            ("rms residual", f"{short(fit.rmse_casing)} rad/s", "Of the smoothed speed, as in the paper. Noise alone "
+             f"gives {short(fit.rmse_noise)} rad/s."),
+        ]  # fmt: skip
+        if isinstance(left, float):
+            factor, prefix = scaled(abs(left))
+            unit = unit_text(self._data.record.torque_unit)
+            value = f"{short(factor * left)} {prefix}{unit}" if left else f"0 {unit}"
+            found.append(
+                ("unmodelled torque, rms", value, "Torque that the residual requires beyond the model, in excess of noise.")
+            )
+        return [{"name": n, "value": v, "meaning": m} for n, v, m in found]
 
     def _rung(self, place: int) -> dict[str, Any]:
         from fitting.study._serialisation import step_document
@@ -338,7 +482,8 @@ class Session:
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent
         own = {key: getattr(step, key) for key in ("fit_id", "parent", "name", "note")}
-        return {"place": place, "depth": depth} | own | {k: document.get(k) for k in keys}
+        misfit = _misfit(document.get("reduced_chi2"))
+        return {"place": place, "depth": depth, "misfit": misfit} | own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
         """Return the steps with their indices, each followed by its successors."""
@@ -366,6 +511,7 @@ class Session:
         return self._first[1]
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
+        from fitting._numbers import interval, scaled, short
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
         from gyrotrack.plotting._case_charts import case_dashboard, difference_chart, torque_angle_charts
@@ -385,8 +531,14 @@ class Session:
         charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
-        failures = find_failures(step.fit, list(self._torques(step)))
-        board["intervals"] = [interval_document(i) for i in view.failing(failures, view.models[-1])]
+        # those of the sentence, and no others
+        board["intervals"] = []
+        for f in find_failures(step.fit, list(self._torques(step))):
+            factor, prefix = scaled(abs(f.residual_torque_Nm))
+            size = short(factor * f.residual_torque_Nm, 2)
+            times = "–".join(interval(f.t_start, f.t_stop))
+            text = f"{times} s, {f.called}: {size} {prefix}{view.torque_unit}"
+            board["intervals"].append(interval_document(Interval(f.t_start, f.t_stop, text, f.body)))
         return board
 
     def _torques(self, step: Step) -> tuple[ResidualTorque, ...]:

@@ -1,14 +1,14 @@
 "use strict";
 /* From film to case: sources, markers, tracking, synchronisation, fit. The server holds the state. */
-(() => {
-  if (!document.getElementById("films")) return;
+const Films = (() => {
+  if (!document.getElementById("films")) return null;
   const { element, button } = Charts;
-  const { ask, at, complain, sentence, turn } = Page;
+  const { ask, at, busy, complain, duration, percentage, progressText, sentence, turn, undoable } = Page;
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
   const SHOWN = { casing: "casing", rotor: "rotor", single: "single body" };
-  let project = null, chosen = null, size = [1, 1], index = 0, picture = null, mode = "hub", hub = null, disc = "", picks = [],
-    tracks = null, measured = null, running = false, timer = null, wantsLaboratory = false, asked = new Set(), cross = null, latest = 0, sending = 0, ended = false;
+  let project = null, chosen = null, mode = "hub", hub = null, disc = "", picks = [], tracks = null, doubted = null, charted = null,
+    drawn = "", timer = null, wantsLaboratory = false, asked = new Set(), latest = 0, sending = 0, ended = false;
 
   const source = () => project?.sources.find((x) => x.key === chosen) || null;
   const active = (job) => Boolean(job) && (job.state === "waiting" || job.state === "running");
@@ -27,6 +27,7 @@
 
   async function refresh() {
     if (ended) return;
+    clearTimeout(timer);
     try { render(await ask("/api/project")); } catch (error) { complain(error); }
   }
 
@@ -46,13 +47,57 @@
     if (!source() && project.sources.length) choose(project.sources.find((x) => x.kind === "film")?.key || null);
     else if (!source()) choose(null);
     else film(before);
-    const busy = Object.values(project.jobs).some(active) || project.sources.some((x) => Object.values(x.jobs).some(active));
+    undoable("films", project);
+    same(at("removed"), JSON.stringify(project.removed), () => project.removed.map((x) => button(`restore ${x.name}`, `restore ${x.name}`, () => act("restore", { key: x.key }))));
+    at("removed-list").hidden = project.removed.length === 0;
+    const working = Object.values(project.jobs).some(active) || project.sources.some((x) => Object.values(x.jobs).some(active));
     clearTimeout(timer);
-    if (busy) timer = setTimeout(refresh, 300);
-    if (wantsLaboratory && !busy) {
+    if (working) timer = setTimeout(refresh, 400);
+    whole();
+    moving(working);
+    if (wantsLaboratory && !working && !project.analysing) {
       wantsLaboratory = false;
       if (project.can_open) open();
     }
+  }
+
+  /* all work of the project as one line in the header */
+  function whole() {
+    const films = project.sources.filter((x) => active(x.jobs.track)), step = ["match", "fit"].find((k) => active(project.jobs[k]));
+    if (films.length) {
+      const all = project.sources.filter((x) => x.kind === "film"), total = all.reduce((n, x) => n + (x.jobs.track?.total || x.info.frames || 0), 0);
+      const done = all.reduce((n, x) => n + (active(x.jobs.track) ? x.jobs.track.done : x.is_current ? x.jobs.track?.total || x.info.frames || 0 : 0), 0);
+      const seconds = Math.max(...films.map((x) => x.jobs.track.seconds || 0));
+      busy("project", { done, total, seconds }, films.length > 1 ? "tracking the films" : `tracking ${films[0].name}`, () => { wantsLaboratory = false; act("cancel", { step: "all" }); });
+    } else if (step) busy("project", { ...project.jobs[step], expected: project.seconds[step] || USUAL[step] }, step === "match" ? "synchronising" : "fitting", () => { wantsLaboratory = false; act("cancel", { step }); });
+    else busy("project", null);
+  }
+
+  /* angle and speed of all films, which grow while they are tracked */
+  async function moving(working) {
+    if (document.body.dataset.part !== "films" || charted?.waiting) return;
+    const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.done || 0) : 0]);
+    if (key === drawn) return;
+    drawn = key;
+    charted = { ...charted, waiting: true };
+    try {
+      const found = await ask("/api/project/motion");
+      at("no-motion").hidden = found.charts.length > 0;
+      at("motion-board").hidden = found.charts.length === 0;
+      if (found.charts.length) {
+        if (!charted.board) charted.board = new Charts.Board(at("motion-board"), found, { click: seek, height: () => (at("moving").clientHeight - 90 - [...document.querySelectorAll("#motion-board .head")].reduce((sum, h) => sum + h.offsetHeight, 0)) / 2 - 14 });
+        else charted.board.set(found);
+      }
+    } catch (error) { complain(error); }
+    charted.waiting = false;
+  }
+
+  const USUAL = { match: 6, fit: 8 };  // seconds, before a step has been run in this folder
+
+  const offset = () => (project.is_matched && project.match.clips?.find((c) => c.name === source()?.name)?.offset_s) || 0;
+  function seek(time) {
+    const x = source();
+    if (x?.kind === "film" && x.capture_fps && !tracks) { film_.stop(); film_.show(Math.round((time - offset()) * x.capture_fps)); }
   }
 
   /* replace the children only if they have changed, to keep the focus */
@@ -177,7 +222,7 @@
   function status(x, job) {
     if (active(job)) {
       if (job.state === "waiting") return "waiting for a free core";
-      return job.total ? `${job.done} of ${job.total} frames, ${job.seconds.toFixed(0)} s` : `${job.label || "starting"} \u2026 ${job.seconds.toFixed(0)} s`;
+      return job.total ? `${Math.round(100 * job.done / job.total)} %, ${job.done} of ${job.total} frames, ${job.seconds.toFixed(0)} s` : `${job.label || "starting"} \u2026 ${job.seconds.toFixed(0)} s`;
     }
     if (job?.state === "failed") return sentence(job.message);
     if (x.is_current && x.result.motion) return motion(x.result);
@@ -188,7 +233,7 @@
   }
 
   function motion(result) {
-    const m = result.motion, value = (v, unit) => `${v.value.toPrecision(6)} \u00b1 ${v.stderr.toPrecision(2)} ${unit}`;
+    const m = result.motion, value = (v, unit) => `${Charts.uncertain(v.value, v.stderr)} ${unit}`;
     const facts = m.kind === "oscillation" ? `period ${value(m.period, "s")}` : `mean ${value(m.omega_mean, "rad/s")}, angular acceleration ${value(m.alpha, "rad/s\u00b2")}`;
     return [`${m.kind}, ${m.turns.toFixed(2)} turns: ${facts}.`, result.sentence].filter(Boolean).join(" ");
   }
@@ -221,9 +266,9 @@
     const why = project.missing.track.length ? [] : project.missing.match;
     same(at("missing-match"), why.join("\n"), () => why.map((t) => element("li", {}, t)));
     for (const step of ["match", "fit"]) {
-      const job = project.jobs[step], busy = active(job);
-      at(`cancel-${step}`).hidden = !busy;
-      at(`busy-${step}`).textContent = busy ? `${job.label || (step === "match" ? "synchronising" : "fitting")} \u2026 ${job.seconds.toFixed(0)} s`
+      const job = project.jobs[step], running = active(job);
+      at(`cancel-${step}`).hidden = !running;
+      at(`busy-${step}`).textContent = running ? progressText({ ...job, expected: project.seconds[step] || USUAL[step] }, job.label || (step === "match" ? "synchronising" : "fitting"))
         : job?.state === "failed" ? sentence(job.message) : step === "match" && project.is_matched && project.case ? `written: ${project.case}` : "";
       at(`busy-${step}`).className = job?.state === "failed" ? "fault" : "soft";
     }
@@ -241,6 +286,10 @@
       : "The reduced model of the paper is fitted; the laboratory then shows its lack of fit and tests all candidate effects.";
     clocks();
     at("next").textContent = guide();
+    const ready = project.sources.length > 0 && !project.missing.track.length, working = Object.values(project.jobs).some(active) || project.sources.some((x) => active(x.jobs.track));
+    at("analyse").disabled = !ready || working || project.can_open;
+    at("analyse").parentElement.hidden = project.sources.length === 0 || project.can_open;
+    at("analyse-text").textContent = project.missing.match.some((t) => t.includes("inertia")) && !single ? "Track and synchronise; enter both moments of inertia in step 3 meanwhile." : "Track, synchronise and fit, then open the laboratory.";
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
   }
@@ -249,11 +298,10 @@
   function guide() {
     const films = project.sources.filter((x) => x.kind === "film"), busy = Object.values(project.jobs).some(active) || films.some((x) => active(x.jobs.track));
     if (busy) return "Running; the page may be closed in the meantime.";
-    if (!project.sources.length) return project.samples ? "Start with your own films, or with the sample clips: four films of one run with their study.toml." : "Start with your films.";
+    if (!project.sources.length) return project.samples ? "Add the films of one run, or use the sample clips: four films with their study.toml." : "Add the films of one run.";
     if (project.missing.track.length) return `Next: ${project.missing.track[0]}`;
     if (films.some((x) => !x.is_current)) {
-      const seen = films.some((x) => x.jobs.preview?.state === "done");
-      return seen ? "Next: track the films." : "Next: select a film, press \u201cPreview the tracking\u201d and check the markers; then track the films.";
+      return "Next: press \u201cAnalyse everything\u201d, or first select a film and preview its tracking.";
     }
     if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: synchronise the clips. The casing, which all cameras see, determines the start of each film.";
     return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows the lack of fit and the candidate effects.";
@@ -279,32 +327,77 @@
 
   /* --- one film: hub and markers --- */
 
+  const film_ = new FilmView(at("marker"), {
+    key: () => chosen,
+    label: (n) => `frame ${n} of ${source()?.name || ""}; arrow keys move the cross, Enter marks hub or marker`,
+    time: (n) => { const x = source(); return x?.capture_fps ? n / x.capture_fps : NaN; },
+    rate: () => source()?.capture_fps || 25,
+    visible: () => document.body.dataset.part === "films" && !document.hidden,
+    get loop() { return Boolean(tracks); },
+    async picture(n) {
+      const blob = await ask(`/api/project/frame?key=${encodeURIComponent(chosen)}&index=${n}`);
+      return { image: await createImageBitmap(blob), size: blob.size2 };
+    },
+    async marks(n) {
+      const x = source();
+      if (!x || tracks || !x.is_current || x.body === "single") return null;
+      const found = await ask(`/api/project/tracked?key=${encodeURIComponent(chosen)}&index=${n}`);
+      return found.markers ? found : null;
+    },
+    extra(n) {
+      if (tracks && n < tracks.frames) return { centre: tracks.centre[n], markers: tracks.markers.map((m) => ({ name: m.name, place: m.place[n], whole: m.whole[n], corners: m.corners?.[n] })) };
+      if (tracks || n > 0 || source()?.is_current) return null;
+      return { centre: hub, markers: picks.map((p) => ({ name: p.name, place: [p.x, p.y], picked: true })) };
+    },
+    drawn: (marks) => { listed(marks); if (charted?.board && source()?.capture_fps) charted.board.setCursor(offset() + film_.index / source().capture_fps); },
+    picked: (place) => {
+      if (correcting()) { if (film_.running) film_.stop(); else correct(place); return; }
+      if (film_.running || film_.index !== 0) { film_.stop(); tracks = null; film_.open(frames(), 0, film_.size); return; }
+      set(place);
+    },
+  });
+  at("legend-still").append(...FilmView.legend());
+
+  const frames = () => (tracks ? tracks.frames : source()?.result?.frames || source()?.info.frames || 1);
+
   function choose(key) {
-    stop();
+    film_.stop();
     chosen = key;
-    tracks = null; index = 0; picture = null; cross = null; size = [1, 1];
+    tracks = null;
     at("sources").querySelectorAll(".card").forEach((c) => c.classList.toggle("now", c.dataset.key === key));
-    const x = source(), film_ = Boolean(x) && x.kind === "film" && !x.info.error;
-    at("marker").hidden = !film_;
-    at("nothing").hidden = film_;
-    at("h-marking").textContent = film_ ? `Markers in ${x.name}` : "Markers";
-    if (!film_) return;
-    hub = x.hub; picks = x.picks.map((p) => ({ ...p })); disc = "";
+    const x = source(), shown = Boolean(x) && x.kind === "film" && !x.info.error;
+    at("marker").hidden = !shown;
+    at("nothing").hidden = shown;
+    at("h-marking").textContent = shown ? `Film: ${x.name}` : "Film";
+    doubt(null);
+    at("corrected").textContent = "";
+    if (!shown) return;
+    hub = x.hub; picks = x.picks.map((p) => ({ ...p })); disc = x.disc;
     mode = hub ? "casing" : "hub";
     modes();
     corrections();
+    listed(null);
     rows();
     film(null);
-    show(0);
-    if (x.jobs.preview?.state === "done") followed();
+    film_.open(frames(), 0, [x.info.width || 4, x.info.height || 3]);
+    if (x.jobs.preview?.state === "done" && !x.is_current) followed();
   }
 
   function film(before) {
     const x = source();
     if (!x || x.kind !== "film") return;
     const job = x.jobs.preview, was = before?.sources.find((o) => o.key === x.key);
-    if (was && (was.body !== x.body || was.is_current !== x.is_current)) modes();
-    if (was && x.profile !== was.profile && !x.picks.length && picks.length) { picks = []; rows(); draw(); }
+    if (was && (was.body !== x.body || was.is_current !== x.is_current)) {
+      modes();
+      if (x.is_current) { tracks = null; film_.open(frames(), film_.index, film_.size); }
+    }
+    // changed in another tab, or undone
+    if (was && JSON.stringify([x.picks, x.hub, x.disc]) !== JSON.stringify([was.picks, was.hub, was.disc])) {
+      hub = x.hub; picks = x.picks.map((p) => ({ ...p })); disc = x.disc;
+      rows();
+      film_.draw();
+    }
+    if (was && was.is_current && x.is_current && JSON.stringify(was.result.warnings) !== JSON.stringify(x.result.warnings)) film_.show(film_.index);
     const names = ["", ...new Set([...(project.profiles || []), x.profile].filter(Boolean))];
     same(at("profile-of"), names.join("\n"), () => names.map((n) => element("option", { value: n }, n || "markers of the paper (red disc; red, blue, white, green)")));
     at("profile-of").value = x.profile;
@@ -315,9 +408,9 @@
     if (x.jobs.profile?.state === "failed" && active(was?.jobs.profile)) complain(new Error(sentence(x.jobs.profile.message)));
     if (active(job)) { at("followed").textContent = `tracking the first frames \u2026 ${job.seconds.toFixed(0)} s`; at("followed").className = "soft"; }
     else if (active(x.jobs.profile)) { at("followed").textContent = "searching for markers \u2026"; at("followed").className = "soft"; }
-    else if (job?.state === "failed") { at("followed").textContent = sentence(job.message); at("followed").className = "fault"; tracks = null; draw(); }
-    else if (job?.state === "done" && (!tracks || active(was?.jobs.preview))) followed();
-    else if (!job) { at("followed").textContent = ""; }
+    else if (job?.state === "failed") { at("followed").textContent = sentence(job.message); at("followed").className = "fault"; if (active(was?.jobs.preview)) { tracks = null; film_.draw(); } }
+    else if (job?.state === "done" && active(was?.jobs.preview)) followed();
+    else if (!job) { at("followed").textContent = x.is_current ? "" : "The first frame. Mark hub and markers here if they are not those of the paper."; at("followed").className = "soft"; }
   }
 
   async function followed() {
@@ -327,7 +420,8 @@
     const kept = Object.entries(found.kept).map(([name, k]) => `${source().body === "single" ? "body" : name} in ${Math.round(100 * k)} % of ${found.frames} frames, \u00b1${found.sigma_mrad[name].toPrecision(2)} mrad`);
     at("followed").textContent = [`Tracked: ${kept.join("; ")}.`, ...found.warnings.map(sentence)].join(" ");
     at("followed").className = Object.values(found.kept).every((k) => k > 0.8) ? "fine" : "fault";
-    play();
+    await film_.open(found.frames, 0, film_.size);
+    film_.play();
   }
 
   function modes() {
@@ -335,10 +429,15 @@
     const correct = !single && result ? Object.keys(result).map((m) => [`correct:${m}`, `correction of ${m}`]) : [];
     const options = single ? [["hub", "hub"], ["casing", "point to follow"]] : [["hub", "hub"], ["casing", "marker on the casing"], ["rotor", "marker on the rotor"], ...correct];
     if (!options.some(([v]) => v === mode)) mode = "hub";
-    at("modes").replaceChildren(element("legend", {}, "Click to mark"), ...options.map(([value, text]) => {
+    at("modes").replaceChildren(element("legend", {}, "A click marks"), ...options.map(([value, text]) => {
       const radio = element("input", { type: "radio", name: "mode", value, id: `mode-${value}` });
       radio.checked = value === mode;
-      radio.addEventListener("change", () => { mode = value; if (correcting()) { stop(); tracks = null; show(index); } corrections(); });
+      radio.addEventListener("change", () => {
+        mode = value;
+        doubt(null);
+        corrections();
+        if (correcting() && tracks) { tracks = null; film_.open(frames(), film_.index, film_.size); }
+      });
       return element("span", {}, radio, element("label", { for: `mode-${value}` }, text));
     }));
   }
@@ -350,10 +449,34 @@
     at("lost").textContent = `${correcting()} is not visible in this frame`;
   }
 
-  /* manual correction of a marker in one frame */
-  async function correct(place) {
-    const found = await act("correct", { key: chosen, marker: correcting(), index, place });
-    if (found) { await show(index); at("corrected").textContent = `Frame ${index}: ${correcting()} ${place ? "corrected" : "marked as lost"}. Corrections in total: ${measured?.corrections || 0}; synchronise the clips again when you have finished.`; }
+  /* manual correction of a marker in one frame, which stays in view */
+  async function correct(place, confirmed = false) {
+    const frame = film_.index, marker = correcting();
+    doubt(null);
+    const found = await act("correct", { key: chosen, marker, index: frame, place, confirmed });
+    if (!found) return;
+    if (found.jump_deg !== undefined) { doubt({ place, frame, marker, jump: found.jump_deg }); return; }
+    at("corrected").textContent = `Frame ${frame}: ${marker} ${place ? "corrected" : "marked as not visible"}. Synchronise the clips again when you have finished.`;
+    await film_.show(frame);
+  }
+
+  function doubt(found) {
+    doubted = found;
+    at("doubt").hidden = !found;
+    if (found) at("doubt-text").textContent = `This position of ${found.marker} is ${Math.abs(found.jump).toFixed(0)}\u00b0 away from where the neighbouring frames put it.`;
+  }
+
+  /* the corrections of the film that is shown */
+  function listed(marks) {
+    const rows_ = marks?.corrections || [], box = at("corrections-box");
+    box.hidden = rows_.length === 0;
+    film_.setTicks(rows_.map((c) => c.frame));
+    same(at("corrections"), JSON.stringify([chosen, rows_]), () => rows_.map((c) => element("li", {},
+      element("span", {}, `frame ${c.frame}: ${c.marker}${c.lost ? ", not visible" : ""}`),
+      button("show", `show frame ${c.frame}`, () => { film_.stop(); film_.show(c.frame); }),
+      button("delete", `delete the correction of ${c.marker} in frame ${c.frame}`, async () => {
+        if (await act("uncorrect", { key: chosen, marker: c.marker, index: c.frame })) { at("corrected").textContent = ""; await film_.show(film_.index); }
+      }))));
   }
 
   function rows() {
@@ -374,11 +497,9 @@
     at("picks").replaceChildren(...list);
   }
 
-  async function set(x, y) {
-    if (correcting()) { correct([x * size[0], y * size[1]]); return; }
-    const found = await act("colour", { key: chosen, index, x, y });
+  async function set(place) {
+    const found = await act("colour", { key: chosen, index: film_.index, x: place[0] / film_.size[0], y: place[1] / film_.size[1] });
     if (!found) return;
-    const place = [x * size[0], y * size[1]];
     if (mode === "hub") {
       hub = place;
       disc = found.colour === "white" ? "" : found.colour;
@@ -391,90 +512,17 @@
       picks.push({ x: place[0], y: place[1], name, colour, body: source().body === "single" ? "casing" : mode });
     }
     rows();
-    draw();
+    film_.draw();
     mark();
   }
 
   /* store the clicked positions and preview the tracking if they suffice */
   async function mark() {
     tracks = null;
-    stop();
-    show(0);
-    const single = source().body === "single";
-    if (picks.length || (single && hub)) await act("mark", { key: chosen, hub, picks, disc });
-    else at("followed").textContent = hub ? "Now click on the markers." : "";
-    draw();
-  }
-
-  /* --- frames --- */
-
-  async function show(i) {
-    const x = source();
-    if (!x) return;
-    const last = (tracks ? tracks.frames : x.info.frames || 1) - 1;
-    at("place").max = Math.max(0, last);
-    index = Math.min(Math.max(0, i), Math.max(0, last));
-    at("place").value = index;
-    at("at").textContent = `frame ${index}`;
-    const wanted = index, key = chosen;
-    try {
-      const blob = await ask(`/api/project/frame?key=${encodeURIComponent(key)}&index=${wanted}`);
-      const image = await createImageBitmap(blob);
-      const marks = !tracks && x.is_current && x.body !== "single" ? await ask(`/api/project/tracked?key=${encodeURIComponent(key)}&index=${wanted}`) : null;
-      if (key !== chosen || wanted !== index) return;
-      picture = image;
-      measured = marks && marks.markers ? marks : null;
-      size = blob.size2;
-      at("still").dataset.shown = `${key}:${wanted}`;
-      draw();
-    } catch (error) {
-      stop();
-      complain(error);
-    }
-  }
-
-  function draw() {
-    const canvas = at("still"), g = canvas.getContext("2d");
-    if (!picture) return;
-    canvas.width = picture.width; canvas.height = picture.height;
-    g.drawImage(picture, 0, 0);
-    const scale = picture.width / size[0];
-    const stroke = (path, colour) => { for (const [width, style] of [[4, "rgb(0 0 0 / 70%)"], [2, colour]]) { g.lineWidth = width; g.strokeStyle = style; g.stroke(path); } };
-    const plus = (x, y, r) => { const p = new Path2D(); p.moveTo(x - r, y); p.lineTo(x + r, y); p.moveTo(x, y - r); p.lineTo(x, y + r); return p; };
-    const ring = (x, y, r) => { const p = new Path2D(); p.arc(x, y, r, 0, 7); return p; };
-    const word = (text, x, y) => { g.font = "13px system-ui, sans-serif"; g.lineWidth = 3; g.strokeStyle = "#000"; g.fillStyle = "#fff"; g.strokeText(text, x, y); g.fillText(text, x, y); };
-    const shown = measured || (tracks && index < tracks.frames ? { centre: tracks.centre[index], markers: tracks.markers.map((m) => ({ name: m.name, place: m.place[index], whole: m.whole[index] })) } : null);
-    if (shown && (tracks || correcting() || index > 0)) {
-      const centre = shown.centre;
-      if (centre) stroke(plus(centre[0] * scale, centre[1] * scale, 8), "#fff");
-      for (const m of shown.markers) {
-        const p = m.place;
-        if (!p) continue;
-        if (centre) { const ray = new Path2D(); ray.moveTo(centre[0] * scale, centre[1] * scale); ray.lineTo(p[0] * scale, p[1] * scale); stroke(ray, m.whole ? "#3cff3c" : "#ffb000"); }
-        stroke(ring(p[0] * scale, p[1] * scale, 7), m.whole ? "#3cff3c" : "#ffb000");
-        word(m.name, p[0] * scale + 10, p[1] * scale - 6);
-      }
-    } else if (index === 0) {
-      if (hub) { stroke(plus(hub[0] * scale, hub[1] * scale, 11), "#fff"); word("hub", hub[0] * scale + 10, hub[1] * scale - 6); }
-      for (const p of picks) { stroke(ring(p.x * scale, p.y * scale, 8), "#56b4e9"); word(p.name, p.x * scale + 10, p.y * scale - 6); }
-    }
-    if (cross && document.activeElement === canvas) stroke(plus(cross[0] * picture.width, cross[1] * picture.height, 14), "#ff0");
-    canvas.setAttribute("aria-label", `frame ${index} of ${source()?.name || ""}; arrow keys move the cross, Enter marks hub or marker`);
-  }
-
-  function stop() { running = false; at("run").textContent = "Play"; }
-
-  async function play() {
-    if (running) return;
-    running = true;
-    at("run").textContent = "Pause";
-    const key = chosen;
-    while (running && key === chosen && !ended) {
-      const began = performance.now(), last = Number(at("place").max);
-      if (document.body.dataset.part === "films") await show(index >= last ? 0 : index + 1);
-      await new Promise((done) => setTimeout(done, Math.max(5, 40 - (performance.now() - began))));
-    }
-    if (key === chosen) stop();
+    film_.stop();
+    await act("mark", { key: chosen, hub, picks, disc });
+    if (!picks.length) at("followed").textContent = hub ? "Now click on the markers." : "";
+    film_.open(frames(), 0, film_.size);
   }
 
   /* --- upload --- */
@@ -483,26 +531,48 @@
     const list = [...files].sort((a, b) => (a.name === "study.toml") - (b.name === "study.toml"));
     for (const file of list) {
       sending++;
-      at("busy").textContent = `uploading ${file.name} (${(file.size / 1e6).toFixed(1)} MB) \u2026`;
-      await act(`upload?name=${encodeURIComponent(file.name)}`, file);
+      await upload(file);
       sending--;
     }
-    at("busy").textContent = "";
+  }
+
+  /* upload a file with its progress; the request can be cancelled */
+  function upload(file) {
+    return new Promise((done) => {
+      complain(null);
+      const request = new XMLHttpRequest(), began = performance.now(), label = `uploading ${file.name}`;
+      const show = (loaded) => busy("upload", { done: loaded, total: file.size, seconds: (performance.now() - began) / 1000 }, label, () => request.abort());
+      request.open("POST", `/api/project/upload?name=${encodeURIComponent(file.name)}`);
+      request.upload.addEventListener("progress", (event) => show(event.loaded));
+      request.addEventListener("loadend", () => {
+        busy("upload", null);
+        try {
+          const found = JSON.parse(request.responseText);
+          if (found.error) complain(new Error(`${sentence(found.error.message)} ${found.error.hint}`)); else render(found);
+        } catch { if (request.status) complain(new Error(`The upload of ${file.name} failed. Try it again.`)); }
+        done();
+      });
+      show(0);
+      request.send(file);
+    });
   }
 
   async function open() {
-    at("busy").textContent = "opening the laboratory \u2026";
-    const found = await act("open", {});
-    at("busy").textContent = "";
-    if (!found) return;
-    at("tab-laboratory").disabled = false;
-    stop();
+    film_.stop();
     turn("laboratory");
-    opened = project.case + project.fit.fit_id;
+    busy("open", { seconds: 0 }, "opening the laboratory");
+    const found = await act("open", {});
+    busy("open", null);
+    if (!found) { turn("films"); return; }
+    at("tab-laboratory").disabled = false;
     Laboratory.start();
   }
 
-  let opened = "";
+  Page.listen((news) => {
+    const p = news.project;
+    if (p && project && p.revision !== project.revision && !sending) refresh();
+    return Boolean(p && Object.keys(p.jobs).length);
+  });
 
   at("choose").addEventListener("change", async () => { await send(at("choose").files); at("choose").value = ""; });
   const drop = at("drop");
@@ -519,29 +589,32 @@
   });
   for (const step of ["match", "fit"]) at(`cancel-${step}`).addEventListener("click", () => { wantsLaboratory = false; act("cancel", { step }); });
   for (const name of ["inertia_rotor", "inertia_casing", "inertia", "label", "surface"]) at(name).addEventListener("change", () => act("set", { name, value: at(name).value }));
-  at("follow").addEventListener("click", () => { tracks = null; act("follow", { key: chosen }); });
+  at("analyse").addEventListener("click", () => { wantsLaboratory = true; act("analyse", {}); });
+  at("follow").addEventListener("click", () => act("follow", { key: chosen }));
   at("find").addEventListener("click", () => act("find", { key: chosen }));
   at("clear").addEventListener("click", () => { picks = []; hub = null; disc = ""; mode = "hub"; modes(); rows(); mark(); });
   at("profile-of").addEventListener("change", async () => { await act("set", { key: chosen, name: "profile", value: at("profile-of").value }); tracks = null; act("follow", { key: chosen }); });
   at("lost").addEventListener("click", () => correct(null));
-  at("run").addEventListener("click", () => { if (running) stop(); else play(); });
-  at("place").addEventListener("input", () => { stop(); show(Number(at("place").value)); });
-  at("still").addEventListener("click", (event) => {
-    const box = at("still").getBoundingClientRect();
-    if (correcting() ? running : running || index !== 0) { stop(); if (correcting()) return; tracks = null; show(0); return; }
-    set((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
-  });
-  at("still").addEventListener("keydown", (event) => {
-    const step = event.shiftKey ? 0.002 : 0.015, moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, -step], ArrowDown: [0, step] };
-    if (moves[event.key]) {
-      event.preventDefault();
-      cross = (cross || [0.5, 0.5]).map((v, k) => Math.min(1, Math.max(0, v + moves[event.key][k])));
-      draw();
-    } else if (event.key === "Enter" && cross) { event.preventDefault(); set(...cross); }
-  });
-  at("tab-films").addEventListener("click", () => { turn("films"); refresh(); });
-  at("tab-laboratory").addEventListener("click", () => { if (opened === project.case + project.fit.fit_id) { stop(); turn("laboratory"); } else open(); });
+  at("doubt-keep").addEventListener("click", () => { const d = doubted; if (d && d.frame === film_.index) correct(d.place, true); else doubt(null); });
+  at("doubt-drop").addEventListener("click", () => doubt(null));
+  at("tab-films").addEventListener("click", () => { Laboratory.stop(); turn("films"); refresh(); });
+  at("tab-laboratory").addEventListener("click", open);
   document.body.addEventListener("ended", () => { ended = true; clearTimeout(timer); });
   document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
-  refresh();
+  document.addEventListener("keydown", (event) => {
+    if (document.body.dataset.part !== "films" || at("marker").hidden || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest("input:not([type=range]), select, textarea")) return;
+    const acts = { ",": () => film_.step(-1), ".": () => film_.step(1) };
+    if (event.key === " " && !event.target.closest("button, summary, a, input")) { event.preventDefault(); at("run").click(); }
+    else if (acts[event.key]) { event.preventDefault(); acts[event.key](); }
+  });
+  at("error-close").addEventListener("click", () => complain(null));
+  (async () => {
+    const wanted = location.hash.slice(1);
+    await refresh();
+    if (wanted === "films") turn("films");
+    else if (wanted === "laboratory" && project?.can_open && document.body.dataset.case === undefined) open();
+    else turn(document.body.dataset.part);
+  })();
+  return { undo: () => act("undo", {}), redo: () => act("redo", {}), act, project: () => project };
 })();

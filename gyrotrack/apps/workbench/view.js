@@ -1,76 +1,100 @@
 "use strict";
 /* The laboratory: one case, its fits and films. Texts from the server become text nodes, never markup. */
 const Laboratory = (() => {
-  const { Board, element, button, format } = Charts;
-  const { ask, at, complain, explained, sentence, GLOSSARY } = Page;
+  const { Board, element, button, format, uncertain } = Charts;
+  const { ask, at, breakable, busy, complain, duration, explained, progressText, sentence, tabs, undoable, GLOSSARY } = Page;
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
-  let board = null, fixed = [], clips = [], clip = null, index = 0, playing = false, until = null, searches = 0,
-    free = new Set(), laws = new Map(), undoable = false, shown = 0, lastFit = NaN;
+  const GROUPS = { motion: ["speed", "residual-casing", "rotor", "difference"], torque: ["torque-speed", "torque-deflection", "torque-casing", "torque-rotor", "torque-angle"],
+    residual: ["normalised", "residual-casing", "residual-rotor"], uncertainty: ["sigma", "centre", "energy"] };
+  const FEW = 6;  // candidates before the button that shows all
+  let board = null, charts = [], fixed = [], group = "motion", clips = [], clip = null, searches = 0, free = new Set(), laws = new Map(),
+    shown = 0, key = "", revision = -1, misfit = null, most = 1, working = false, found = null, all = false;
 
-  /* run a slow request; `expected` is its last duration [s] */
-  async function act(work, expected = NaN) {
+  /* run a request that changes the tree; the page stays usable meanwhile */
+  async function act(work) {
     complain(null);
-    document.body.setAttribute("aria-busy", "true");
-    const began = performance.now();
-    const usual = expected > 0.5 ? ` (the last fit took ${format(expected, 2)} s)` : "", passed = () => (performance.now() - began) / 1000;
-    if (usual) at("busy").textContent = `fitting \u2026${usual}`;
-    const clock = setInterval(() => { at("busy").textContent = `fitting \u2026 ${passed().toFixed(0)} s${usual}`; }, 1000);
-    for (const b of document.querySelectorAll(".side button")) b.disabled = true;
+    working = true;
+    enable();
     try {
       return await work();
     } catch (error) {
       complain(error);
       return null;
     } finally {
-      clearInterval(clock);
-      at("busy").textContent = "";
-      document.body.removeAttribute("aria-busy");
-      for (const b of document.querySelectorAll(".side button")) b.disabled = false;
-      at("undo").disabled = !undoable;
-      at("from-here").disabled = at("reset").disabled = !sliders?.parameters.some((p) => p.now !== p.value);
+      working = false;
+      enable();
     }
   }
 
+  /* what starts another fit, or changes the tree, waits for the running fit */
+  function enable() {
+    document.body.toggleAttribute("aria-busy", working);
+    for (const b of document.querySelectorAll("#ranking .fit, #add, #effects button, #ladder button, #keep, #write-report")) b.disabled = working;
+    at("from-here").disabled = at("reset").disabled = working || !sliders?.parameters.some((p) => p.now !== p.value);
+  }
+
   const VERDICTS = {
-    no_lack_of_fit: "no significant lack of fit", lack_of_fit: "significant lack of fit",
-    not_determined: "a parameter is not determined by the data", not_converged: "not converged: results are not valid",
+    no_lack_of_fit: "No significant lack of fit", lack_of_fit: "Significant lack of fit",
+    not_determined: "A parameter is not determined by the data", not_converged: "Not converged: results are not valid",
   };
 
-  function render(state) {
-    at("verdict").textContent = VERDICTS[state.verdict] || state.verdict;
-    at("verdict").className = state.verdict;
-    undoable = state.can_undo;
-    at("undo").disabled = !undoable;
-    shown = state.current;
-    const charts = [...state.board.charts];
+  const named = (x) => x.words || x.effect || x.name;
+
+  function drawn() {
+    const wanted = GROUPS[group], own = [...charts, ...fixed].filter((c) => wanted.includes(c.name));
+    return own.sort((a, b) => wanted.indexOf(a.name) - wanted.indexOf(b.name));
+  }
+
+  /* the charts of the chosen tab share the height of the pane */
+  const height = () => {
+    const n = Math.max(1, Math.min(3, drawn().length)), tools = at("board").querySelector(".tools")?.offsetHeight || 60;
+    const heads = [...at("board").querySelectorAll(".panel .head")].slice(0, n).reduce((sum, h) => sum + h.offsetHeight, 0) || 26 * n;
+    return (at("charts").clientHeight - tools - heads - 56) / n - 9;
+  };
+
+  function plot(state) {
+    const here = { intervals: state.board.intervals, charts: drawn() };
     if (!board) {
       at("board").replaceChildren();
-      fixed = charts.filter((c) => c.name === "sigma" || c.name === "centre");
-      board = new Board(at("board"), state.board, { click: (t) => seek(t), interval: (a, b) => stretch(a, b) });
-    } else {
-      board.set({ ...state.board, charts: [...charts, ...fixed] });
-    }
+      board = new Board(at("board"), here, { click: (t) => seek(t), interval: (a, b) => stretch(a, b), height, body: true });
+    } else board.set(here);
+  }
+
+  let last = null, answered = -1;
+
+  function render(state) {
+    last = state;
+    revision = state.revision;
+    at("verdict").textContent = VERDICTS[state.verdict] || state.verdict;
+    at("verdict").className = state.verdict;
+    undoable("laboratory", state);
+    if (state.revision !== answered) at("sentence").textContent = state.verdict === "no_lack_of_fit" ? "The model describes the data within the noise." : "The deviation of the model exceeds the noise in the shaded intervals.";
+    shown = state.current;
+    charts = state.board.charts.filter((c) => !["sigma", "centre"].includes(c.name));
+    const tracking = state.board.charts.filter((c) => ["sigma", "centre"].includes(c.name));
+    if (tracking.length) fixed = tracking;
+    plot(state);
+    misfit = state.misfit;
+    most = Math.max(1.5, ...state.ladder.map((r) => r.misfit || 0));
+    scale(misfit, null);
+    at("measure-list").replaceChildren(...state.measures.flatMap((m) => [element("dt", {}, m.name, element("span", {}, m.value)), element("dd", {}, m.meaning)]));
     at("effects").replaceChildren(...state.effects.map((e) => element("li", {},
-      element("strong", {}, e.name),
+      element("strong", {}, named(e)),
       element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", { "data-name": p.name },
-      element("th", { scope: "row" }, p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
-        element("span", { class: "more" }, p.other ? `fit ${state.compared + 1}: ${p.other}, difference ${format(p.difference_sigma, 2)} \u03c3` : "")), element("td", { class: "slide" }))));
+      element("th", { scope: "row", class: "name-of" }, ...breakable(p.name)), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
+        element("span", { class: "more soft" }, p.other ? ` fit ${state.compared + 1}: ${p.other}${p.difference_u === null ? "" : `; difference ${format(p.difference_u, 2)} u`}` : "")), element("td", { class: "slide" }))));
     sliders = null;
     at("moved").textContent = "";
-    at("from-here").disabled = at("reset").disabled = true;
     board.overlay({});
-    if (at("tuning").open) tune();
-    const largest = Math.max(...state.ladder.map((r) => r.rmse_casing || 0));
+    if (!at("p-sliders").hidden) tune();
     at("ladder").replaceChildren(...state.ladder.map((r) => {
-      const bar = element("span", { class: "bar", "aria-hidden": "true" });
-      bar.style.width = `${Math.max(1, 100 * r.rmse_casing / largest)}%`;
       const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
-      const head = element("th", { scope: "row" }, (r.depth ? "\u2514 " : "") + name, bar,
+      const head = element("th", { scope: "row", class: "name-of" }, r.depth ? "\u2514\u00a0" : "", ...breakable(name),
         element("span", { class: "more" }, [`fit ${r.place + 1}`, r.name, r.note].filter(Boolean).join(": ")));
-      head.style.paddingLeft = `${0.8 * Math.max(0, r.depth - 1)}rem`;
+      head.style.paddingLeft = `${0.7 * Math.max(0, r.depth - 1)}rem`;
       const now = r.place === state.current, leaf = state.ladder.length > 1 && !state.ladder.some((o) => o.parent === r.place);
       const acts = element("td", {});
       if (now) acts.append("shown ");
@@ -78,11 +102,28 @@ const Laboratory = (() => {
       if (!now && r.place === state.compared) acts.append("compared ");
       else if (!now) acts.append(button("compare", `compare with fit ${r.place + 1}`, () => apply("/api/compare", { place: r.place })));
       if (leaf) acts.append(button("delete", `delete fit ${r.place + 1}`, () => apply("/api/delete", { place: r.place })));
-      return element("tr", now ? { class: "now" } : {}, head, element("td", {}, format(r.rmse_casing, 3)),
-        element("td", {}, format(r.reduced_chi2, 3)), element("td", {}, format(r.held_out, 3)),
+      return element("tr", now ? { class: "now" } : {}, head, element("td", {}, times(r.misfit)),
         element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
-    for (const field of ["name", "note"]) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
+    for (const field of ["name", "note"]) if (document.activeElement !== at(field)) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
+    enable();
+  }
+
+  /* --- the one measure of misfit: times the noise, on a logarithmic scale whose end is the worst fit --- */
+
+  const times = (x) => x === null || x === undefined ? "\u2013" : x < 9.95 ? x.toFixed(x < 1.995 ? 2 : 1) : x.toPrecision(x < 99.5 ? 2 : 3);
+
+  function scale(now, then) {
+    const text = element("strong", {}, times(now)), parts = ["Misfit: ", text, " times the noise"];
+    if (then !== null) parts.push(" \u2192 ", element("strong", {}, times(then)));
+    at("misfit").replaceChildren(...parts);
+    const bar = at("misfit-bar"), share = (x) => 100 * Math.min(1, Math.max(0, Math.log(Math.max(x, 0.5) / 0.5) / Math.log(Math.max(most, now || 1) / 0.5)));
+    bar.classList.toggle("good", now < 1.2);
+    bar.querySelector(".limit").style.left = `${share(1)}%`;
+    bar.querySelector(".value").style.width = `${share(now || 0.5)}%`;
+    bar.querySelector(".foreseen").style.width = then === null ? "0" : `${share(then)}%`;
+    bar.querySelector(".foreseen").hidden = then === null;
+    bar.setAttribute("aria-label", `misfit ${times(now)} times the noise${then === null ? "" : `, predicted ${times(then)}`}; the dashed line is the noise limit, 1`);
   }
 
   /* --- parameters changed by sliders: predicted residuals, first linearised, then exact --- */
@@ -100,18 +141,22 @@ const Laboratory = (() => {
       p.now = p.value;
       const cell = rows.get(p.name);
       if (!cell || !(p.high > p.low)) return;
-      const input = element("input", { type: "range", min: "0", max: "1000", step: "1", "aria-label": `move ${p.name}`, "data-place": String(k) });
+      // in steps of a tenth of u, from the fitted value; the ends are 5 u away, or at a bound of the parameter
+      const u = p.u || (p.high - p.low) / 10, low = (p.low - p.value) / u, high = (p.high - p.value) / u;
+      const input = element("input", { type: "range", min: String(low), max: String(high), step: "any", "aria-label": `move ${p.name}`, "data-place": String(k) });
       const text = element("span", { class: "soft" });
-      const middle = 1000 * (p.value - p.low) / (p.high - p.low);
-      input.value = String(middle);
-      input.setAttribute("aria-valuetext", format(p.value));
+      input.value = "0";
+      const label = (z) => `${z > 0 ? "+" : z < 0 ? "\u2212" : ""}${Math.abs(z).toFixed(1)} u`;
+      input.setAttribute("aria-valuetext", label(0));
       input.addEventListener("input", () => {
-        p.now = Math.abs(Number(input.value) - middle) < 1 ? p.value : p.low + Number(input.value) / 1000 * (p.high - p.low);
-        text.textContent = `${format(p.now)} ${p.unit === "1" ? "" : p.unit}`;
+        const z = Math.abs(Number(input.value)) < 0.05 ? 0 : Number(input.value);
+        p.now = z === 0 ? p.value : Math.min(p.high, Math.max(p.low, p.value + z * u));
+        text.textContent = `${label(z)}: ${uncertain(p.now, p.u)} ${p.unit === "1" ? "" : Charts.unit(p.unit)}`;
         input.setAttribute("aria-valuetext", text.textContent);
         move();
       });
-      cell.replaceChildren(input, text);
+      const end = (z) => element("span", {}, p.u ? label(z) : uncertain(p.value + z * u, null));
+      cell.replaceChildren(input, element("span", { class: "axis", "aria-hidden": "true" }, end(low), end(high)), text);
     });
   }
 
@@ -130,8 +175,8 @@ const Laboratory = (() => {
 
   function move() {
     const changed = sliders.parameters.map((p, k) => [p.now - p.value, k]).filter(([d]) => d !== 0);
-    at("from-here").disabled = at("reset").disabled = changed.length === 0;
-    if (!changed.length) { waiting = null; board.overlay({}); at("moved").textContent = ""; return; }
+    at("from-here").disabled = at("reset").disabled = working || changed.length === 0;
+    if (!changed.length) { waiting = null; board.overlay({}); scale(misfit, null); at("moved").textContent = ""; return; }
     const linear = sliders.value.map((run, r) => run.map((v, i) => changed.reduce((sum, [d, k]) => sum + d * sliders.slope[r][k][i], v)));
     draw(linear);
     at("board").dataset.overlay = "linear";
@@ -145,36 +190,105 @@ const Laboratory = (() => {
     const mine = sliders, values = waiting;
     waiting = null;
     try {
-      const found = await ask("/api/moved", { values });
+      const answer = await ask("/api/moved", { values });
       if (mine === sliders && !waiting) {
-        draw(found.value);
+        draw(answer.value);
         at("board").dataset.overlay = "exact";
-        at("moved").textContent = `changed parameters: rms residual ${format(found.rms, 3)} \u03c3, \u03c7\u00b2/n ${format(found.reduced_chi2, 3)}`;
+        scale(misfit, answer.misfit);
+        at("moved").textContent = `With these values the misfit is ${times(answer.misfit)} times the noise.`;
       }
     } catch (error) { complain(error); }
     asking = false;
     exact();
   }
 
+  /* --- candidates --- */
+
+  let predicted = {}, hovered = null;
+
   /* predicted residual with an added candidate, before it is fitted */
-  async function predict(name) {
-    const p = predicted[name];
+  async function predict(c) {
+    const p = predicted[c.effect];
     if (!p) return;
+    hovered = c.effect;
+    scale(misfit, p.misfit);
+    at("foreseen").textContent = `With ${named(c)}, before the fit${p.torque ? "" : ", to first order"}; dashed in the charts.`;
     if (!sliders) await tune();
-    if (!sliders) return;
+    if (!sliders || hovered !== c.effect) return;
     const t = p.torque, line = (x, value) => [{ x, value, colour: MOVED }];
     draw(p.value, t ? { "torque-casing": line(t.time, t.casing), "torque-rotor": line(t.time, t.rotor), "torque-speed": line(t.omega_c, t.casing) } : {});
-    at("board").dataset.overlay = name;
-    at("foreseen").textContent = `${name}: rms residual ${format(predictedBase, 3)} \u03c3 \u2192 ${format(p.rms, 3)} \u03c3${t ? "" : " (to first order)"}, dashed in the charts`;
+    at("board").dataset.overlay = c.effect;
   }
 
   function hidePrediction() {
+    hovered = null;
     at("foreseen").textContent = "";
+    scale(misfit, null);
+    if (!board) return;
     delete at("board").dataset.overlay;
     if (sliders && sliders.parameters.some((p) => p.now !== p.value)) move(); else board.overlay({});
   }
 
-  let predicted = {}, predictedBase = NaN;
+  /* a picture of what a candidate does: its torque (coloured) over the unmodelled torque (grey) */
+  function sketch(c, measured) {
+    const t = predicted[c.effect]?.torque;
+    if (!t) return null;
+    const W = 116, H = 58, size = (v) => Math.max(...v.map(Math.abs)), body = size(t.casing) >= size(t.rotor) ? "casing" : "rotor", value = t[body];
+    const m = measured.find((x) => x.body === body), low = Math.min(0, ...value), high = Math.max(0, ...value), x0 = t.time[0], x1 = t.time[t.time.length - 1];
+    const make = (name, values) => { const e = document.createElementNS("http://www.w3.org/2000/svg", name); for (const [k, v] of Object.entries(values)) e.setAttribute(k, v); return e; };
+    const room = 0.25 * (high - low) || 1, top = high + room, bottom = low - room;
+    const points = (x, y) => x.map((a, i) => `${(W * (a - x0) / (x1 - x0 || 1)).toFixed(1)},${(H - H * (Math.min(top, Math.max(bottom, y[i])) - bottom) / (top - bottom)).toFixed(1)}`).join(" ");
+    const svg = make("svg", { viewBox: `0 0 ${W} ${H}`, width: W, height: H, role: "img", "aria-label": `torque of ${named(c)} on the ${body} against time, over the unmodelled torque` });
+    svg.append(make("rect", { width: W, height: H, fill: "var(--raised)", rx: 3 }), make("polyline", { points: points([x0, x1], [0, 0]), stroke: "var(--edge)", "stroke-width": 1, "stroke-dasharray": "2 3", fill: "none" }));
+    if (m) svg.append(make("polyline", { points: points(m.time, m.torque_Nm), stroke: "var(--soft)", "stroke-width": 3, "stroke-opacity": 0.45, fill: "none" }));
+    svg.append(make("polyline", { points: points(t.time, value), stroke: "var(--focus)", "stroke-width": 2, fill: "none" }));
+    return svg;
+  }
+
+  // faults of the recording, which no torque of a model describes
+  const FAULTS = { "camera.slip": "Corrected by the fit.", "camera.start": "State the starts: import --start-u." };
+
+  function card(c, next, measured, experiment) {
+    const p = predicted[c.effect], fault = FAULTS[c.effect] || (free.has(c.effect) ? "Always fitted." : "");
+    const out = element("li", { class: c.significant ? "card" : "card pale", "data-effect": c.effect });
+    const alike = c.indistinguishable_from, law = c.law || laws.get(c.effect) || c.effect;
+    const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(c.effect))] : []),
+      ...(c.values || []).slice(0, 2).map((v) => element("p", {}, v)));
+    const row = element("div", { class: "row" }, left), picture = sketch(c, measured);
+    if (picture) row.append(picture);
+    out.append(row, element("p", {}, element("code", {}, ...breakable(law))));
+    if (p && p.share !== null) {
+      const bar = element("span", {});
+      bar.style.width = `${100 * p.share}%`;
+      out.append(element("div", { class: "share", "aria-hidden": "true" }, bar), element("p", {}, `Accounts for ${share(p.share)} of the misfit: ${times(found.base_misfit)} \u2192 ${times(p.misfit)} times the noise.`));
+    }
+    if (c.kind === "measurement") out.append(element("p", { class: "soft" }, "An artefact of the measurement, not of the motion."));
+    if (!c.significant) out.append(element("p", { class: "soft" }, "Not significant."));
+    if (alike.length) out.append(element("p", { class: "soft" }, `These data cannot distinguish it from ${alike.map((e) => named(byName.get(e) || { effect: e })).join(", ")}.`));
+    const why = element("details", {}, element("summary", { "aria-label": `why ${c.effect}` }, "Why, and what would contradict it"), element("dl", {},
+      element("dt", {}, "Why it fits"), element("dd", {}, `Its signature: ${c.fits || "none is stated"}. False-alarm probability of such an improvement: ${c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)}.`),
+      element("dt", {}, "What would contradict it"), element("dd", {}, c.contradiction || "Another value in a repeated run."),
+      element("dt", {}, "What separates it from the next"), element("dd", {}, separates(c, next, experiment))));
+    const fit = fault ? element("span", { class: "soft" }, fault) : button("Fit", `add ${c.effect}`, () => change({ add: c.effect }));
+    if (!fault) fit.className = "fit";
+    out.append(element("div", { class: "foot" }, fit, why));
+    if (fault) return out;
+    for (const name of ["mouseenter", "focusin"]) out.addEventListener(name, () => predict(c));
+    for (const name of ["mouseleave", "focusout"]) out.addEventListener(name, (event) => { if (!out.contains(event.relatedTarget)) hidePrediction(); });
+    out.addEventListener("click", (event) => { if (!event.target.closest("details, button, a") && !working && !String(getSelection())) change({ add: c.effect }); });
+    return out;
+  }
+
+  let byName = new Map();
+  const share = (x) => x > 0.995 && x < 1 ? `${(Math.min(0.9999, x) * 100).toFixed(2)} %` : `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} %`;
+
+  function separates(c, next, experiment) {
+    if (!next) return "There is no other candidate.";
+    if (c.indistinguishable_from.includes(next.effect)) return experiment || "Nothing in these data. Plan the next run below.";
+    const a = predicted[c.effect], b = predicted[next.effect];
+    const better = c.score - next.score;
+    return `${a && b ? `These data: with ${named(next)} the misfit stays at ${times(b.misfit)} times the noise. ` : ""}Difference of the improvements of \u03c7\u00b2: ${format(better, 3)}.`;
+  }
 
   /* change the tree of fits or the view; search again if another fit is shown */
   async function apply(path, body) {
@@ -185,9 +299,10 @@ const Laboratory = (() => {
   }
 
   async function change(request) {
-    const began = performance.now(), state = await act(() => ask("/api/change", request), lastFit);
+    hidePrediction();
+    const state = await act(() => ask("/api/change", request));
+    busy("fit", null);
     if (!state) return false;
-    lastFit = (performance.now() - began) / 1000;
     render(state);
     search();
     return true;
@@ -197,128 +312,147 @@ const Laboratory = (() => {
 
   async function search() {
     const mine = ++searches;
-    at("searching").textContent = "Testing candidate effects \u2026";
+    at("searching").textContent = "Testing all candidate effects \u2026";
     at("ranking").replaceChildren();
-    at("sentence").textContent = "";
     at("foreseen").textContent = "";
+    at("next-experiment").textContent = "";
+    at("more").hidden = true;
     predicted = {};
-    let found = null, trouble = null;
-    try { found = await ask("/api/rank", {}); } catch (error) { trouble = error; }
+    let answer = null, trouble = null;
+    try { answer = await ask("/api/rank", {}); } catch (error) { trouble = error; }
     if (mine !== searches) return;
-    if (trouble || found.error) {
-      at("searching").textContent = trouble ? trouble.message : sentence(found.error.message);
+    busy("search", null);
+    if (trouble || answer.error) {
+      at("searching").replaceChildren(trouble ? trouble.message : sentence(answer.error.message), " ", button("Test again", "test the candidate effects again", search));
       return;
     }
-    const shown = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
-    at("searching").textContent = shown.length ? "" : "No candidate effect has a positive score.";
-    at("sentence").replaceChildren(explained(found.diagnosis.sentence));
+    found = answer;
+    answered = revision;
     predicted = found.predicted || {};
-    predictedBase = found.base_rms ?? NaN;
-    // faults of the recording, which no torque of a model describes
-    const faults = { "camera.slip": "corrected by the fit", "camera.start": "state the starts: import --start-u" };
-    const row = (c, tr) => {
-      if (c.effect in faults) return tr;
-      for (const [name, work] of [["mouseenter", () => predict(c.effect)], ["focusin", () => predict(c.effect)], ["mouseleave", hidePrediction], ["focusout", hidePrediction]]) tr.addEventListener(name, work);
-      return tr;
-    };
-    at("ranking").replaceChildren(...shown.map((c) => row(c, element("tr", c.significant ? {} : { class: "pale" },
-      element("th", { scope: "row", title: laws.get(c.effect) || c.effect }, c.effect, element("span", { class: "more" }, [
-        ...(c.kind === "measurement" ? ["artefact"] : []),
-        ...(c.indistinguishable_from.length ? [`indistinguishable from ${c.indistinguishable_from.join(", ")}`] : []),
-      ].join("; "))),
-      element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),
-      element("td", {}, c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)),
-      element("td", {}, c.effect in faults ? faults[c.effect] : free.has(c.effect) ? "always fitted"
-        : button("add", `add ${c.effect}`, () => change({ add: c.effect })))))));
+    const listed = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
+    byName = new Map(found.diagnosis.candidates.map((c) => [c.effect, c]));
+    at("searching").textContent = listed.length ? listed.some((c) => c.significant) ? "Point at one to see its effect; a click fits it." : "None is significant: nothing is missing that these data could show." : "No candidate effect improves the fit.";
+    at("sentence").replaceChildren(explained(found.diagnosis.sentence));
+    at("next-experiment").textContent = found.diagnosis.next_experiment;
+    const measured = found.diagnosis.residual_torque || [];
+    at("ranking").replaceChildren(...listed.map((c, n) => card(c, listed[n + 1], measured, found.diagnosis.next_experiment)));
+    all = false;
+    fold();
+    enable();
   }
 
-  /* frames */
-
-  function choose(key) {
-    clip = clips.find((c) => c.key === key) || null;
-    if (!clip) return;
-    at("clip").value = key;
-    at("seek").max = clip.frames - 1;
-    show(Math.min(index, clip.frames - 1));
+  function fold() {
+    [...at("ranking").children].forEach((c, n) => { c.hidden = !all && n >= FEW; });
+    at("more").hidden = all || at("ranking").children.length <= FEW;
   }
 
-  function timeOf(i) { return clip.start + (clip.stop - clip.start) * (clip.frames > 1 ? i / (clip.frames - 1) : 0); }
+  /* --- certificate and next run: processes of the server, which go on if the page is closed --- */
 
-  function frameAt(c, t) { return Math.round((t - c.start) / Math.max(1e-9, c.stop - c.start) * (c.frames - 1)); }
+  const outcomes = { certificate: null, plan: null };
 
-  async function show(i) {
-    index = Math.min(Math.max(0, i), clip.frames - 1);
-    const wanted = index, key = clip.key;
-    at("seek").value = index;
-    at("where").textContent = `frame ${index}, ${timeOf(index).toFixed(3)} s`;
-    if (board) board.setCursor(timeOf(index));
-    try {
-      const overlay = at("overlay").checked ? 1 : 0;
-      const path = `/api/frame?clip=${encodeURIComponent(key)}&index=${wanted}&overlay=${overlay}`;
-      const picture = await createImageBitmap(await ask(path));
-      if (wanted !== index || key !== clip.key) return;
-      const canvas = at("frame");
-      canvas.width = picture.width;
-      canvas.height = picture.height;
-      canvas.getContext("2d").drawImage(picture, 0, 0);
-      canvas.setAttribute("aria-label", `frame ${index} of ${clip.source} at ${timeOf(index).toFixed(3)} s`);
-      canvas.dataset.shown = `${key}:${index}`;
-    } catch (error) {
-      playing = false;
-      complain(error);
-    }
+  async function outcome(name) {
+    let state = null;
+    try { state = await ask(`/api/outcome?key=${name}`); } catch { return; }
+    const running = state.state === "running" || state.state === "waiting";
+    outcomes[name] = running ? state : null;
+    at(name === "plan" ? "plan" : "certify").disabled = running;
+    at(`cancel-${name}`).hidden = !running;
+    const line = at(name === "plan" ? "plan-state" : "certificate-state");
+    line.textContent = running ? progressText(name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "computing the next run" : state.label || "simulating recordings")
+      : state.state === "failed" ? sentence(state.message) : state.state === "cancelled" ? (name === "plan" ? "Cancelled." : "Cancelled; the next test continues from here.") : "";
+    line.classList.toggle("fault", state.state === "failed");
+    if (running) busy(name, name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "planning" : "testing the answer", () => act(() => ask("/api/cancel", { key: name })).then(() => outcome(name)));
+    else busy(name, null);
+    if (name === "certificate") certificate(state.document); else protocol(state.document);
+  }
+
+  function certificate(d) {
+    const box = at("certificate");
+    box.hidden = !d || !d.sentence;
+    if (box.hidden) return;
+    const rows = [["without the named effect: false alarms", `${d.null.alarms} of ${d.null.n}`, `rate ${d.null.interval.map((x) => (100 * x).toFixed(1)).join(" to ")} %`]];
+    if (d.truth) rows.push(["with it: named first", `${Math.round(100 * d.truth.right_first)} %`, `of ${d.truth.n}; in its class ${Math.round(100 * d.truth.in_class)} %`],
+      ["its intervals contain the true values", Object.values(d.truth.coverage).length ? `${Math.round(100 * Object.values(d.truth.coverage).reduce((a, b) => a + b, 0) / Object.values(d.truth.coverage).length)} %` : "\u2013", "mean of all parameters"]);
+    for (const r of d.rivals) rows.push([`if ${r.effect} were true: named`, Object.entries(r.named_as).map(([e, n]) => `${e || "none"} ${n}\u00d7`).join(", ") || "none", ""]);
+    box.replaceChildren(element("p", {}, sentence(d.sentence)), element("div", { class: "wide", tabindex: "0", role: "group", "aria-label": "table of the test" }, element("table", {},
+      element("thead", {}, element("tr", {}, ...["simulated recordings", "result", ""].map((t) => t ? element("th", { scope: "col" }, t) : element("td", {})))),
+      element("tbody", {}, ...rows.map(([a, b, c]) => element("tr", {}, element("th", { scope: "row" }, a), element("td", {}, b), element("td", {}, c)))))));
+  }
+
+  function protocol(d) {
+    const box = at("protocol"), r = d?.next_run;
+    box.hidden = !d || !("next_run" in d);
+    if (box.hidden) return;
+    if (!r) { box.replaceChildren(element("p", {}, d.warning || "No further run within the bounds would teach more.")); return; }
+    const n = (x) => format(x, 3), windows = r.windows.map((t, k) => `rotor film ${k + 1} at ${n(t)} s`).join(", ");
+    box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence)),
+      element("ol", {}, ...[
+        `Set up ${r.inertia_casing_ratio === 1 ? "the same casing" : `a casing with ${n(r.inertia_casing_ratio)} times the moment of inertia`} on ${r.touchpoint_ratio === 1 ? "the same surface" : `a surface with ${n(r.touchpoint_ratio)} times the friction`}; cameras as before, exposure and focus locked.`,
+        `Spin the rotor up to ${n(r.omega_rotor)} rad/s (${n(r.omega_rotor * 30 / Math.PI)} rpm), with the casing at ${n(r.omega_casing)} rad/s (${n(r.omega_casing * 30 / Math.PI)} rpm).`,
+        `Start the casing camera, then release. Film the casing for ${n(r.duration)} s.`,
+        windows ? `Film the rotor for ${n(r.window_length)} s each: ${windows} after the release.` : "No film of the rotor is needed.",
+        "Name the files with body and capture rate, for example run2_casing_260fps.mp4 and run2_rotor_1_1000fps.mp4; then drop them on the page From film.",
+      ].map((t) => element("li", {}, t))),
+      element("table", {}, element("tbody", {}, ...[["Date, operator", ""], ["Temperature [\u00b0C]", ""], ["Measured initial speeds [rad/s]", ""], ["Remarks", ""]].map(([a, b]) => element("tr", {}, element("th", { scope: "row" }, a), element("td", {}, b))))),
+      button("Print the protocol", "print the protocol", () => window.print()));
+  }
+
+  /* --- frames --- */
+
+  const timeOf = (n) => clip ? clip.start + (clip.stop - clip.start) * (clip.frames > 1 ? n / (clip.frames - 1) : 0) : NaN;
+  const frameAt = (c, t) => Math.round((t - c.start) / Math.max(1e-9, c.stop - c.start) * (c.frames - 1));
+
+  const film = new FilmView(at("film"), {
+    key: () => clip?.key,
+    label: (n) => `frame ${n} of ${clip.source} at ${timeOf(n).toFixed(3)} s`,
+    time: timeOf,
+    rate: () => clip.rate,
+    visible: () => document.body.dataset.part === "laboratory" && !document.hidden,
+    shown: (n) => board?.setCursor(timeOf(n)),
+    async picture(n) {
+      const image = await createImageBitmap(await ask(`/api/frame?clip=${encodeURIComponent(clip.key)}&index=${n}&overlay=0`));
+      return { image, size: clip.width && clip.height ? [clip.width, clip.height] : [image.width, image.height] };
+    },
+    marks: (n) => ask(`/api/marks?clip=${encodeURIComponent(clip.key)}&index=${n}`),
+    picked: ([x, y]) => { if (!at("picker").open || at("p-more").hidden || !clip) return; pick(x / film.size[0], y / film.size[1]); },
+  });
+  at("legend-frame").append(...FilmView.legend());
+
+  function choose(name, index = 0) {
+    clip = clips.find((c) => c.key === name) || null;
+    if (!clip) return Promise.resolve();
+    at("clip").value = name;
+    return film.open(clip.frames, Math.min(index, clip.frames - 1), clip.width && clip.height ? [clip.width, clip.height] : null);
   }
 
   function seek(t) {
     const inside = clips.filter((c) => c.found && t >= c.start && t <= c.stop);
     const best = inside.find((c) => clip && c.key === clip.key) || inside[0];
-    if (!best) return;
-    stop();
-    index = frameAt(best, t);
-    choose(best.key);
+    if (!best) return Promise.resolve();
+    film.stop();
+    return best === clip ? film.show(frameAt(best, t)) : choose(best.key, frameAt(best, t));
   }
 
   async function stretch(from, to) {
-    seek(Math.max(from, Math.min(...clips.map((c) => c.start))));
-    if (!clip || !clip.found) return;
-    play(frameAt(clip, to));
-  }
-
-  function stop() { playing = false; at("play").textContent = "Play"; }
-
-  /* every frame, or at a fraction of real time with frames skipped */
-  async function play(end) {
-    until = Math.min(end, clip.frames - 1);
-    if (playing) return;
-    playing = true;
-    at("play").textContent = "Pause";
-    const first = index, start = performance.now();
-    while (playing && index < until) {
-      const began = performance.now(), speed = Number(at("speed").value);
-      const next = speed ? first + Math.floor((began - start) / 1000 * clip.rate * speed) : index + 1;
-      if (next > index) await show(Math.min(next, until));
-      await new Promise((done) => setTimeout(done, Math.max(speed ? 5 : 0, (speed ? 15 : 40) - (performance.now() - began))));
-    }
-    stop();
+    if (!clips.some((c) => c.found)) return;
+    await seek(Math.max(from, Math.min(...clips.filter((c) => c.found).map((c) => c.start))));
+    if (clip) film.play(Math.min(clip.frames - 1, frameAt(clip, to)));
   }
 
   function pick(x, y) {
     act(async () => {
-      const body = { clip: clip.key, index, x, y };
-      const found = await ask("/api/colour", body);
+      const answer = await ask("/api/colour", { clip: clip.key, index: film.index, x, y });
       const swatch = element("span", { class: "swatch", "aria-hidden": "true" });
-      swatch.style.background = `rgb(${found.rgb.map(Number).join(",")})`;
+      swatch.style.background = `rgb(${answer.rgb.map(Number).join(",")})`;
       const n = at("picked").children.length + 1;
       const name = element("input", { type: "text", size: 8, "aria-label": `name of marker ${n}` });
-      name.value = found.colour || `marker${n}`;
+      name.value = answer.colour || `marker${n}`;
       const select = (label, values, value) => {
         const out = element("select", { "aria-label": label }, ...values.map((v) => element("option", { value: v }, v)));
         if (value) out.value = value;
         return out;
       };
-      const colour = select(`colour of marker ${n}`, COLOURS, found.colour);
-      const on = select(`body of marker ${n}`, BODIES);
-      const row = element("li", {}, swatch, name, colour, on);
+      const row = element("li", {}, swatch, name, select(`colour of marker ${n}`, COLOURS, answer.colour), select(`body of marker ${n}`, BODIES));
       row.append(button("remove", `remove marker ${n}`, () => row.remove()));
       at("picked").append(row);
     });
@@ -330,21 +464,23 @@ const Laboratory = (() => {
         const [colour, body] = row.querySelectorAll("select");
         return { name: row.querySelector("input").value, colour: colour.value, body: body.value };
       });
-      const found = await ask("/api/profile", { name: "picked", centre: at("centre").value, marker });
-      at("toml").textContent = found.toml;
+      const answer = await ask("/api/profile", { name: "picked", centre: at("centre").value, marker });
+      at("toml").textContent = answer.toml;
       at("toml").hidden = false;
       if (at("download").href) URL.revokeObjectURL(at("download").href);
-      at("download").href = URL.createObjectURL(new Blob([found.toml], { type: "application/toml" }));
+      at("download").href = URL.createObjectURL(new Blob([answer.toml], { type: "application/toml" }));
       at("download").hidden = false;
     });
   }
 
-  /* show the case that the server has opened */
+  /* show the case that the server has opened; with the same case the page stays as it is */
   async function start() {
-    stop();
-    board = null; clips = []; clip = null; index = 0;
     const state = await act(() => ask("/api/state"));
     if (!state) return;
+    if (state.key === key && board) { if (state.revision !== revision) { const before = shown; render(state); if (shown !== before) search(); } return; }
+    key = state.key;
+    film.stop();
+    board = null; clips = []; clip = null;
     at("title").textContent = state.label;
     document.title = `gyrotrack: ${state.label}`;
     at("library").replaceChildren(...state.library.map((e) => element("option", { value: e.name }, `${e.joint}: ${e.law}`)));
@@ -352,20 +488,45 @@ const Laboratory = (() => {
     free = new Set(state.library.filter((e) => e.free).map((e) => e.name));
     clips = state.clips;
     render(state);
-    const found = clips.filter((c) => c.found);
-    at("nofilm").hidden = found.length > 0;
-    at("player").hidden = found.length === 0;
-    at("clip").replaceChildren(...found.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
-    if (found.length) choose(found[0].key);
+    const known = clips.filter((c) => c.found);
+    at("nofilm").hidden = known.length > 0;
+    at("player").hidden = known.length === 0;
+    at("clip").replaceChildren(...known.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
+    if (known.length) choose(known[0].key);
     search();
+    outcome("certificate");
+    outcome("plan");
     at("command-report").textContent = (await ask("/api/report")).command;
   }
 
-  at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
-  at("form").addEventListener("submit", async (event) => {
-    event.preventDefault();
-    if (await change({ add: at("effect").value })) at("effect").value = "";
+  /* what other tabs and processes have changed */
+  async function follow() {
+    try {
+      const state = await ask("/api/state");
+      if (state.key !== key) { start(); return; }
+      const before = shown;
+      render(state);
+      if (shown !== before) search();
+    } catch (error) { complain(error); }
+  }
+
+  let spent = NaN;
+  Page.listen((news) => {
+    const lab = news.laboratory;
+    if (!lab || document.body.dataset.part !== "laboratory") return false;
+    busy("fit", lab.fit?.label ? lab.fit : null, `fitting ${lab.fit?.label || ""}`, async () => { await ask("/api/cancel_fit", {}); busy("fit", null); });
+    const searching = lab.search?.seconds !== undefined;
+    if (searching) {
+      const job = { ...lab.search, expected: lab.search.expected || 12 };
+      busy("search", job, "testing candidate effects", async () => { await ask("/api/cancel_rank", {}); busy("search", null); });
+    } else busy("search", null);
+    if (lab.search?.expected) spent = lab.search.expected;
+    const jobs = Object.keys(lab.jobs);
+    for (const name of ["certificate", "plan"]) if (jobs.includes(name) || outcomes[name]) outcome(name);
+    if (key && !working && (lab.key !== key || lab.revision !== revision)) { revision = lab.revision; follow(); }
+    return Boolean(jobs.length || searching || lab.fit?.label);
   });
+
   /* save the current fit, then write the report in a process */
   async function report() {
     const state = await act(() => ask("/api/keep", {}));
@@ -373,59 +534,75 @@ const Laboratory = (() => {
     render(state);
     const begin = at("write-report");
     try {
-      let found = await ask("/api/write_report", {});
-      at("command-report").textContent = found.command;
+      let answer = await ask("/api/write_report", {});
+      at("command-report").textContent = answer.command;
       at("open-report").hidden = true;
-      while (found.state === "waiting" || found.state === "running") {
+      while (answer.state === "waiting" || answer.state === "running") {
         begin.disabled = true;
-        at("report-state").textContent = `writing \u2026 ${Math.round(found.seconds || 0)} s (about 10 s)`;
+        at("report-state").textContent = progressText({ ...answer, expected: 15 }, "writing");
         await new Promise((done) => setTimeout(done, 400));
-        found = await ask("/api/report");
+        answer = await ask("/api/report");
       }
-      at("report-state").textContent = found.state === "done" ? found.name : found.message || found.state;
-      at("open-report").hidden = found.state !== "done";
+      at("report-state").textContent = answer.state === "done" ? answer.name : answer.message || answer.state;
+      at("open-report").hidden = answer.state !== "done";
     } catch (error) { complain(error); }
     begin.disabled = false;
   }
 
+  at("glossary").replaceChildren(...GLOSSARY.flatMap(([term, text]) => [element("dt", {}, term), element("dd", {}, text)]));
+  at("form").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    if (await change({ add: at("effect").value })) at("effect").value = "";
+  });
+  const chooseCharts = tabs(at("charts"), (name) => {
+    group = name;
+    at("board").setAttribute("aria-labelledby", `t-${name}`);
+    if (last) plot(last);
+  });
+  const chooseBelow = tabs(at("below"), (name) => { if (name === "sliders" && !sliders && last) tune(); });
+  chooseCharts("motion");
+  chooseBelow("fits");
+  at("more").addEventListener("click", () => { all = true; fold(); });
+  at("certify").addEventListener("click", () => act(() => ask("/api/certify", { count: Number(at("count").value) })).then(() => outcome("certificate")));
+  at("cancel-certificate").addEventListener("click", () => act(() => ask("/api/cancel", { key: "certificate" })).then(() => outcome("certificate")));
+  at("plan").addEventListener("click", () => act(() => ask("/api/plan", {})).then(() => outcome("plan")));
+  at("cancel-plan").addEventListener("click", () => act(() => ask("/api/cancel", { key: "plan" })).then(() => outcome("plan")));
+  at("count").addEventListener("change", estimate);
+  function estimate() { at("certify-time").textContent = Number.isFinite(spent) ? `about ${duration(2.75 * Number(at("count").value) * spent * 0.35)}` : ""; }
+  at("trust").addEventListener("mouseenter", estimate);
+  at("trust").addEventListener("focusin", estimate);
   at("write-report").addEventListener("click", report);
   at("keep").addEventListener("click", () => apply("/api/keep", {}));
-  at("undo").addEventListener("click", () => apply("/api/undo", {}));
-  at("tuning").addEventListener("toggle", () => { if (at("tuning").open && !sliders) tune(); });
-  at("reset").addEventListener("click", () => { for (const input of document.querySelectorAll("#parameters input")) { const p = sliders.parameters[Number(input.dataset.place)]; input.value = String(1000 * (p.value - p.low) / (p.high - p.low)); input.nextSibling.textContent = ""; p.now = p.value; } move(); });
+  at("reset").addEventListener("click", () => {
+    for (const input of document.querySelectorAll("#parameters input")) { const p = sliders.parameters[Number(input.dataset.place)]; input.value = "0"; input.parentElement.lastChild.textContent = ""; p.now = p.value; }
+    move();
+  });
   at("from-here").addEventListener("click", () => change({ values: Object.fromEntries(sliders.parameters.filter((p) => p.now !== p.value).map((p) => [p.name, p.now])) }));
   for (const field of ["name", "note"]) at(field).addEventListener("change", () => apply("/api/note", { place: shown, name: at("name").value, note: at("note").value }));
   document.addEventListener("keydown", (event) => {
     if (document.body.dataset.part !== "laboratory") return;
     const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), select, textarea");
-    if ((event.ctrlKey || event.metaKey) && event.key === "z" && !typing) { event.preventDefault(); if (undoable) apply("/api/undo", {}); return; }
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-    const film = clip && clip.found, acts = {
+    const ready = clip && clip.found, acts = {
       "/": () => at("effect").focus(),
-      ",": () => film && (stop(), show(index - 1)),
-      ".": () => film && (stop(), show(index + 1)),
+      c: () => at("ranking").querySelector(".fit")?.focus(),
+      ",": () => ready && film.step(-1),
+      ".": () => ready && film.step(1),
     };
-    if (event.key === " " && film && !event.target.closest("button, summary, a, input")) { event.preventDefault(); at("play").click(); }
+    if (event.key === " " && ready && !event.target.closest("button, summary, a, input")) { event.preventDefault(); at("play").click(); }
     else if (acts[event.key]) { event.preventDefault(); acts[event.key](); }
   });
-  at("clip").addEventListener("change", () => { stop(); index = 0; choose(at("clip").value); });
-  at("seek").addEventListener("input", () => { stop(); show(Number(at("seek").value)); });
-  at("overlay").addEventListener("change", () => show(index));
-  at("play").addEventListener("click", () => { if (playing) stop(); else play(clip.frames - 1); });
-  at("frame").addEventListener("click", (event) => {
-    if (!at("picker").open || !clip) return;
-    const box = at("frame").getBoundingClientRect();
-    pick((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
-  });
+  at("clip").addEventListener("change", () => choose(at("clip").value));
   at("profile").addEventListener("click", profile);
   at("quit").addEventListener("click", async () => {
-    stop();
+    film.stop();
     searches++;
     if (await act(() => ask("/api/quit", {}))) {
+      Page.end();
       document.body.dispatchEvent(new Event("ended"));
       document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. Close this page.")));
     }
   });
   if (document.body.dataset.case !== undefined) start();
-  return { start };
+  return { start, stop: () => film.stop(), undo: () => apply("/api/undo", {}), redo: () => apply("/api/redo", {}) };
 })();

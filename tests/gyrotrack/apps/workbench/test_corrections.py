@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import UsageError
-from gyrotrack.apps.workbench._films import CLICK_SIGMA, copy_excerpt, corrected
+from gyrotrack.apps.workbench._corrections import (
+    CLICK_SIGMA,
+    JUMP,
+    corrected,
+    corrections,
+    jump,
+    without_correction,
+)
+from gyrotrack.apps.workbench._films import copy_excerpt
 from gyrotrack.io._hdf5 import read_recording, write_recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
@@ -69,3 +77,58 @@ def test_a_marker_that_is_not_visible_leaves_the_body_without_an_angle(recording
     for frame, marker, place in ((999, "red", None), (7, "pink", None), (7, "red", recording.centre[7])):
         with pytest.raises(UsageError):
             corrected(recording, marker, frame, place)
+
+
+def test_a_deleted_correction_leaves_the_frame_as_it_was_tracked(recording, tmp_path):
+    k = 60
+    once = corrected(recording, "blue", k, _place(recording, "blue", k) + [20, 5])
+    twice = corrected(once, "blue", k, _place(recording, "blue", k) - [20, 5])
+    both = corrected(twice, "green", k, _place(recording, "green", k) + [3, 3])
+    write_recording(tmp_path / "r.h5", both, command="test", settings={})
+    stored = read_recording(tmp_path / "r.h5")
+    assert [(c["marker"], c["frame"]) for c in corrections(stored)] == [("blue", k), ("green", k)]
+    only_blue = without_correction(stored, "green", k)
+    # the angle of the body is again that of the remaining correction
+    assert only_blue.bodies["rotor"].angle[k] == pytest.approx(twice.bodies["rotor"].angle[k], abs=1e-9)
+    back = without_correction(only_blue, "blue", k)
+    assert corrections(back) == []
+    assert back.warnings == recording.warnings
+    for name in ("angle", "sigma", "sigma_paper", "n_markers", "omega"):
+        found, expected = (getattr(r.bodies["rotor"], name) for r in (back, recording))
+        assert np.allclose(found, expected, equal_nan=True, atol=1e-12)
+    for marker in ("blue", "green"):
+        for name in ("corner", "rho", "angle_fine", "sigma_calibrated", "status"):
+            found, expected = (getattr(r.markers[marker], name)[k] for r in (back, recording))
+            assert np.allclose(found, expected, equal_nan=True)
+    with pytest.raises(UsageError, match="no such correction"):
+        without_correction(back, "blue", k)
+
+
+def test_a_correction_of_an_earlier_version_is_not_deleted_without_its_content(recording):
+    found = corrected(recording, "red", 7, None)
+    for note in found.extra["corrections"]:
+        del note["previous"]
+    with pytest.raises(UsageError, match="earlier version"):
+        without_correction(found, "red", 7)
+
+
+@pytest.mark.parametrize("turn", [130.0, -130.0, 180.0])
+def test_a_click_far_from_the_neighbouring_frames_is_doubted(recording, turn):
+    k, angle = 80, np.radians(turn)
+    x, y = _place(recording, "blue", k) - recording.centre[k]
+    moved = recording.centre[k] + [x * np.cos(angle) + y * np.sin(angle), -x * np.sin(angle) + y * np.cos(angle)]
+    assert np.degrees(abs(jump(recording, "blue", k, moved))) == pytest.approx(abs(turn), abs=3)
+    assert jump(recording, "blue", k, _place(recording, "blue", k)) is None
+
+
+def test_a_click_is_doubted_from_five_standard_uncertainties_on(recording):
+    body, k = recording.bodies["casing"], 50
+    time = recording.time[k]
+    others = np.abs(body.time - time) > 1e-9
+    expected = np.interp(time, body.time[others], body.angle[others])
+    middle = 0.5 * (body.angle[:-2] + body.angle[2:])
+    u = np.hypot(CLICK_SIGMA / 60, np.median(np.abs(body.angle[1:-1] - middle)) / 0.6745)
+    for factor, doubted in ((0.95, False), (1.05, True)):
+        a = recording.sense * (expected + recording.markers["red"].mount_angle + factor * JUMP * u)
+        place = recording.centre[k] + 60 * np.array([np.cos(a), -np.sin(a)])
+        assert (jump(recording, "red", k, place) is not None) is doubted

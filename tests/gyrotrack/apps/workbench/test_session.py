@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fitting.study._history import Ledger
@@ -70,6 +71,72 @@ def test_a_note_is_short_and_undone(session):
     assert len(session.steps[1].name) == 60
     session.undo()
     assert (session.steps[1].name, session.steps[1].note) == ("", "")
+    session.redo()
+    assert len(session.steps[1].name) == 60
+
+
+def test_every_change_of_the_tree_is_undone_and_redone(session):
+    session.go(3)
+    session.delete(3)
+    session.go(2)
+    for expected in (1, 3, 0):
+        assert session.undo()["current"] == expected
+    for expected in (3, 1, 2):
+        assert session.redo()["current"] == expected
+    assert session.steps[3].is_deleted
+    with pytest.raises(GyrotrackError, match="nothing to redo"):
+        session.redo()
+    session.undo()
+    session.go(0)  # a new change ends the redo
+    with pytest.raises(GyrotrackError, match="nothing to redo"):
+        session.redo()
+
+
+def test_a_fit_that_is_undone_leaves_the_tree_and_comes_back(session):
+    revision = session.revision
+    session.steps.append(Step("+d", 2, SimpleNamespace()))
+    session._added(4)
+    assert session.undo()["places"] == [0, 1, 3, 2]
+    assert session.current == 0
+    assert session.redo()["places"] == [0, 1, 3, 2, 4]
+    assert session.current == 4
+    assert session.revision == revision + 3  # all pages are told
+
+
+def test_a_cancelled_fit_changes_nothing_and_blocks_nothing(session, monkeypatch):
+    from threading import Event, Thread
+
+    begun, go, errors = Event(), Event(), []
+    effect = SimpleNamespace(name="d")
+    session.steps[0].found = SimpleNamespace(
+        model=SimpleNamespace(names=("a",), without=lambda n: "less"), estimates={}
+    )
+
+    def slow(self, model, start, old):
+        begun.set()
+        go.wait(10)
+        return effect
+
+    monkeypatch.setattr(Session, "_fitted", slow)
+
+    def change():
+        try:
+            session.change(drop="a")
+        except GyrotrackError as error:
+            errors.append(error.message)
+
+    thread = Thread(target=change)
+    thread.start()
+    assert begun.wait(10)
+    assert session.progress()["label"] == "-a"
+    assert session.go(2)["current"] == 2  # other requests are answered meanwhile
+    with pytest.raises(GyrotrackError, match="A fit is running"):
+        session.change(drop="a")
+    assert session.cancel() == {}
+    go.set()
+    thread.join(10)
+    assert errors == ["The fit was cancelled."]
+    assert len(session.steps) == 4
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +190,9 @@ def test_two_fits_are_compared_by_their_parameters_and_their_difference(kept):
     for row in found["parameters"]:
         if row["name"] in base.estimates:
             shift = later[row["name"]].value - base.estimates[row["name"]].value
-            if later[row["name"]].stderr > 0:
-                assert row["difference_sigma"] == pytest.approx(shift / later[row["name"]].stderr)
+            u = np.hypot(*(np.nan_to_num(e[row["name"]].stderr) for e in (later, base.estimates)))
+            if u > 0:
+                assert row["difference_u"] == pytest.approx(shift / u)
         else:
             assert row["name"].startswith("casing.air.quadratic")
             assert "other" not in row
