@@ -24,6 +24,31 @@ PER_TORQUE = "kg-1 m-2"
 """Unit of a factor of a torque in N m that acts on a body whose moment of inertia is not known."""
 _STRENGTH = re.compile(r"N m(?: s(?:\^?([^ ]+))?)?((?: (?:A|V|K)(?:-?\d*\.?\d+)?)*)")
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_GREEK = {
+    "omega": "ω",
+    "phi": "φ",
+    "eps": "ε",
+    "tau": "τ",
+    "psi": "ψ",
+    "kappa": "κ",
+    "chi": "χ",
+    "delta": "D",
+}
+
+
+def symbol_parts(symbol: str) -> tuple[str, str]:
+    """Return the letter of a symbol and its index: b2 is b and 2, omega_c is ω and c."""
+    head, _, tail = symbol.partition("_")
+    letters = head.rstrip("0123456789")
+    found, index = (letters, head[len(letters) :] + tail) if letters else (symbol, "")
+    return _GREEK.get(found, found), index
+
+
+def symbol_text(symbol: str) -> str:
+    """Return a symbol in one line: b₂, ω_c, ε."""
+    head, index = symbol_parts(symbol)
+    return head + (f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS))
 
 
 def superscript(number: int) -> str:
