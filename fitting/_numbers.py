@@ -63,8 +63,20 @@ def unit_text(unit: str) -> str:
     return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
 
 
+# what a terminal writes in ASCII
+_TYPESET = (
+    (re.compile(r"(?<=\d) u(?=(?:N m|rad)\b)"), " µ"),
+    (re.compile(r"(?<=\d) sigma\b"), " σ"),
+    (re.compile(r"(?<![\w.,*^(=-])-(?=\d+(?:\.\d+)?(?: \+-| [µmnp]?(?:N m|rad)\b| ×| x 10))"), "−"),
+    (re.compile(r"\bdBIC\b"), "ΔBIC"),
+    (re.compile(r"\bchi2\b"), "χ²"),
+)
+
+
 def typeset(text: str) -> str:
-    """Return a sentence or a rounded number with ±, × and raised exponents."""
+    """Return a sentence or a rounded number with ±, ×, σ, µ and raised exponents."""
+    for pattern, sign in _TYPESET:
+        text = pattern.sub(sign, text)
     text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{superscript(int(m[2]))}", text)
     text = _POWER.sub(lambda m: f"× 10{superscript(int(m[1]))}", text)
     return unit_text(text.replace(" +- ", " ± "))

@@ -10,8 +10,9 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fitting._numbers import symbol_text
+from fitting._numbers import symbol_text, unit_text
 from fitting.effects._effect import Effect
+from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY, SLIP, START, shortened
 from fitting.effects._user import _OF_INPUT, dead_time, drive
 
@@ -129,3 +130,69 @@ def _known(key: str, effects: Iterable[Effect]) -> Effect | None:
         if recorded["joint"]
         else dead_time(recorded["delayed"], "1")
     )
+
+
+# the variables of the laws; those of a state of its own with their equation
+_VARIABLES = {
+    "t": "time from the start of the recording",
+    "omega_r": "angular velocity of the rotor",
+    "omega_c": "angular velocity of the casing",
+    "delta": "ω_r − ω_c",
+    "psi_r": "angle of the rotor",
+    "psi_c": "angle of the casing",
+    "psi": "angle of the filmed body",
+    "omega": "angular velocity of the filmed body",
+    "deflection": "angle of the casing from its equilibrium",
+    "temperature": "temperature rise of the bearing",
+    "chirp": "phase of the precession",
+    "strain": "elastic deflection of the contact over its largest one",
+    "lag": "state variable of the law, zero at the start",
+    "tau": "torque of the bearing",
+    "slip": "ω_r − n ω_c",
+    "inertia_slip": "effective inertia of the slip",
+    "torque_held": "torque at which the slip is constant",
+}
+_SIGNS = {"deflection": "deflection", "temperature": "T", "chirp": "χ", "tau": "τ_cr", "tau_T": "τ_T"}
+
+
+def symbol_meanings(effects: Iterable[Effect], body: str = CASING) -> tuple[tuple[str, str], ...]:
+    """Return the symbols of the formulas of effects with their meanings: the definitions beneath a formula.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        The effects, in the order of their formulas.
+    body : str
+        The name of the recorded body: "casing", or that of a single one.
+
+    Returns
+    -------
+    tuple of (str, str)
+        Symbol and meaning: variables first, then the parameters of each effect with their units.
+    """
+    known = tuple(effects)
+    used = {
+        s for e in known for s in symbols(e.expression) | (symbols(e.rate) if e.rate is not None else set())
+    }
+    found = []
+    for name, meaning in _VARIABLES.items():
+        if name not in used:
+            continue
+        rate = next((e.state.rate for e in known if e.state is not None and e.state.symbol == name), "")
+        text = f"{meaning}, d{_sign(name)}/dt = {_in_signs(rate)}" if rate else meaning
+        found.append((_sign(name), of_body(text, body)))
+    for e in known:
+        for p in e.parameters:
+            unit = "" if p.unit == "1" else f" [{unit_text(p.unit)}]"
+            found.append(
+                (_sign(p.symbol), of_body(p.meaning or f"parameter of the {_words(e)}", body) + unit)
+            )
+    return tuple(dict.fromkeys(found))
+
+
+def _sign(name: str) -> str:
+    return _SIGNS.get(name) or symbol_text(name)
+
+
+def _in_signs(law: str) -> str:
+    return re.sub(r"[A-Za-z]\w*", lambda m: _sign(m[0]), law).replace("*", " ")

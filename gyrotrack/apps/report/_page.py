@@ -94,6 +94,7 @@ class Added:
     below: Equation
     signature: str
     values: str
+    meanings: tuple[tuple[str, str], ...]
 
 
 _UNPHYSICAL = "Negative dissipation, unphysical: {}. The parameters of this model are not physical constants."
@@ -137,6 +138,7 @@ def report_parts(
         "correlation": correlation_picture(view),
         "plausibility": plausibility,
         "base_equations": _equations(view.base, "base"),
+        "base_meanings": _meanings(view),
         "final_equations": _equations(view.final, "final") if view.improved else [],
         "added": _added(view),
         "whiteness": _whiteness(view),
@@ -291,10 +293,22 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
+def _meanings(view: StudyView) -> list[tuple[str, str]]:
+    """Return the symbols of the equations of the base model with their meanings."""
+    from fitting.effects._words import of_body, symbol_meanings
+
+    torque = () if view.body != "casing" else (("τ_cr", "torque of the bearing, between rotor and casing"),)
+    inertias: tuple[tuple[str, str], ...] = (("I_c", "moment of inertia of the casing"),)
+    if view.body == "casing":
+        inertias = (("I_r", "moment of inertia of the rotor"), *inertias)
+    found = (*inertias, *torque, *symbol_meanings(view.base.model.effects, view.body))
+    return [(s, of_body(text, view.body)) for s, text in found]
+
+
 def _added(view: StudyView) -> list[Added]:
     """Return the added effects."""
     from fitting.effects._expression import latex
-    from fitting.effects._words import of_body
+    from fitting.effects._words import of_body, symbol_meanings
 
     found = []
     for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
@@ -310,7 +324,18 @@ def _added(view: StudyView) -> list[Added]:
         joint = (tables.JOINTS | {"casing": view.body}).get(effect.joint, effect.joint)
         name = view.name(effect)
         signature = of_body(effect.signature, view.body)
-        found.append(Added(name.words, name.key, joint, above, below, signature, ", ".join(values)))
+        found.append(
+            Added(
+                name.words,
+                name.key,
+                joint,
+                above,
+                below,
+                signature,
+                ", ".join(values),
+                symbol_meanings([effect], view.body),
+            )
+        )
     return found
 
 

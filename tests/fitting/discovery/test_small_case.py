@@ -623,7 +623,7 @@ def test_a_second_effect_of_the_library_completes_an_answer(
         (
             False,
             True,
-            f"was fitted to it (`gyrotrack improve` begins with quadratic air drag of the body (air.quadratic))",
+            "was fitted to it (`gyrotrack improve` begins with quadratic air drag of the body (air.quadratic))",
         ),
         (False, False, "explains it"),
         (True, True, "explains it"),
