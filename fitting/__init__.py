@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
     from fitting.effects._user import read_effects
     from fitting.effects._user import resolve as effect
+    from fitting.effects._words import EffectName, effect_name
     from fitting.inference._budget import budget
     from fitting.inference._case_data import CaseData
     from fitting.inference._first_order import FirstOrder, first_order
@@ -59,6 +60,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "EffectError",
+    "EffectName",
     "Estimate",
     "EstimationError",
     "Experiment",
@@ -80,6 +82,7 @@ __all__ = [
     "compare",
     "diagnose",
     "effect",
+    "effect_name",
     "first_order",
     "fit",
     "improve",
@@ -109,6 +112,7 @@ _MODULES = {
     "fitting.effects._effect": ("Effect", "Parameter"),
     "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
     "fitting.effects._user": ("effect", "read_effects"),
+    "fitting.effects._words": ("EffectName", "effect_name"),
     "fitting.inference._budget": ("budget",),
     "fitting.inference._first_order": ("FirstOrder", "first_order"),
     "fitting.inference._profile": ("profile_interval",),

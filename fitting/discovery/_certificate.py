@@ -30,6 +30,7 @@ from fitting._errors import EstimationError, FittingError
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.effects._effect import Effect
+from fitting.effects._words import effect_name
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
@@ -120,6 +121,7 @@ class Certificate:
     outcomes: tuple[Outcome, ...] = field(repr=False)
     film: bool = False
     seed: int = 0
+    body: str = "casing"
 
     @classmethod
     def of_answer(
@@ -142,7 +144,8 @@ class Certificate:
         named: tuple[str, ...] = ()
         if best is not None and found.verdict == "missing_effect":
             named = (best.effect.name, *best.indistinguishable_from)
-        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed)
+        body = found.fit.problem.data[0].record.body
+        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed, body)
 
     def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
         """Return the outcomes under one kind of hypothesis, or under a single one.
@@ -214,7 +217,8 @@ class Certificate:
         """The result in words."""
         null = len(self.of("null"))
         low, high = self.interval
-        what = f"without {self.named[0]}" if self.named else "of the fitted model"
+        name = str(effect_name(self.named[0], self.body)) if self.named else ""
+        what = f"without the {name}" if self.named else "of the fitted model"
         what = f"{what}, from rendered films on" if self.film else what
         interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
@@ -222,7 +226,7 @@ class Certificate:
             parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
         if self.right_first is not None and self.in_class is not None:
             parts.append(
-                f"Of {len(self.of('truth'))} with {self.named[0]}, {100 * self.right_first:.0f} % name it first and "
+                f"Of {len(self.of('truth'))} with it, {100 * self.right_first:.0f} % name it first and "
                 f"{100 * self.in_class:.0f} % name it or its class."
             )
         return " ".join(parts)
@@ -233,15 +237,21 @@ class Certificate:
         rows = []
         for kind, effect in dict.fromkeys((o.kind, o.effect) for o in self.outcomes):
             found = [o for o in self.outcomes if (o.kind, o.effect) == (kind, effect)]
-            answers = ", ".join(f"{name} {count}" for name, count in _counted(found).items())
-            rows.append((effect or "none", str(len(found)), answers))
+            answers = "; ".join(f"{self._words(name)} {count}" for name, count in _counted(found).items())
+            rows.append((self._words(effect) if effect else "none", str(len(found)), answers))
         return rows
+
+    def _words(self, answer: str) -> str:
+        return _VERDICT_WORDS.get(answer) or effect_name(answer, self.body).words
 
     def _repr_html_(self) -> str:
         columns = ("simulated effect", "recordings", "answers")
         return block(
             headline("certificate", self.sentence), table("simulated recordings", columns, self.rows)
         )
+
+
+_VERDICT_WORDS = {"adequate": "no effect"}
 
 
 def _counted(outcomes: Sequence[Outcome]) -> dict[str, int]:

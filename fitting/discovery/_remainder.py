@@ -367,9 +367,11 @@ def grade(
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:
             # where the base absorbs most of a law, a small deviation from it is a large part of the rest
-            share, rms, whole = of_law, difference, f"torque of {e.name}"
-    parts = [f"shape of {e.name}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free]
-    parts += [f"second effect {', '.join(others)}"] if others else []
+            share, rms, whole = of_law, difference, f"torque of the {end.name(e).words}"
+    parts = [
+        f"shape of the {end.name(e).words}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free
+    ]
+    parts += [f"second effect {'; '.join(str(end.name(n)) for n in others)}"] if others else []
     of_angle = torques.of_angle(selection.named) if slow else 0.0
     if of_angle > 0:
         parts.append(f"a torque of the angle of {format_torque(of_angle, unit=base.torque_unit)} rms")

@@ -23,7 +23,7 @@ from fitting._errors import FittingError
 from fitting._numbers import rounded, short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
-from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
+from fitting.discovery._measurement import StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
     fit_from_scratch,
@@ -41,7 +41,7 @@ from fitting.discovery._refine import (
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
 from fitting.effects._expression import substitute, sym
-from fitting.effects._library import LIBRARY
+from fitting.effects._library import LIBRARY, START
 from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit
@@ -421,7 +421,7 @@ def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
     """Return the reason why the strength of an effect is not determined, as a sentence; empty if it is."""
     name, amplitude = effect.name, effect.amplitude
     if not fit.converged:
-        return f"The fit with {name} did not converge"
+        return f"The fit with {fit.name(effect)} did not converge"
     for key, e in fit.estimates.items():
         is_strength = amplitude is not None and key.partition("@")[0] == f"{name}.{amplitude.symbol}"
         if is_strength and math.isfinite(e.stderr) and not abs(e.value) >= criteria.named_sigma * e.stderr:

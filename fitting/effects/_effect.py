@@ -273,6 +273,8 @@ class Effect:
         Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
     inputs : tuple of (str, str)
         Names and units of the recorded inputs in the law.
+    words : str
+        The name in words, of the casing: "quadratic air drag of the casing".
     """
 
     name: str
@@ -292,6 +294,7 @@ class Effect:
     searched: bool = True
     rigid: bool = False
     inputs: tuple[tuple[str, str], ...] = ()
+    words: str = ""
 
     @cached_property
     def expression(self) -> Expr:

@@ -31,6 +31,8 @@ from fitting._display import (
 from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect
+from fitting.effects._words import EffectName, effect_name
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import covariance_of
@@ -491,6 +493,12 @@ class Fit(FitSummary):
     def torque_unit(self) -> str:
         """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
         return self.problem.layout.torque_unit
+
+    def name(self, effect: Effect | str) -> EffectName:
+        """Return an effect or a parameter by its name, for a reader; see `fitting.effect_name`."""
+        own = () if isinstance(effect, str) else (effect,)
+        key = effect if isinstance(effect, str) else effect.name
+        return effect_name(key, self.problem.data[0].record.body, (*own, *self.model.effects))
 
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
         """Return the residual speed of a case's casing, and of its rotor in each window.

@@ -28,7 +28,7 @@ def visit(chromium, report, request):
 @pytest.mark.slow
 def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.locator("h1").inner_text() == HOSTILE
-    assert "Missing effect" in visit.locator(".answer").inner_text()
+    assert "Missing:" in visit.locator(".answer").inner_text()
     # the answer and its three figures are in sight at once on a wide screen
     bottom = visit.evaluate("document.querySelector('.overview').getBoundingClientRect().bottom")
     if visit.viewport_size["width"] == 1280:

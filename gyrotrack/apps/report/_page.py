@@ -49,7 +49,7 @@ _MAX_INTERVALS = 3
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
-    "missing_effect": ("found", "✚", "Missing effect"),
+    "missing_effect": ("found", "✚", "Missing"),
     "unexplained": ("open", "!", "Unexplained torque"),
     "undecided": ("open", "?", "Undecided"),
 }
@@ -85,14 +85,16 @@ class Equation:
 
 @dataclass(frozen=True)
 class Added:
-    """An added effect: joint, law (twice, because SVG ids must be unique), signature, parameters."""
+    """An added effect: words, key, joint, law (twice, because SVG ids must be unique), signature, parameters."""
 
     name: str
+    key: str
     joint: str
     above: Equation
     below: Equation
     signature: str
     values: str
+    meanings: tuple[tuple[str, str], ...]
 
 
 _UNPHYSICAL = "Negative dissipation, unphysical: {}. The parameters of this model are not physical constants."
@@ -129,13 +131,14 @@ def report_parts(
         "failures": _failures(view),
         "sections": sections,
         "history": history_picture(view),
-        "candidates": candidates_picture(view.candidates),
+        "candidates": candidates_picture(view),
         "candidate_rows": tables.candidate_rows(view),
         "limit_rows": tables.limit_rows(view),
         "parameters": tables.parameter_rows(view),
         "correlation": correlation_picture(view),
         "plausibility": plausibility,
         "base_equations": _equations(view.base, "base"),
+        "base_meanings": _meanings(view),
         "final_equations": _equations(view.final, "final") if view.improved else [],
         "added": _added(view),
         "whiteness": _whiteness(view),
@@ -191,7 +194,7 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
-        return "found", "≠", f"The recordings differ in {view.differs.name}"
+        return "found", "≠", f"The recordings differ in {view.name(view.differs.name).words}"
     if view.verdict != "missing_effect":
         return kind, sign, words
     best = next((c for c in view.candidates if c.significant), None)
@@ -199,7 +202,15 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     if best is not None and not view.added and not best.physical:
         words = "Fault of the measurement"
     rivals = {c.effect.name: c.indistinguishable_from for c in view.candidates}
-    classes = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
+    known = {c.effect.name: c.effect for c in view.candidates}
+
+    def called(key: str) -> str:
+        return view.name(known.get(key, key)).words
+
+    classes = [
+        f"one of {'; '.join(called(m) for m in (n, *rivals[n]))}" if rivals.get(n) else called(n)
+        for n in names
+    ]
     return kind, sign, f"{words}: {' and '.join(classes)}" if classes else words
 
 
@@ -216,22 +227,26 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
     tested = f"{len(view.candidates)} candidate effects tested, none"
     text = f"{tested} significant" if view.candidates else ""
     if view.differs is not None:
-        text = f"ΔBIC {short(view.differs.delta_bic)}, p {_equal(probability(view.differs.p_value))}"
+        p = _equal(probability(view.differs.p_value))
+        text = f"ΔBIC {short(view.differs.delta_bic)}, false-alarm probability {p}"
     elif best is not None:
-        p = f"p {_equal(probability(best.p_value))}"
-        alike = ", ".join(best.indistinguishable_from)
+        p = f"false-alarm probability {_equal(probability(best.p_value))}"
+        alike = "; ".join(view.name(n).words for n in best.indistinguishable_from)
         alike = f"indistinguishable from {alike}" if alike else "no indistinguishable candidate"
         bic = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
         text = f"{bic}{p}; {alike}"
         if view.verdict == "adequate":
-            text = f"{tested} accepted; most significant: {best.effect.name}, {p}"
+            text = f"{tested} accepted; most significant: {view.name(best.effect).words}, {p}"
     return [*rows, ("Significance", text)] if text else rows
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
     """Return the strengths of the laws of a single body and what they mean, and its speed in the unit of the file."""
     rows = [
-        (law.parameter, typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"))
+        (
+            view.name(law.parameter).words.capitalize(),
+            typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
+        )
         for law in laws_of_body(view.final)
     ]
     readings = [r for case in recordings for r in case.extra.get("reading", [])]
@@ -278,9 +293,22 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
+def _meanings(view: StudyView) -> list[tuple[str, str]]:
+    """Return the symbols of the equations of the base model with their meanings."""
+    from fitting.effects._words import of_body, symbol_meanings
+
+    torque = () if view.body != "casing" else (("τ_cr", "torque of the bearing, between rotor and casing"),)
+    inertias: tuple[tuple[str, str], ...] = (("I_c", "moment of inertia of the casing"),)
+    if view.body == "casing":
+        inertias = (("I_r", "moment of inertia of the rotor"), *inertias)
+    found = (*inertias, *torque, *symbol_meanings(view.base.model.effects, view.body))
+    return [(s, of_body(text, view.body)) for s, text in found]
+
+
 def _added(view: StudyView) -> list[Added]:
     """Return the added effects."""
     from fitting.effects._expression import latex
+    from fitting.effects._words import of_body, symbol_meanings
 
     found = []
     for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
@@ -294,8 +322,20 @@ def _added(view: StudyView) -> list[Added]:
             if k.partition("@")[0].rpartition(".")[0] == effect.name
         ]
         joint = (tables.JOINTS | {"casing": view.body}).get(effect.joint, effect.joint)
-        signature = effect.signature.replace("the casing", f"the {view.body}")
-        found.append(Added(effect.name, joint, above, below, signature, ", ".join(values)))
+        name = view.name(effect)
+        signature = of_body(effect.signature, view.body)
+        found.append(
+            Added(
+                name.words,
+                name.key,
+                joint,
+                above,
+                below,
+                signature,
+                ", ".join(values),
+                symbol_meanings([effect], view.body),
+            )
+        )
     return found
 
 
@@ -441,6 +481,7 @@ def is_report(path: Path) -> bool:
 def html(parts: Mapping[str, Any]) -> str:
     """Return the report as one self-contained HTML page."""
     from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
 
     folder = resources.files("gyrotrack.apps.report")
     environment = Environment(
@@ -451,6 +492,8 @@ def html(parts: Mapping[str, Any]) -> str:
         finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never markup
     )
     environment.filters["themed"] = themed
+    # a long key breaks at its dots
+    environment.filters["breakable"] = lambda key: Markup(".<wbr>").join(key.split("."))
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     scripts = (*widgets.scripts(), folder.joinpath("page.js").read_text("utf-8"))
     return template.render(

@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import TORQUE, probability, scaled, short, unit_text, with_uncertainty
+from fitting._numbers import (
+    TORQUE,
+    probability,
+    scaled,
+    short,
+    symbol_parts,
+    symbol_text,
+    unit_text,
+    with_uncertainty,
+)
 from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
@@ -36,8 +45,6 @@ JOINTS = {
     "camera.rotor": "camera (rotor)",
 }
 _LARGE_CHANGE = 3.0
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_GREEK = {"omega": "ω", "phi": "φ", "eps": "ε", "tau": "τ", "psi": "ψ", "kappa": "κ", "chi": "χ"}
 
 
 Row = dict[str, Any]  # cells by the names that the templates of the report use
@@ -48,6 +55,7 @@ class LimitRow:
     """95 % upper limit of the rms torque and strength of an effect that was not found."""
 
     effect: str
+    key: str
     joint: str
     torque: str
     strength: str
@@ -62,13 +70,14 @@ def parameter_rows(view: StudyView) -> list[Row]:
     for name, e in view.final.estimates.items():
         key, _, label = name.partition("@")
         effect, _, symbol = key.rpartition(".")
-        head, index = _split(symbol)
+        head, index = symbol_parts(symbol)
         before = view.base.estimates.get(name) if view.improved else None
         fixed = key in view.final.model.constants
         row = {
-            "symbol": _GREEK.get(head, head),
+            "symbol": head,
             "index": index + ("0" if effect == "initial" else ""),
-            "effect": "initial value" if effect == "initial" else effect,
+            "effect": "initial value" if effect == "initial" else view.name(effect).words,
+            "key": view.name(key).key,
             "case": label if len(view.cases) > 1 else "",
             "value": with_uncertainty(e.value, e.stderr, e.unit),
             "relative": _relative(e),
@@ -93,6 +102,7 @@ def _response_rows(view: StudyView) -> list[Row]:
                     "symbol": symbol,
                     "index": index,
                     "effect": "first-order response",
+                    "key": "",
                     "case": response.label if len(view.cases) > 1 else "",
                     "value": with_uncertainty(e.value, e.stderr, e.unit),
                     "relative": _relative(e),
@@ -102,13 +112,6 @@ def _response_rows(view: StudyView) -> list[Row]:
                 }
             )
     return rows
-
-
-def _split(symbol: str) -> tuple[str, str]:
-    """Split a symbol and its index: b2 into b and 2, omega_c into omega and c."""
-    head, _, tail = symbol.partition("_")
-    letters = head.rstrip("0123456789")
-    return (letters, head[len(letters) :] + tail) if letters else (symbol, "")
 
 
 def _relative(e: Estimate) -> str:
@@ -139,14 +142,15 @@ def candidate_rows(view: StudyView) -> list[Row]:
 
     return [
         {
-            "effect": c.effect.name,
+            "effect": view.name(c.effect).words,
+            "key": view.name(c.effect).key,
             "kind": "physics" if c.physical else "measurement",
             "joint": (JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
             "score": short(c.score),
             "delta_bic": short(c.delta_bic),
             "p_value": probability(c.p_value),
             "held_out_gain": short(c.held_out_gain, 2),
-            "rivals": ", ".join(c.indistinguishable_from),
+            "rivals": "; ".join(view.name(n).words for n in c.indistinguishable_from),
             "parameters": [with_symbol(k, e) for k, e in c.estimates.items()] if c.significant else [],
             "law": c.effect.law,
             "svg": formula(latex(c.effect.expression), f"law{i}", size=11.5),
@@ -168,10 +172,11 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
         factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
         rows.append(
             LimitRow(
-                effect=u.effect,
+                effect=view.name(u.effect).words,
+                key=view.name(u.effect).key,
                 joint=joints.get(joint, joint),
                 torque=f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
-                strength=f"{u.symbol} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
+                strength=f"{symbol_text(u.symbol)} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
             )
         )
     return rows
@@ -179,11 +184,10 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
 
 def with_symbol(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
-    head, index = _split(key.partition("@")[0].rpartition(".")[2])
-    index = f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS)
+    symbol = symbol_text(key.partition("@")[0].rpartition(".")[2])
     at = f" ({key.partition('@')[2]})" if "@" in key else ""
     end = " (at a bound)" if e.at_bound else ""
-    return f"{_GREEK.get(head, head)}{index}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}{end}"
+    return f"{symbol}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}{end}"
 
 
 def clip_row(r: Recording, placement: Placement | None) -> Row:
@@ -244,6 +248,7 @@ class Plausibility:
     """One effect in one case: largest torques on both bodies, dissipated energy, its share, and an assessment."""
 
     effect: str
+    key: str
     case: str
     rotor: str
     casing: str
@@ -314,7 +319,8 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         )
         rows.append(
             Plausibility(
-                effect=effect.name,
+                effect=fit.name(effect).words,
+                key=fit.name(effect).key,
                 case=record.label if named else "",
                 rotor=short(float(np.abs(tau[:, 0]).max())),
                 casing=short(float(np.abs(tau[:, 1]).max())),

@@ -117,7 +117,8 @@ class TestRates:
 
     def test_the_sentence_tells_rate_p_value_and_shares(self):
         text = made(outcome(), outcome("truth", effect=NAME, named=(NAME,))).sentence
-        assert "Of 1 simulated recordings without casing.air.quadratic, 0 end in a false alarm" in text
+        drag = "quadratic air drag of the casing (casing.air.quadratic)"
+        assert f"Of 1 simulated recordings without the {drag}, 0 end in a false alarm" in text
         assert "p-value of this answer is 0.5" in text
         assert "100 % name it first" in text
         assert "named" not in made(outcome(), named=(), verdict="adequate").sentence

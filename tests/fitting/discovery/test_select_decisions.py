@@ -10,7 +10,6 @@ import pytest
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError, SimulationError
 from fitting.discovery import _select as module
-from fitting.discovery._measurement import START
 from fitting.discovery._score import Score
 from fitting.discovery._select import (
     Candidate,
@@ -28,7 +27,8 @@ from fitting.discovery._select import (
     select,
     separate_values,
 )
-from fitting.effects._library import LIBRARY
+from fitting.effects._library import LIBRARY, START
+from fitting.effects._words import effect_name
 from fitting.inference._result import Estimate
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
@@ -70,6 +70,10 @@ def held_out(value):
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit, as far as a decision depends on it."""
+
+    @staticmethod
+    def name(effect):
+        return effect_name(getattr(effect, "name", effect))
 
     bic: float = 100.0
     deviance: float = 100.0
