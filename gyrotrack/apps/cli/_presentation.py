@@ -163,31 +163,24 @@ def view_command(
 
     Without a case the page starts with films: choose them, mark hub and markers, track, synchronise, fit. Entries and
     results are stored in the work folder; the same command resumes the work there. The page is served on the loopback
-    interface, and access needs the secret in the printed address. Ctrl-C or the button Quit ends the program.
+    interface, and access needs the secret in the printed address. Ctrl-C or the button Quit ends the program. Each
+    folder and each case has one server: a second command opens the page of the first.
 
     Example: gyrotrack view case1.h5
     """
     _require_packages(window=window)
+    from gyrotrack.apps.workbench._address import Address
     from gyrotrack.apps.workbench._project import Project
     from gyrotrack.apps.workbench._server import Laboratory, Workbench, serve
 
     out = Output(as_json=as_json, quiet=quiet)
     case = _only_case(sources or [])
-    if case is not None:
-        with out.progress("fitting") as progress:
-            progress(0, None)
-            bench = Workbench(Laboratory.open(case, shared.film_folders([case], films), ledger, start))
-    else:
-        project = Project(folder)
-        for note in project.notes:
-            out.warn(note)
-        for source in sources or []:
-            project.add(source)
-        bench = Workbench(project=project)
 
-    def announce(url: str) -> None:
+    def announce(url: str, *, is_running: bool = False) -> None:
         if as_json:
             sys.stdout.write(json.dumps({"url": url}) + "\n")
+        elif is_running:
+            out.show(f"already open: {url}")
         else:
             out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
         sys.stdout.flush()
@@ -197,6 +190,24 @@ def view_command(
 
             webbrowser.open(url)
 
+    own = Address(folder.resolve() / "workbench" if case is None else case.resolve())
+    if url := own.running():
+        if sources and case is None:
+            out.warn("The workbench of this folder is already open; add the files on its page.")
+        announce(url, is_running=True)
+        return
+    if case is not None:
+        with out.progress("fitting") as progress:
+            progress(0, None)
+            laboratory = Laboratory.open(case, shared.film_folders([case], films), ledger, start)
+            bench = Workbench(laboratory, address=own)
+    else:
+        project = Project(folder)
+        for note in project.notes:
+            out.warn(note)
+        for source in sources or []:
+            project.add(source)
+        bench = Workbench(project=project, address=own)
     try:
         serve(bench, port, announce, window=window)
     except KeyboardInterrupt:  # the regular end

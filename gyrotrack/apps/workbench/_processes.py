@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from fitting.discovery._score import CaseColumns
     from fitting.discovery._select import Candidate
     from fitting.effects._effect import Effect
+    from fitting.inference._problem import Projection
     from fitting.inference._result import Fit
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -436,6 +437,14 @@ class Prediction:
     def _sigma(self) -> Array:
         return self._fit.speed_residuals(0)[0].sigma
 
+    @cached_property
+    def _pure(self) -> Projection:
+        """Whitens rows at the noise that does not depend on the model, as the metrics of a fit."""
+        from fitting.inference._problem import Projection
+
+        noise = self._fit.noise[0]
+        return Projection(self._fit.problem.data[0], noise.whitener.at(noise.pure))
+
     @property
     def misfit(self) -> float:
         """The misfit of the fit; see `_misfit`."""
@@ -443,8 +452,8 @@ class Prediction:
 
     def _misfit(self, rows: Array) -> float:
         """Return the rms residual of modelled rows over the noise: the root of `Fit.reduced_chi2`."""
-        data, project = self._fit.problem.data[0], self._fit.problem.projections[0]
-        residual = project(rows - data.z)
+        data = self._fit.problem.data[0]
+        residual = self._pure(rows - data.z)
         chi2 = sum(float(np.sum(residual[data.slices[k]] ** 2)) for k in ("casing", "harmonic"))
         return float(np.sqrt((chi2 + data.casing.rest) / max(1.0, data.casing.n_effective)))
 

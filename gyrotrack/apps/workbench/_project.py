@@ -28,7 +28,6 @@ from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, U
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps._sample import sample_folder
-from gyrotrack.apps.workbench._address import Address
 from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, without_correction
 from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
 from gyrotrack.apps.workbench._history import Change, History, apply, difference
@@ -126,7 +125,6 @@ class Project:
         self._read: tuple[tuple[str, int], Recording] | None = None
         self._middles: tuple[tuple[str, str, tuple[str, ...]], dict[str, float]] | None = None
         self._holds = ExitStack()
-        self.address = Address(self.folder / "workbench")
         try:
             self._holds.enter_context(locked(self.folder / "workbench", 0.0))
         except OutputError as error:
@@ -134,7 +132,6 @@ class Project:
                 raise
             what = f"Another workbench is open in {self.folder}."
             raise ConfigurationError(what, "Use that one, or close it.") from error
-        self._holds.callback(self.address.clear)
         remove_remains(self.folder)
         self.notes: list[str] = []
         self.state = self._read_state()

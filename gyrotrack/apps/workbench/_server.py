@@ -339,7 +339,13 @@ _MOST_RECORDINGS = 2000  # simulated for one certificate
 class Workbench:
     """The application: page and requests, for an open case or a work folder with films."""
 
-    def __init__(self, laboratory: Laboratory | None = None, project: Project | None = None) -> None:
+    def __init__(
+        self,
+        laboratory: Laboratory | None = None,
+        project: Project | None = None,
+        address: Address | None = None,
+    ) -> None:
+        self._address = address
         self._laboratory, self.project = laboratory, project
         self._frames = films.SourceFrames()
         self._opening = Lock()
@@ -500,9 +506,10 @@ class Workbench:
         finally:
             self.close()
 
-    def addresses(self) -> list[Address]:
-        """Return where this server stores its address for a second one on the same folder."""
-        return [self.project.address] if self.project is not None else []
+    def publish(self, url: str) -> None:
+        """Store the address of this server, for a second command on the same folder or case."""
+        if self._address is not None:
+            self._address.publish(url)
 
     def interrupt(self) -> None:
         """End the ranking process, so that no request waits for it."""
@@ -511,6 +518,8 @@ class Workbench:
 
     def close(self) -> None:
         """End all processes and close the films."""
+        if self._address is not None:
+            self._address.clear()
         if self._laboratory is not None:
             self._laboratory.close()
         if self.project is not None:
@@ -694,8 +703,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
         bench.stop = stop
         listener.listen()  # connections before the server runs are queued
         address = f"http://{_ADDRESS}:{port}/?token={token}"
-        for own in bench.addresses():
-            own.publish(address)
+        bench.publish(address)
         announce(address)
         if window:
             _run_in_window(server, listener, address)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -70,13 +69,6 @@ class _Fitting:
     expected: float | None  # duration of the last fit [s]
     began: float = field(default_factory=monotonic)
     is_cancelled: bool = False
-
-
-def on_screen(text: str) -> str:
-    """Return a sentence with µ, σ and minus signs."""
-    text = re.sub(r"(?<=\d )u(?=N m|rad|s\b)", "µ", text)
-    text = re.sub(r"(?<=\d) sigma\b", " σ", text)
-    return re.sub(r"(?<![\w.)*^])-(?=\d)", "−", text)
 
 
 def _misfit(reduced_chi2: float | None) -> float | None:
@@ -365,7 +357,7 @@ class Session:
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Store the parameters of candidates as initial values, and return the answer of the search, typeset."""
-        from fitting._numbers import typeset, with_uncertainty
+        from fitting._numbers import symbol_text, typeset, with_uncertainty
 
         candidates = answer.get("diagnosis", {}).get("candidates", [])
         found = {
@@ -376,14 +368,14 @@ class Session:
             self.found = found
         if "diagnosis" in answer:
             for key in ("sentence", "next_experiment"):
-                answer["diagnosis"][key] = on_screen(typeset(answer["diagnosis"].get(key, "")))
+                answer["diagnosis"][key] = typeset(answer["diagnosis"].get(key, ""))
             for c in candidates:
                 values = [
                     (k.rpartition(".")[2], with_uncertainty(v["value"], v["stderr"], v["unit"]))
                     for k, v in c["parameters"].items()
                     if isinstance(v["value"], float) and isinstance(v["stderr"], float)
                 ]
-                c["values"] = [f"{k.partition('@')[0]} = {v}" for k, v in values[:3]]
+                c["values"] = [f"{symbol_text(k.partition('@')[0])} = {v}" for k, v in values[:3]]
         return answer
 
     def model_document(self) -> dict[str, Any]:
@@ -416,7 +408,7 @@ class Session:
                     "sharp": step.sharp,
                     "current": self.current,
                     "effects": [
-                        {"name": e.name, "joint": e.joint, "law": e.law, "signature": e.signature}
+                        {"name": e.name, "joint": e.joint, "law": e.law, "words": fit.name(e).words}
                         for e in fit.model.effects
                     ],
                     "parameters": self._parameters(step),
@@ -439,7 +431,12 @@ class Session:
         other = self.steps[compared].fit.estimates if compared >= 0 else {}
         found = []
         for name, e in step.fit.estimates.items():
-            row = {"name": name, "value": with_uncertainty(e.value, e.stderr, e.unit), "at_bound": e.at_bound}
+            row = {
+                "name": name,
+                "words": step.fit.name(name).words,
+                "value": with_uncertainty(e.value, e.stderr, e.unit),
+                "at_bound": e.at_bound,
+            }
             if (o := other.get(name)) is not None:
                 row["other"] = with_uncertainty(o.value, o.stderr, o.unit)
                 u = math.hypot(*(x.stderr for x in (e, o) if math.isfinite(x.stderr)))
@@ -477,7 +474,7 @@ class Session:
         if document is None:
             previous = self.steps[step.parent].fit if step.parent >= 0 else None
             document = step_document(step.fit, step.fit_id, step.change, previous)
-        keys = ("added", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
+        keys = ("added", "words", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
         depth, up = 0, step.parent
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent

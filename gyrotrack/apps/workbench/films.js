@@ -75,7 +75,8 @@ const Films = (() => {
 
   /* angle and speed of all films, which grow while they are tracked */
   async function moving(working) {
-    if (document.body.dataset.part !== "films" || charted?.waiting) return;
+    if (document.body.dataset.part !== "films") return;
+    if (charted?.waiting) { charted.again = true; return; }
     const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.done || 0) : 0]);
     if (key === drawn) return;
     drawn = key;
@@ -90,6 +91,7 @@ const Films = (() => {
       }
     } catch (error) { complain(error); }
     charted.waiting = false;
+    if (charted.again) { charted.again = false; moving(working); }
   }
 
   const USUAL = { match: 6, fit: 8 };  // seconds, before a step has been run in this folder

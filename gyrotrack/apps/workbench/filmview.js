@@ -61,9 +61,13 @@ const FilmView = (() => {
       this.slider.setAttribute("aria-valuetext", text);
       this.options.shown?.(wanted);
       try {
-        const [picture, marks] = await Promise.all([this.options.picture(wanted), this.options.marks(wanted)]);
+        const asked = this.options.marks(wanted), picture = await this.options.picture(wanted);
         if (mine !== this.request) return;
-        this.image = picture.image; this.size = picture.size; this.marks = marks;
+        this.image = picture.image; this.size = picture.size; this.marks = null;
+        if (!this.running) this.draw();
+        const marks = await asked;
+        if (mine !== this.request) return;
+        this.marks = marks;
         this.canvas.dataset.shown = `${this.options.key()}:${wanted}`;
         this.canvas.setAttribute("aria-label", this.options.label(wanted));
         this.draw();

@@ -84,14 +84,14 @@ const Laboratory = (() => {
       element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", { "data-name": p.name },
-      element("th", { scope: "row", class: "name-of" }, ...breakable(p.name)), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
+      element("th", { scope: "row", class: "name-of", title: p.name }, p.words || p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
         element("span", { class: "more soft" }, p.other ? ` fit ${state.compared + 1}: ${p.other}${p.difference_u === null ? "" : `; difference ${format(p.difference_u, 2)} u`}` : "")), element("td", { class: "slide" }))));
     sliders = null;
     at("moved").textContent = "";
     board.overlay({});
     if (!at("p-sliders").hidden) tune();
     at("ladder").replaceChildren(...state.ladder.map((r) => {
-      const name = (r.parent >= 0 ? r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
+      const name = (r.parent >= 0 ? r.words || r.added : "start") + (r.fit_id ? ` (${r.fit_id})` : "");
       const head = element("th", { scope: "row", class: "name-of" }, r.depth ? "\u2514\u00a0" : "", ...breakable(name),
         element("span", { class: "more" }, [`fit ${r.place + 1}`, r.name, r.note].filter(Boolean).join(": ")));
       head.style.paddingLeft = `${0.7 * Math.max(0, r.depth - 1)}rem`;
@@ -264,7 +264,7 @@ const Laboratory = (() => {
     }
     if (c.kind === "measurement") out.append(element("p", { class: "soft" }, "An artefact of the measurement, not of the motion."));
     if (!c.significant) out.append(element("p", { class: "soft" }, "Not significant."));
-    if (alike.length) out.append(element("p", { class: "soft" }, `These data cannot distinguish it from ${alike.map((e) => named(byName.get(e) || { effect: e })).join(", ")}.`));
+    if (alike.length) out.append(element("p", { class: "soft" }, `These data cannot distinguish it from ${(c.indistinguishable_words || alike).join(", ")}.`));
     const why = element("details", {}, element("summary", { "aria-label": `why ${c.effect}` }, "Why, and what would contradict it"), element("dl", {},
       element("dt", {}, "Why it fits"), element("dd", {}, `Its signature: ${c.fits || "none is stated"}. False-alarm probability of such an improvement: ${c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)}.`),
       element("dt", {}, "What would contradict it"), element("dd", {}, c.contradiction || "Another value in a repeated run."),
@@ -280,6 +280,7 @@ const Laboratory = (() => {
   }
 
   let byName = new Map();
+  const words = (e) => named(byName.get(e) || { effect: e });
   const share = (x) => x > 0.995 && x < 1 ? `${(Math.min(0.9999, x) * 100).toFixed(2)} %` : `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} %`;
 
   function separates(c, next, experiment) {
@@ -332,13 +333,21 @@ const Laboratory = (() => {
     const listed = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
     byName = new Map(found.diagnosis.candidates.map((c) => [c.effect, c]));
     at("searching").textContent = listed.length ? listed.some((c) => c.significant) ? "Point at one to see its effect; a click fits it." : "None is significant: nothing is missing that these data could show." : "No candidate effect improves the fit.";
-    at("sentence").replaceChildren(explained(found.diagnosis.sentence));
+    say(found.diagnosis.sentence);
     at("next-experiment").textContent = found.diagnosis.next_experiment;
     const measured = found.diagnosis.residual_torque || [];
     at("ranking").replaceChildren(...listed.map((c, n) => card(c, listed[n + 1], measured, found.diagnosis.next_experiment)));
     all = false;
     fold();
     enable();
+  }
+
+  /* the answer first; what every fit corrects is folded with the measures */
+  function say(text) {
+    const parts = text.replace(/^Significant lack of fit: /, "").split(/(?<=\.)\s+(?=[A-Z])/), answer = parts.filter((t) => /^(Missing|Cannot be told apart)\b/.test(t));
+    const corrected = parts.filter((t) => t.includes("nuisance parameter")), rest = parts.filter((t) => !answer.includes(t) && !corrected.includes(t));
+    at("sentence").replaceChildren(...answer.map((t) => element("strong", {}, t)), explained(sentence(rest.join(" "))));
+    at("also").textContent = corrected.join(" ");
   }
 
   function fold() {
@@ -373,7 +382,7 @@ const Laboratory = (() => {
     const rows = [["without the named effect: false alarms", `${d.null.alarms} of ${d.null.n}`, `rate ${d.null.interval.map((x) => (100 * x).toFixed(1)).join(" to ")} %`]];
     if (d.truth) rows.push(["with it: named first", `${Math.round(100 * d.truth.right_first)} %`, `of ${d.truth.n}; in its class ${Math.round(100 * d.truth.in_class)} %`],
       ["its intervals contain the true values", Object.values(d.truth.coverage).length ? `${Math.round(100 * Object.values(d.truth.coverage).reduce((a, b) => a + b, 0) / Object.values(d.truth.coverage).length)} %` : "\u2013", "mean of all parameters"]);
-    for (const r of d.rivals) rows.push([`if ${r.effect} were true: named`, Object.entries(r.named_as).map(([e, n]) => `${e || "none"} ${n}\u00d7`).join(", ") || "none", ""]);
+    for (const r of d.rivals) rows.push([`if ${r.words || words(r.effect)} were true: named`, Object.entries(r.named_as).map(([e, n]) => `${words(e) || "none"} ${n}\u00d7`).join(", ") || "none", ""]);
     box.replaceChildren(element("p", {}, sentence(d.sentence)), element("div", { class: "wide", tabindex: "0", role: "group", "aria-label": "table of the test" }, element("table", {},
       element("thead", {}, element("tr", {}, ...["simulated recordings", "result", ""].map((t) => t ? element("th", { scope: "col" }, t) : element("td", {})))),
       element("tbody", {}, ...rows.map(([a, b, c]) => element("tr", {}, element("th", { scope: "row" }, a), element("td", {}, b), element("td", {}, c)))))));

@@ -23,7 +23,10 @@ class _EnoughError(Exception):
 def test_who_comes_as_soon_as_the_address_is_announced_is_not_turned_away():
     seen = []
     bench = SimpleNamespace(
-        app=lambda port, token: None, close=lambda: seen.append("closed"), ranker=None, stop=None
+        app=lambda port, token: None,
+        close=lambda: seen.append("closed"),
+        publish=lambda url: None,
+        stop=None,
     )
 
     def announce(address):
@@ -58,6 +61,7 @@ def test_a_window_shows_the_page_and_closing_it_ends_the_program(monkeypatch):
         app=lambda port, token: _empty,
         close=lambda: seen.append("closed"),
         interrupt=lambda: None,
+        publish=lambda url: None,
         stop=None,
     )
     announced = []
