@@ -539,13 +539,20 @@ def _part(labels: Mapping[str, str], table: Table, values: Mapping[str, Any]) ->
 
 _VALUE = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _INERTIA = re.compile(
-    rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
+    rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
+    re.IGNORECASE,
+)
+# the uncertainty after the unit, with the same unit, without one, or in per cent
+_UNIT_FIRST = re.compile(
+    rf"(?P<value>{_VALUE})\s*(?P<unit>(?:kg|mg|g)[^+±]*?)\s*(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*(?P<again>[a-z].*)?",
     re.IGNORECASE,
 )
 _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
-_INERTIA_EXAMPLE = 'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2"; the uncertainty is optional.'
+_INERTIA_EXAMPLE = (
+    'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 +- 6 g cm2"; the uncertainty is optional.'
+)
 
 # limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m
 SMALLEST, LARGEST = 1e-12, 1e5
@@ -562,7 +569,7 @@ class Inertia:
     def of(cls, text: str | float | Inertia, body: str = "body") -> Inertia:
         """Read a moment of inertia: a number in kg m2, or a text with optional uncertainty and unit.
 
-        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2"; masses in kg, g, mg; lengths in m, cm, mm. A
+        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2", "554 g cm2 +- 6", "554 g cm2 +- 1 %"; masses in kg, g, mg; lengths in m, cm, mm. A
         UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
 
         Examples
@@ -572,7 +579,9 @@ class Inertia:
         """
         if isinstance(text, Inertia):
             return text
-        found = _INERTIA.fullmatch(str(text).strip())
+        found = _UNIT_FIRST.fullmatch(str(text).strip()) or _INERTIA.fullmatch(str(text).strip())
+        if found is not None and (found.groupdict().get("again") or found["unit"]) != found["unit"]:
+            found = None
         unit = _UNIT.fullmatch((found["unit"] or "kg m2").strip()) if found else None
         if found is None or unit is None:
             what = f"'{str(text)[:40]}' is not a moment of inertia of the {body}."
@@ -580,7 +589,8 @@ class Inertia:
         factor = _MASS[unit[1]] * _LENGTH[unit[2]] ** 2
         # rounded, so that 554 g cm2 is exactly 5.54e-5 kg m2
         value = float(f"{float(found['value']) * factor:.15g}")
-        u = float(f"{float(found['u']) * factor:.15g}") if found["u"] else math.nan
+        share = value / 100.0 if found["percent"] else factor
+        u = float(f"{float(found['u']) * share:.15g}") if found["u"] else math.nan
         if not SMALLEST <= value <= LARGEST:
             what = f"A moment of inertia of {value:g} kg m2 is not possible for the {body}."
             raise UsageError(what, "Check number and unit; without a unit it is in kg m2.")

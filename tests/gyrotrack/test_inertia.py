@@ -25,6 +25,10 @@ from gyrotrack.io._records import Inertia
         ("554 +- 6 g*cm**2", 5.54e-5, 6e-7),
         ("55400 g mm²", 5.54e-5, math.nan),
         ("0.05 kg·cm2", 5e-6, math.nan),
+        ("16 g cm2 +- 0.1", 1.6e-6, 1e-8),
+        ("16 g cm2 ± 0.1 g cm2", 1.6e-6, 1e-8),
+        ("16 g cm2 +- 1 %", 1.6e-6, 1.6e-8),
+        ("16 +- 2% g cm2", 1.6e-6, 3.2e-8),
     ],
 )
 def test_read(text, value, u):
@@ -37,6 +41,7 @@ def test_read(text, value, u):
     "text",
     [
         "",
+        "16 g cm2 +- 0.1 kg m2",
         "heavy",
         "-5e-5",
         "0",

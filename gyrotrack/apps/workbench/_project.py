@@ -939,7 +939,7 @@ def _inertia_field(text: str, field: str) -> dict[str, str]:
     try:
         found = Inertia.of(text, field.partition("_")[2] or "body")
     except UsageError as error:
-        return {"value": "", "error": error.message}
+        return {"value": "", "error": f"{error.message} {error.hint}"}
     u = f" ± {found.u:g}" if math.isfinite(found.u) else ", no uncertainty given"
     return {"value": f"{found.value:g} kg m²{u}", "error": ""}
 
