@@ -1,4 +1,7 @@
-"""The sample study: four films of one run with their study.toml, part of the installed package."""
+"""The sample study: four films of one run with their study.toml.
+
+The installed package contains them with stronger compression than the folder ``sample_clips`` of a checkout.
+"""
 
 from __future__ import annotations
 

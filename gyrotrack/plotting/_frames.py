@@ -106,7 +106,8 @@ _MAX_HASHED = 256 * 2**20  # bytes
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
     """Return a recording's film in these folders or the samples, by SHA-256 or, over 256 MiB, by size and frames."""
     name = Path(recording.source).name
-    places = [*folders, Path(__file__).parents[2] / "sample_clips"]
+    here = Path(__file__)
+    places = [*folders, here.parents[2] / "sample_clips", here.parents[1] / "sample_clips"]
     return next((f / name for f in places if name and _is_film_of(f / name, recording)), None)
 
 

@@ -331,14 +331,16 @@ def _frame(film: Path) -> Any:
 
 
 def _find(clips: Path | None) -> Path:
-    here = Path(__file__).resolve()
-    places = [clips] if clips is not None else [Path("sample_clips"), here.parents[3] / "sample_clips"]
+    from gyrotrack.apps._sample import sample_folder
+
+    installed = sample_folder()
+    places = [clips] if clips is not None else [Path("sample_clips"), *([installed] if installed else [])]
     for place in places:
         if (place / "study.toml").is_file():
             return place
     raise DatasetError(
         f"There are no sample clips in {places[0]}.",
-        "Run the command in the folder of the project, or give their folder with --clips.",
+        "Give the folder of the films and their study.toml with --clips, or install gyrotrack again.",
     )
 
 

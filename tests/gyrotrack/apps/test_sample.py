@@ -1,0 +1,56 @@
+"""The sample study of the installed package: the films of the checkout, smaller."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from gyrotrack.apps import _sample
+from gyrotrack.apps.cli._app import run
+from gyrotrack.apps.workbench._project import Project
+from gyrotrack.video._container import probe
+
+CHECKOUT = Path(__file__).parents[3] / "sample_clips"
+INSTALLED = Path(_sample.__file__).parents[1] / "sample_clips"
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """The package as it is without a checkout around it."""
+    package = tmp_path / "site-packages" / "gyrotrack"
+    (package / "apps").mkdir(parents=True)
+    (package / "sample_clips").symlink_to(INSTALLED)
+    monkeypatch.setattr(_sample, "__file__", str(package / "apps" / "_sample.py"))
+    monkeypatch.chdir(tmp_path)
+    return package / "sample_clips"
+
+
+def test_the_package_contains_the_same_films_in_less_space():
+    study = tomllib.loads((INSTALLED / "study.toml").read_text("utf-8"))
+    assert study == tomllib.loads((CHECKOUT / "study.toml").read_text("utf-8"))
+    for clip in study["clip"]:
+        small, whole = (probe(folder / clip["file"]) for folder in (INSTALLED, CHECKOUT))
+        for name in ("width", "height", "frames_declared", "container_fps"):
+            assert getattr(small, name) == getattr(whole, name), name
+    assert sum(f.stat().st_size for f in INSTALLED.iterdir()) < 7e6
+
+
+def test_page_and_demo_find_them_without_a_checkout(installed, tmp_path):
+    assert _sample.sample_folder() == installed
+    folder = tmp_path / "work"
+    folder.mkdir()
+    project = Project(folder)
+    project.add_samples()
+    assert [x.capture_fps for x in project.state.sources] == [260.0, 1000.0, 1000.0, 1000.0]
+    assert project.document()["missing"]["track"] == []
+    project.close()
+
+
+@pytest.mark.slow
+def test_the_demo_of_the_package_names_the_missing_effect(installed, tmp_path, capsys):
+    import json
+
+    assert run(["demo", "-o", "out", "--json", "-q"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["diagnosis"]["candidates"][0]["effect"] == "casing.air.quadratic"
+    assert [step["added"] for step in found["ladder"][1:]] == ["+casing.air.quadratic"]
