@@ -114,8 +114,10 @@ class Ghost:
         if not largest > 0 or not np.isfinite(self.radius) or largest * self.radius >= _SMALL:
             return 1
         wanted = min(_SEEN / self.radius, _LARGEST) / largest
-        power = 10 ** max(0, int(np.floor(np.log10(max(wanted, 1.0)))))
-        return int(max(s * power for s in _STEPS if s * power <= max(wanted, 1.0)))
+        powers = range(int(np.floor(np.log10(max(wanted, 1.0)))) + 2)
+        return max(
+            s * int(10**p) for p in powers for s in _STEPS if s * 10**p <= max(wanted, 1.0) * (1 + 1e-9)
+        )
 
     def turned(self, marker: str, model: int, factor: int = 1) -> Array:
         """Return the outlines of a marker where a model says that they are, (n, 4, 2) [px].
@@ -420,9 +422,7 @@ def _panels(ghost: Ghost, i: int, picture: Picture, factor: int) -> Image:
         colour = BEFORE if model == 0 else AFTER
         _write(draw, name, (left, 0), colour, bold=True)
         difference = _angle(float(ghost.difference[model, i]))
-        text = f"{ghost.time[i]:.2f} s   {difference}" + (
-            f", drawn × {factor}" if factor > 1 else ""
-        )
+        text = f"{ghost.time[i]:.2f} s   {difference}" + (f", drawn × {factor}" if factor > 1 else "")
         _write(draw, text, (left, _TOP + _PANEL + 4), "#333333")
     return sheet
 
