@@ -9,7 +9,7 @@ from typing import Any
 # number of digits above which a number with a power of ten is printed with all of them
 _LONG = 3
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
-_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AV](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
+_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| m?rad| urad| s\b)")

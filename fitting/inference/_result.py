@@ -34,6 +34,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._words import EffectName, effect_name
 from fitting.inference._angle_noise import AngleNoise
+from fitting.inference._angle_residuals import AngleResidual, angle_residuals
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._metrics import (
@@ -493,6 +494,21 @@ class Fit(FitSummary):
     def torque_unit(self) -> str:
         """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
         return self.problem.layout.torque_unit
+
+    def angle_residuals(self, case: int) -> tuple[AngleResidual, ...]:
+        """Return the residual angle of a case's casing, or single body, and of its rotor in each window.
+
+        Parameters
+        ----------
+        case : int
+            Index of the case.
+
+        Raises
+        ------
+        EstimationError
+            If speeds were fitted, not angles.
+        """
+        return angle_residuals(self, case)
 
     def name(self, effect: Effect | str) -> EffectName:
         """Return an effect or a parameter by its name, for a reader; see `fitting.effect_name`."""

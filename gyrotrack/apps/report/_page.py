@@ -30,6 +30,7 @@ from gyrotrack.plotting._discovery import (
     history_finding,
     history_picture,
 )
+from gyrotrack.plotting._ghost import Animation, Stretch, animated, stretches, write_ghost_film
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._tracking import Tile, Tracks, contact_sheets, sync_picture, tracks_of
 
@@ -41,10 +42,13 @@ if TYPE_CHECKING:
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Case
     from gyrotrack.plotting._tracking import Sheet
+    from gyrotrack.tracking._film_tracker import Progress
 
 
 _SMALL_P = 0.01
 _MAX_INTERVALS = 3
+# animated pictures of a case
+_MAX_GHOSTS = 4
 # sizes of the overview figures [inch]: two stacked, one as high as both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
@@ -73,6 +77,7 @@ class Section:
     sync: Picture | None
     dashboard: Dashboard
     sheets: tuple[Sheet, ...]
+    ghosts: tuple[Animation, ...]
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,21 @@ def _section(
         sheets=tuple(contact_sheets(case, films, [(f.t_start, f.t_stop) for f in v.failures]))
         if case is not None and films
         else (),
+        ghosts=tuple(a for s in ghost_stretches(view, index, case, films) if (a := animated(s)) is not None)
+        if case is not None
+        else (),
     )
+
+
+def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:
+    """Return the stretches of the films of a case with the ghosts of the base and of the final model."""
+    fits, names = [view.base], ["base model"]
+    if view.improved:
+        fits.append(view.final)
+        words = " and ".join(view.name(n).words for n in view.added)
+        names.append(f"with {words}" if words else "final model")
+    intervals = [(f.body, f.t_start, f.t_stop) for f in view.cases[index].failures if f.kind != "ripple"]
+    return stretches(case, fits, names, intervals, films, index)[:_MAX_GHOSTS]
 
 
 def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | None) -> tuple[Picture, ...]:
@@ -385,6 +404,9 @@ class _Images:
         if isinstance(value, Picture):
             file = self._write(".svg", value.svg.encode("utf-8", "replace"))
             return {"file": file, "caption": value.caption, "finding": value.finding}
+        if isinstance(value, Animation):
+            still = self._write(".jpg", value.jpeg)
+            return {"file": still, "finding": value.finding, "caption": value.caption}
         if isinstance(value, Tile):
             return {"file": self._write(".jpg", value.jpeg), "text": value.text}
         if is_dataclass(value) and not isinstance(value, type):
@@ -461,6 +483,43 @@ def write_report(
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
+
+
+def write_overlay(
+    path: Path,
+    history: Sequence[Step],
+    diagnosis: Diagnosis | None,
+    recordings: Sequence[Case],
+    films: Sequence[Path],
+    *,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a film of the ghosts of the base and the final model around every lack of fit of a study.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write, ``.mp4`` or ``.webp``.
+    history, diagnosis, recordings, films, force
+        As for `write_report`.
+    progress : callable, optional
+        Called with (frames written, frames in total).
+
+    Raises
+    ------
+    OutputError
+        There is no film, or the file exists and `force` is not set.
+    """
+    view = gather(history, diagnosis)
+    by_label = {case.label: case for case in recordings}
+    shown = [
+        s
+        for i, v in enumerate(view.cases)
+        if v.label in by_label
+        for s in ghost_stretches(view, i, by_label[v.label], films)
+    ]
+    return write_ghost_film(path, shown, force=force, progress=progress)
 
 
 _GENERATOR = b'<meta name="generator" content="gyrotrack">'
