@@ -371,7 +371,7 @@ class Workbench:
             Route("/", self._page),
             Route("/api/pulse", self._pulse),
             Route("/api/state", self._get(self._state)),
-            Route("/api/marks", self._get(lambda a: self.laboratory.clips.marks(text(a, "clip"), whole(a, "index")))),
+            Route("/api/marks", self._get(self._marks)),
             Route("/api/outcome", self._get(lambda a: self.laboratory.outcome(text(a, "key")))),
             Route("/api/frame", self._frame),
             Route("/api/report", self._get(lambda _: self.laboratory.report_state())),
@@ -581,6 +581,11 @@ class Workbench:
             "clips": lab.clips.document(),
             "library": library_document(),
         }
+
+    def _marks(self, query: dict[str, Any]) -> dict[str, Any]:
+        lab, clip, index = self.laboratory, text(query, "clip"), whole(query, "index")
+        found = lab.clips.marks(clip, index)
+        return found | ({"ghost": lab.session.ghost(clip, index)} if query.get("ghost") == "1" else {})
 
     async def _frame(self, request: Request) -> Response:
         query = dict(request.query_params)

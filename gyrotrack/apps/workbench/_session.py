@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fitting.study._history import Entry, Ledger
     from gyrotrack.apps.workbench._processes import Prediction
     from gyrotrack.io._records import Case
+    from gyrotrack.plotting._ghost import Ghost
 
 
 def library_document() -> list[dict[str, Any]]:
@@ -98,6 +99,8 @@ class Session:
         self.fit_seconds: float | None = None  # duration of the last fit
         # cached charts of the first view
         self._first: tuple[tuple[int, ...], dict[str, Any]] | None = None
+        # the markers as the models of the shown and the compared fit predict them, by these two
+        self._ghosts: tuple[tuple[int, ...], list[Ghost]] = ((), [])
         # initial values for each candidate, from the last search
         self.found: dict[str, dict[str, float]] = {}
 
@@ -185,6 +188,35 @@ class Session:
             return {}
         seconds = round(monotonic() - running.began, 2)
         return {"label": running.label, "seconds": seconds, "expected": running.expected}
+
+    def ghost(self, clip: str, index: int) -> dict[str, Any] | None:
+        """Return the outlines of the markers where the current model predicts them in a frame [px]; None if unknown.
+
+        The difference is magnified by ``factor``, the same for the compared fit, so that a better one is seen.
+        """
+        from gyrotrack.plotting._ghost import ghost_document, ghosts
+
+        if self._case is None:
+            return None
+        with self._lock:
+            step = self.steps[self.current]
+            compared = self._compared(step)
+            fits = [*([self.steps[compared].fit] if compared >= 0 else []), step.fit]
+            shown = (self.current, compared, *map(id, fits))
+            if self._ghosts[0] != shown:
+                names = [f"fit {n + 1}" for n in (compared, self.current)][-len(fits) :]
+                self._ghosts = shown, ghosts(self._case, fits, names)
+            found = next((g for g in self._ghosts[1] if g.clip == clip), None)
+        places = [] if found is None else list((found.frame == index).nonzero()[0])
+        if found is None or not places:
+            return None
+        time = float(found.time[places[0]])
+        document = ghost_document(found.inside(time, time), len(fits) - 1, factor=found.factor)
+        return {
+            "factor": found.factor,
+            "difference_rad": document["difference"][0],
+            "markers": [v["ghost"][0] for v in document["markers"].values() if v["ghost"][0] is not None],
+        }
 
     def _prediction(self) -> Prediction:
         from gyrotrack.apps.workbench._processes import Prediction
@@ -479,7 +511,7 @@ class Session:
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent
         own = {key: getattr(step, key) for key in ("fit_id", "parent", "name", "note")}
-        misfit = _misfit(document.get("reduced_chi2"))
+        misfit = _misfit(step.found.reduced_chi2 if step.found is not None else document.get("reduced_chi2"))
         return {"place": place, "depth": depth, "misfit": misfit} | own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:

@@ -2,7 +2,7 @@
 /* One film: frame, steps, speed, zoom, and an overlay with thin lines that keep their width at every zoom. */
 const FilmView = (() => {
   const { element } = Charts;
-  const FOUND = "#3cff3c", PARTIAL = "#ffb000", HAND = "#ff7ad9", CENTRE = "#ffffff", PICKED = "#56b4e9";
+  const FOUND = "#3cff3c", PARTIAL = "#ffb000", HAND = "#ff7ad9", CENTRE = "#ffffff", PICKED = "#56b4e9", GHOST = "#7cf2ff";
   const MOST_ZOOM = 16, CLICK = 4;
 
   /* `options`: picture(index) and marks(index) ask the server; time(index) [s]; rate() frames a second; shown(index) and
@@ -206,12 +206,22 @@ const FilmView = (() => {
         g.lineWidth = 3.5 * ratio; g.lineJoin = "round"; g.strokeStyle = "rgb(0 0 0 / 85%)"; g.fillStyle = "#fff";
         g.strokeText(label, left, top); g.fillText(label, left, top);
       }
+      if (shown.ghost) {
+        g.setLineDash([5 * ratio, 3 * ratio]);
+        for (const corners of shown.ghost.markers) {
+          const p = new Path2D();
+          corners.forEach((c, n) => { if (n) p.lineTo(...to(c)); else p.moveTo(...to(c)); });
+          p.closePath();
+          this.stroke(g, p, GHOST, ratio, 2);
+        }
+        g.setLineDash([]);
+      }
       if (centre) this.stroke(g, this.plus(...centre, 7 * ratio), CENTRE, ratio);
     }
   }
 
   /* the legend of the overlay, as a list */
-  FilmView.legend = () => [["complete marker: corners and middle", FOUND], ["partly visible", PARTIAL], ["by hand", HAND], ["centre", CENTRE]].map(([text, colour]) => {
+  FilmView.legend = (ghost = false) => [...(ghost ? [["where the model says", GHOST]] : []), ["complete marker: corners and middle", FOUND], ["partly visible", PARTIAL], ["by hand", HAND], ["centre", CENTRE]].map(([text, colour]) => {
     const swatch = element("span", { class: colour === CENTRE ? "swatch plus" : "swatch ring", "aria-hidden": "true" });
     swatch.style.setProperty("--colour", colour);
     return element("li", {}, swatch, text);

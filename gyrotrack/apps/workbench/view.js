@@ -61,7 +61,7 @@ const Laboratory = (() => {
     } else board.set(here);
   }
 
-  let last = null, answered = -1;
+  let last = null, answered = -1, shownFit = -1;
 
   function render(state) {
     last = state;
@@ -105,6 +105,8 @@ const Laboratory = (() => {
       return element("tr", now ? { class: "now" } : {}, head, element("td", {}, times(r.misfit)),
         element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
+    if (clip && shownFit !== state.current) film.show(film.index);
+    shownFit = state.current;
     for (const field of ["name", "note"]) if (document.activeElement !== at(field)) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
     enable();
   }
@@ -367,7 +369,7 @@ const Laboratory = (() => {
     at(name === "plan" ? "plan" : "certify").disabled = running;
     at(`cancel-${name}`).hidden = !running;
     const line = at(name === "plan" ? "plan-state" : "certificate-state");
-    line.textContent = running ? progressText(name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "computing the next run" : state.label || "simulating recordings")
+    line.textContent = running ? progressText(name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "computing the next run" : state.total ? "simulating recordings" : "analysing the recording itself")
       : state.state === "failed" ? sentence(state.message) : state.state === "cancelled" ? (name === "plan" ? "Cancelled." : "Cancelled; the next test continues from here.") : "";
     line.classList.toggle("fault", state.state === "failed");
     if (running) busy(name, name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "planning" : "testing the answer", () => act(() => ask("/api/cancel", { key: name })).then(() => outcome(name)));
@@ -422,10 +424,15 @@ const Laboratory = (() => {
       const image = await createImageBitmap(await ask(`/api/frame?clip=${encodeURIComponent(clip.key)}&index=${n}&overlay=0`));
       return { image, size: clip.width && clip.height ? [clip.width, clip.height] : [image.width, image.height] };
     },
-    marks: (n) => ask(`/api/marks?clip=${encodeURIComponent(clip.key)}&index=${n}`),
+    marks: (n) => ask(`/api/marks?clip=${encodeURIComponent(clip.key)}&index=${n}${at("ghost").checked ? "&ghost=1" : ""}`),
+    drawn: (marks) => {
+      const g = marks?.ghost, degrees = g ? Math.abs(g.difference_rad) * 180 / Math.PI : 0;
+      at("apart").textContent = !g ? "" : `Measured and modelled angle differ by ${format(degrees, 2)}\u00b0${g.factor > 1 ? `; drawn ${g.factor} times larger` : ""}.`;
+    },
     picked: ([x, y]) => { if (!at("picker").open || at("p-more").hidden || !clip) return; pick(x / film.size[0], y / film.size[1]); },
   });
-  at("legend-frame").append(...FilmView.legend());
+  at("legend-frame").append(...FilmView.legend(true));
+  at("ghost").addEventListener("change", () => { if (clip) film.show(film.index); });
 
   function choose(name, index = 0) {
     clip = clips.find((c) => c.key === name) || null;
