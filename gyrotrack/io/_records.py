@@ -569,8 +569,9 @@ class Inertia:
     def of(cls, text: str | float | Inertia, body: str = "body") -> Inertia:
         """Read a moment of inertia: a number in kg m2, or a text with optional uncertainty and unit.
 
-        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2", "554 g cm2 +- 6", "554 g cm2 +- 1 %"; masses in kg, g, mg; lengths in m, cm, mm. A
-        UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`, `LARGEST`).
+        Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2", "554 g cm2 +- 6", "554 g cm2 +- 1 %"; masses in
+        kg, g, mg; lengths in m, cm, mm. A UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`,
+        `LARGEST`).
 
         Examples
         --------

@@ -89,7 +89,7 @@ def _after(page, act):
     count = _rungs(page)
     began = perf_counter()
     act()
-    page.locator("#ladder tr").nth(count).wait_for()
+    page.locator("#ladder tr").nth(count).wait_for(state="attached")
     return perf_counter() - began
 
 
@@ -143,7 +143,7 @@ def test_the_history_is_annotated_undone_and_pruned(visit):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing(visit, scheme):
     visit.emulate_media(color_scheme=scheme)
-    visit.locator("#ranking .card").first.wait_for(timeout=90_000)
+    visit.locator("#ranking .card").first.wait_for(timeout=150_000)
     for tab in ("model", "sliders", "report", "more", "fits"):
         visit.click(f"#t-{tab}")
         for summary in visit.locator("summary:visible").all():
@@ -156,7 +156,7 @@ def test_axe_finds_nothing(visit, scheme):
 def test_a_click_adds_what_the_ranking_puts_first(visit):
     before = _rms(visit)
     add = visit.get_by_role("button", name=f"add {FOUND}", exact=True)
-    add.wait_for(timeout=90_000)
+    add.wait_for(timeout=150_000)
     first = visit.locator("#ranking .card").first
     assert first.get_attribute("data-effect") == FOUND
     assert first.locator("h3").inner_text().lower() == "quadratic air drag of the casing"
@@ -239,7 +239,7 @@ def test_a_click_on_the_residual_shows_the_frame_of_that_moment(visit):
     zoom, x, y = visit.locator(".shown").inner_text(), box["x"] + share * box["width"], box["y"] + 30
     visit.mouse.move(x, y)
     visit.mouse.down()
-    visit.mouse.move(x + 8, y, steps=4)
+    visit.mouse.move(x + 1, y)  # a quarter of the film
     visit.mouse.up()
     visit.wait_for_timeout(300)
     assert _frame(visit) > frame
@@ -411,7 +411,7 @@ def test_sliders_move_the_residual_and_candidates_are_foreseen(visit):
     visit.click("#reset")
     assert visit.locator("#moved").inner_text() == ""
     card = visit.locator("#ranking .card").first
-    card.wait_for(timeout=90_000)
+    card.wait_for(timeout=150_000)
     card.hover()
     visit.locator("#foreseen", has_text="With quadratic air drag of the casing").wait_for()
     visit.locator(f"#board[data-overlay='{FOUND}']").wait_for()
@@ -423,16 +423,15 @@ def test_sliders_move_the_residual_and_candidates_are_foreseen(visit):
 
 @pytest.mark.slow
 def test_a_fit_in_one_tab_appears_in_all_and_the_candidates_are_near_for_the_keyboard(visit, server):
-    visit.locator("#ranking .card").first.wait_for(timeout=90_000)
+    visit.locator("#ranking .card").first.wait_for(timeout=150_000)
     visit.locator("body").focus()
     visit.evaluate("document.activeElement.blur()")
-    for n in range(1, 13):
+    for _ in range(12):
         visit.keyboard.press("Tab")
         if visit.evaluate("Boolean(document.activeElement.closest('#ranking .card'))"):
             break
     else:
         pytest.fail("the candidates are not reached within 12 tabs")
-    assert n <= 12
     other = visit.context.new_page()
     other.goto(server.url)
     other.locator("#ladder tr").first.wait_for()
@@ -450,11 +449,14 @@ def test_a_fit_in_one_tab_appears_in_all_and_the_candidates_are_near_for_the_key
 LAYOUT = """() => {
     const out = [], cut = (e) => e.offsetParent === null || e.closest(".hidden, .wide, .marks") || e.id === "choose";
     if (document.documentElement.scrollWidth > innerWidth) out.push("the page scrolls sideways");
-    for (const p of document.querySelectorAll(".pane")) if (p.offsetParent && p.scrollWidth > p.clientWidth + 1) out.push(`pane ${p.id}`);
-    for (const e of document.querySelectorAll("button, select, input, h2, h3, p, label, canvas, td, th, summary, code")) {
+    for (const p of document.querySelectorAll(".pane"))
+        if (p.offsetParent && p.scrollWidth > p.clientWidth + 1) out.push(`pane ${p.id}`);
+    const all = "button, select, input, h2, h3, p, label, canvas, td, th, summary, code";
+    for (const e of document.querySelectorAll(all)) {
         if (cut(e)) continue;
         const r = e.getBoundingClientRect(), p = (e.closest(".pane") || document.body).getBoundingClientRect();
-        if (r.width && (r.right > p.right + 1 || r.left < p.left - 1)) out.push(`${e.tagName} ${e.id} ${e.textContent.slice(0, 30)}`);
+        if (!r.width || (r.right <= p.right + 1 && r.left >= p.left - 1)) continue;
+        out.push(`${e.tagName} ${e.id} ${e.textContent.slice(0, 30)}`);
     }
     return out;
 }"""
@@ -462,7 +464,7 @@ LAYOUT = """() => {
 
 @pytest.mark.slow
 def test_nothing_is_cut_at_any_width_and_the_panes_stay_on_the_screen(visit):
-    visit.locator("#ranking .card").first.wait_for(timeout=90_000)
+    visit.locator("#ranking .card").first.wait_for(timeout=150_000)
     for width, height, scheme in (
         (390, 844, "light"),
         (768, 1024, "dark"),

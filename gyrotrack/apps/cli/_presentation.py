@@ -206,7 +206,7 @@ def view_command(
 
             webbrowser.open(url)
 
-    own = Address(folder.resolve() / "workbench" if case is None else case.resolve())
+    own = Address(folder.resolve() / "workbench" if case is None else (ledger or case).resolve())
     if url := own.running():
         if sources and case is None:
             out.warn("The workbench of this folder is already open; add the files on its page.")

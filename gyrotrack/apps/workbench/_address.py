@@ -49,10 +49,10 @@ class Address:
             if host != socket.gethostname() or parts.scheme != "http" or parts.hostname != "127.0.0.1":
                 return ""
             token = parts.query.partition("token=")[2]
-            request = Request(  # noqa: S310 - the scheme and the host are checked above
+            request = Request(
                 f"http://127.0.0.1:{parts.port}/api/pulse", headers={"x-gyrotrack-token": token}
             )
             with build_opener(ProxyHandler({})).open(request, timeout=_WAIT) as answer:
-                return url if answer.status == 200 else ""  # noqa: PLR2004
+                return url if answer.status == 200 else ""
         except (OSError, ValueError, KeyError, TypeError, URLError):
             return ""

@@ -21,7 +21,10 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
-JUMP = 5.0  # deviation from the neighbouring frames, in standard uncertainties, above which a click is doubted
+JUMP = (
+    5.0  # deviation from the neighbouring frames, in standard uncertainties, above which a click is doubted
+)
+_SAME = 1e-9  # difference of two times that are the same [s]
 _MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
 _TURN = 2 * np.pi
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
@@ -86,7 +89,9 @@ def without_correction(recording: Recording, marker: str, frame: int) -> Recordi
     bodies = dict(recording.bodies)
     if (body := bodies.get(track.body)) is not None:
         time = float(recording.time[frame])
-        others = [c for c in rest if c["frame"] == frame and recording.markers[c["marker"]].body == track.body]
+        others = [
+            c for c in rest if c["frame"] == frame and recording.markers[c["marker"]].body == track.body
+        ]
         if others:  # the latest other correction of the same body and frame determines the angle
             last = others[-1]
             mount = recording.markers[last["marker"]].mount_angle
@@ -117,7 +122,7 @@ def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) 
     if body is None or len(body.time) < _FEWEST:
         return None
     time = float(recording.time[frame])
-    others = np.abs(body.time - time) > 1e-9
+    others = np.abs(body.time - time) > _SAME
     expected = float(np.interp(time, body.time[others], body.angle[others]))
     apart = angle - track.mount_angle - expected
     apart -= _TURN * np.rint(apart / _TURN)
@@ -157,9 +162,9 @@ def _content(recording: Recording, track: MarkerTrack, frame: int) -> dict[str, 
     else:
         row = None
         body = recording.bodies.get(track.body)
-        at = [] if body is None else np.flatnonzero(np.abs(body.time - recording.time[frame]) <= 1e-9)
-        if body is not None and len(at):
-            row = [_plain(getattr(body, n)[at[0]]) for n in _BODY[1:]]
+        if body is not None:
+            at = np.flatnonzero(np.abs(body.time - recording.time[frame]) <= _SAME)
+            row = [_plain(getattr(body, n)[at[0]]) for n in _BODY[1:]] if len(at) else None
     return {"marker": {n: _plain(getattr(track, n)[frame]) for n in _MEASURED}, "body": row}
 
 
@@ -197,7 +202,7 @@ def _with_row(
     body: BodyTrack, time: float, angle: float, sigma: float, paper: float, count: float
 ) -> BodyTrack:
     """Return a body with a new angle [rad] at one time, or without one if it is NaN; its speed is recomputed."""
-    others = np.abs(body.time - time) > 1e-9
+    others = np.abs(body.time - time) > _SAME
     kept: dict[str, Any] = {n: getattr(body, n)[others] for n in _BODY}
     if np.isfinite(angle):
         at = int(np.searchsorted(kept["time"], time))

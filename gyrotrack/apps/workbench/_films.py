@@ -104,7 +104,8 @@ class Clips:
             "size": [int(r.width), int(r.height)],
             "centre": positions(r.centre[frame])[0],
             "markers": [
-                m | {k: m[k][0] for k in ("place", "whole", "status", "corners")} for m in marker_positions(r, frame, clip.middles)
+                m | {k: m[k][0] for k in ("place", "whole", "status", "corners")}
+                for m in marker_positions(r, frame, clip.middles)
             ],
         }
 
@@ -250,7 +251,9 @@ def preview(
     }
 
 
-_MIDDLE = 1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
+_MIDDLE = (
+    1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
+)
 _SAMPLED = 5  # frames in which the outer edge of a marker is sought
 _FARTHEST = 3.0  # radius up to which it is sought, over that of the inner corners
 _INSIDE = (1.04, 1.12)  # radii of the colour of a marker, over that of the inner corners
@@ -266,7 +269,9 @@ def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> d
     found = {}
     for m in recording.markers.values():
         known = np.flatnonzero((m.status == STATUS["ok"]) & np.isfinite(m.rho) & np.isfinite(m.angle_fine))
-        some = known[np.linspace(0, len(known) - 1, min(_SAMPLED, len(known))).astype(int)] if len(known) else []
+        some = (
+            known[np.linspace(0, len(known) - 1, min(_SAMPLED, len(known))).astype(int)] if len(known) else []
+        )
         edges = []
         for k in some:
             with suppress(GyrotrackError):

@@ -25,7 +25,6 @@ from gyrotrack.plotting._charts import (
     VERMILLION,
     Chart,
     Dashboard,
-    Trace,
     concatenated,
     dashboard_document,
 )
@@ -35,7 +34,9 @@ if TYPE_CHECKING:
     from gyrotrack.apps.workbench._project import Project, Source
 
 Array = NDArray[np.float64]
-Curve = tuple[str, str, str, list[tuple[Array, Array, Array]]]  # film, body, colour, pieces (time, angle, speed)
+Curve = tuple[
+    str, str, str, list[tuple[Array, Array, Array]]
+]  # film, body, colour, pieces (time, angle, speed)
 
 _DRAWN = 900  # points of a curve
 _WIDTH = 9  # samples of the running median of a speed while the film is tracked
@@ -74,7 +75,9 @@ def _chart(name: str, title: str, unit: str, curves: Sequence[Curve], column: in
             label = f"{film}, {body}" if body != "single" else film
             traces.append(concatenated(label, parts, colour, width=1.6))
     finding = f"{title} of {len(traces)} film{'' if len(traces) == 1 else 's'}."
-    return Chart(name, title, unit, tuple(traces), finding, caption="Each film on its own clock until synchronised.")
+    return Chart(
+        name, title, unit, tuple(traces), finding, caption="Each film on its own clock until synchronised."
+    )
 
 
 def _pieces(project: Project, x: Source) -> dict[str, list[tuple[Array, Array, Array]]]:
@@ -107,8 +110,10 @@ def _from_speed(time: Array, omega: Array) -> tuple[Array, Array, Array]:
 
 
 def _thinned(time: Array, angle: Array, omega: Array) -> tuple[Array, Array, Array]:
-    few = np.unique(np.linspace(0, len(time) - 1, min(len(time), _DRAWN)).astype(int)) if len(time) else []
-    return time[few], angle[few] - (angle[0] if len(angle) else 0.0), omega[few]
+    if not len(time):
+        return time, angle, omega
+    few = np.unique(np.linspace(0, len(time) - 1, min(len(time), _DRAWN)).astype(int))
+    return time[few], angle[few] - angle[0], omega[few]
 
 
 def _tracked_so_far(records: Sequence[Record], rate: float) -> dict[str, list[tuple[Array, Array, Array]]]:

@@ -320,10 +320,12 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
             row |= {"fits": c.effect.signature, "contradiction": contradiction(c.effect)}
         predicted = {c.effect.name: prediction.with_candidate(c, columns) for c in shown}
         for p in predicted.values():
-            p["share"] = min(1.0, max(0.0, 1.0 - (p["misfit"] ** 2 - 1.0) / excess)) if excess > _RESOLVED else None
-        return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
+            p["share"] = (
+                min(1.0, max(0.0, 1.0 - (p["misfit"] ** 2 - 1.0) / excess)) if excess > _RESOLVED else None
+            )
     except FittingError as error:
         return {"error": {"code": error.code, "message": error.message, "hint": error.hint}}
+    return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
 _RESOLVED = 0.05  # excess of the mean square residual over that of the noise, of which shares are given
@@ -379,8 +381,8 @@ class Prediction:
     def sliders(self) -> dict[str, Any]:
         """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
-        ``parameters``: name, value, low, high, unit, u; ``time`` and ``value`` of each run, the casing first; ``sigma`` of
-        the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
+        ``parameters``: name, value, low, high, unit, u; ``time`` and ``value`` of each run, the casing first;
+        ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()

@@ -25,9 +25,9 @@ from filelock import Timeout
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
+from gyrotrack.apps._sample import sample_folder
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
-from gyrotrack.apps._sample import sample_folder
 from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, without_correction
 from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
 from gyrotrack.apps.workbench._history import Change, History, apply, difference
@@ -108,7 +108,9 @@ class State(BaseModel):
     match: dict[str, Any] = Field(default_factory=dict)
     fitted: list[str] = Field(default_factory=list)
     fit: dict[str, Any] = Field(default_factory=dict)
-    removed: list[Source] = Field(default_factory=list)  # with all their settings, so that they can be restored
+    removed: list[Source] = Field(
+        default_factory=list
+    )  # with all their settings, so that they can be restored
     seconds: dict[str, FiniteFloat] = Field(default_factory=dict)  # duration of the last run of each step [s]
 
 

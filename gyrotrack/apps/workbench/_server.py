@@ -246,7 +246,9 @@ class Laboratory:
     jobs: Jobs
     # the report that this process has written, and its name
     written: dict[str, bytes] = field(default_factory=dict)
-    key: str = field(default_factory=lambda: secrets.token_hex(4))  # of this opening of the case, for the pages
+    key: str = field(
+        default_factory=lambda: secrets.token_hex(4)
+    )  # of this opening of the case, for the pages
 
     @classmethod
     def open(
@@ -303,7 +305,9 @@ class Laboratory:
     def certify(self, count: int) -> dict[str, Any]:
         """Save the current fit, and test its answer on `count` simulated recordings, in a process."""
         if not 1 <= count <= _MOST_RECORDINGS:
-            raise UsageError(f"The number of recordings is not between 1 and {_MOST_RECORDINGS}.", "Change it.")
+            raise UsageError(
+                f"The number of recordings is not between 1 and {_MOST_RECORDINGS}.", "Change it."
+            )
         return self._start("certificate", ["certify", self.case.name, "-n", str(count)])
 
     def plan(self) -> dict[str, Any]:
@@ -463,14 +467,16 @@ class Workbench:
             "follow": then(lambda a: p.preview(text(a, "key"))),
             "find": then(lambda a: p.find_markers(text(a, "key"))),
             "read": then(lambda a: p.read(text(a, "key"))),
-            "correct": lambda a: p.correct(
-                text(a, "key"),
-                text(a, "marker"),
-                whole(a, "index"),
-                a.get("place"),
-                confirmed=a.get("confirmed") is True,
-            )
-            or p.document(),
+            "correct": lambda a: (
+                p.correct(
+                    text(a, "key"),
+                    text(a, "marker"),
+                    whole(a, "index"),
+                    a.get("place"),
+                    confirmed=a.get("confirmed") is True,
+                )
+                or p.document()
+            ),
             "track": then(lambda a: p.track([text(a, "key")] if text(a, "key") else [])),
             "match": then(lambda _: p.match()),
             "analyse": then(lambda _: p.analyse()),
@@ -656,7 +662,10 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
     folder = resources.files("gyrotrack.apps.workbench")
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
-    own = [folder.joinpath(n).read_text("utf-8") for n in ("client.js", "filmview.js", "films.js", "view.js", "tour.js")]
+    own = [
+        folder.joinpath(n).read_text("utf-8")
+        for n in ("client.js", "filmview.js", "films.js", "view.js", "tour.js")
+    ]
     scripts = (*charts.scripts(), *own)
     style = charts.theme() + folder.joinpath("view.css").read_text("utf-8") + charts.style_sheet()
     begins = has_project and not has_case

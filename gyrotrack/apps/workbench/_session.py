@@ -301,7 +301,8 @@ class Session:
                 raise GyrotrackError("The only fit cannot be deleted.")
             if any(self.steps[i].parent == place for i in left):
                 raise GyrotrackError("This fit has successors.", "Delete those first.")
-            before, entries = (self.current, self.reference), []
+            before = self.current, self.reference
+            entries: list[Entry] = []
 
             def remove() -> None:
                 entries[:] = [self._ledger.delete(step.fit_id)] if step.fit_id else []
@@ -456,7 +457,7 @@ class Session:
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, and their differences from the compared one in units of both uncertainties."""
+        """Return the parameters of a fit, and their differences from the compared one in units of u."""
         from fitting._numbers import with_uncertainty
 
         compared = self._compared(step)
@@ -481,20 +482,34 @@ class Session:
         from fitting._numbers import scaled, short, unit_text
 
         fit, left = step.fit, self._rung(self.current).get("torque_left_Nm")
+        error = "Error on stretches of the recording that were left out of the fit, over the noise"
         found = [
-            ("χ²/n", short(fit.reduced_chi2), "Square of the misfit above: mean square of the residual over that of "
-             "the noise, with the effective number of samples."),
-            ("prediction error / noise", short(fit.held_out), "Error on stretches of the recording that were left "
-             "out of the fit, over the noise: 1 for a complete model; grows if a model has too many parameters."),
-            ("rms residual", f"{short(fit.rmse_casing)} rad/s", "Of the smoothed speed, as in the paper. Noise alone "
-             f"gives {short(fit.rmse_noise)} rad/s."),
-        ]  # fmt: skip
+            (
+                "χ²/n",
+                short(fit.reduced_chi2),
+                "Square of the misfit: mean square of the residual over that of the noise.",
+            ),
+            (
+                "prediction error / noise",
+                short(fit.held_out),
+                f"{error}: it grows if there are too many parameters.",
+            ),
+            (
+                "rms residual",
+                f"{short(fit.rmse_casing)} rad/s",
+                f"Noise alone gives {short(fit.rmse_noise)} rad/s.",
+            ),
+        ]
         if isinstance(left, float):
             factor, prefix = scaled(abs(left))
             unit = unit_text(self._data.record.torque_unit)
             value = f"{short(factor * left)} {prefix}{unit}" if left else f"0 {unit}"
             found.append(
-                ("unmodelled torque, rms", value, "Torque that the residual requires beyond the model, in excess of noise.")
+                (
+                    "unmodelled torque, rms",
+                    value,
+                    "Torque that the residual requires beyond the model, in excess of noise.",
+                )
             )
         return [{"name": n, "value": v, "meaning": m} for n, v, m in found]
 
@@ -506,7 +521,16 @@ class Session:
         if document is None:
             previous = self.steps[step.parent].fit if step.parent >= 0 else None
             document = step_document(step.fit, step.fit_id, step.change, previous)
-        keys = ("added", "words", "rmse_casing", "reduced_chi2", "held_out", "delta_bic", "torque_left_Nm", "verdict")
+        keys = (
+            "added",
+            "words",
+            "rmse_casing",
+            "reduced_chi2",
+            "held_out",
+            "delta_bic",
+            "torque_left_Nm",
+            "verdict",
+        )
         depth, up = 0, step.parent
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent

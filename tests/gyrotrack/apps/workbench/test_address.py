@@ -1,7 +1,6 @@
 """One server per folder: the address of a server that answers is used, and no other."""
 
 import json
-import os
 import socket
 import stat
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -71,8 +70,10 @@ def test_a_server_that_has_ended_and_a_link_are_not_used(tmp_path, port):
     assert own.running() == ""
     own.clear()
     target = tmp_path / "planted"
-    target.write_text(json.dumps({"url": f"http://127.0.0.1:{port}/?token=secret", "host": socket.gethostname()}))
-    os.symlink(target, tmp_path / ".workbench.address")
+    target.write_text(
+        json.dumps({"url": f"http://127.0.0.1:{port}/?token=secret", "host": socket.gethostname()})
+    )
+    (tmp_path / ".workbench.address").symlink_to(target)
     assert own.running() == ""
     own.publish("http://127.0.0.1:1/?token=new")  # the link is replaced, and its target is kept
     assert "secret" in target.read_text()

@@ -81,9 +81,9 @@ def test_a_marker_that_is_not_visible_leaves_the_body_without_an_angle(recording
 
 def test_a_deleted_correction_leaves_the_frame_as_it_was_tracked(recording, tmp_path):
     k = 60
-    once = corrected(recording, "blue", k, _place(recording, "blue", k) + [20, 5])
-    twice = corrected(once, "blue", k, _place(recording, "blue", k) - [20, 5])
-    both = corrected(twice, "green", k, _place(recording, "green", k) + [3, 3])
+    once = corrected(recording, "blue", k, _place(recording, "blue", k) + np.array([20, 5]))
+    twice = corrected(once, "blue", k, _place(recording, "blue", k) - np.array([20, 5]))
+    both = corrected(twice, "green", k, _place(recording, "green", k) + np.array([3, 3]))
     write_recording(tmp_path / "r.h5", both, command="test", settings={})
     stored = read_recording(tmp_path / "r.h5")
     assert [(c["marker"], c["frame"]) for c in corrections(stored)] == [("blue", k), ("green", k)]
@@ -116,7 +116,10 @@ def test_a_correction_of_an_earlier_version_is_not_deleted_without_its_content(r
 def test_a_click_far_from_the_neighbouring_frames_is_doubted(recording, turn):
     k, angle = 80, np.radians(turn)
     x, y = _place(recording, "blue", k) - recording.centre[k]
-    moved = recording.centre[k] + [x * np.cos(angle) + y * np.sin(angle), -x * np.sin(angle) + y * np.cos(angle)]
+    moved = recording.centre[k] + [
+        x * np.cos(angle) + y * np.sin(angle),
+        -x * np.sin(angle) + y * np.cos(angle),
+    ]
     assert np.degrees(abs(jump(recording, "blue", k, moved))) == pytest.approx(abs(turn), abs=3)
     assert jump(recording, "blue", k, _place(recording, "blue", k)) is None
 

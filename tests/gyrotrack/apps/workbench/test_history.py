@@ -135,7 +135,10 @@ def test_the_motion_grows_with_the_parts_of_a_checkpoint(tmp_path):
         for part, (first, last) in enumerate(((0, 210), (200, 400))):
             frame = np.arange(first, last)
             turns = 0.0 if part == 0 else 3.0  # each part begins its angles anew
-            arrays = {"stamps": 512 * frame.astype(np.int64), "casing/coarse": omega * frame / rate - 2 * np.pi * turns}
+            arrays = {
+                "stamps": 512 * frame.astype(np.int64),
+                "casing/coarse": omega * frame / rate - 2 * np.pi * turns,
+            }
             journal.append({"part": part, "parts": 3, "frames": len(frame)}, arrays)
             found = _tracked_so_far(written_records(journal.path), rate)["casing"]
             assert len(found) == part + 1
