@@ -35,8 +35,11 @@ const Charts = (() => {
     if (!(u > 0) || !Number.isFinite(u)) return format(value, 4);
     const leading = Math.floor(Math.log10(u)), digits = -leading + (u / 10 ** leading < 2.95 ? 1 : 0);
     const power = Math.floor(Math.log10(Math.max(Math.abs(value), u)));
-    const fixed = (x, n) => x.toFixed(Math.min(20, Math.max(0, n))).replace("-", "\u2212");
-    if (power > -4 && power < 5) { const r = 10 ** Math.max(0, -digits); return `${fixed(Math.round(value / r) * r, digits)} \u00b1 ${fixed(Math.round(u / r) * r, digits)}`; }
+    const fixed = (x, n) => {
+      const r = 10 ** Math.max(0, -n);
+      return (n < 0 ? Math.round(x / r) * r : x).toFixed(Math.min(20, Math.max(0, n))).replace("-", "\u2212");
+    };
+    if (power > -3 && power < 5) return `${fixed(value, digits)} \u00b1 ${fixed(u, digits)}`;
     const raised = [...String(power)].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]).join("");
     return `(${fixed(value / 10 ** power, digits + power)} \u00b1 ${fixed(u / 10 ** power, digits + power)})\u00a0\u00d7\u00a010${raised}`;
   }

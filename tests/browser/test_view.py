@@ -111,6 +111,12 @@ def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
         visit.click(f"#t-{tab}")
         visit.locator("#board canvas").nth(count - 1).wait_for()
         assert visit.locator("#board canvas").count() == count
+    # a number has the digits that its u allows, as in the reports
+    from fitting._numbers import with_uncertainty
+
+    for value, u in ((3.3976, 0.017), (-0.0902246, 0.000087), (3.6e-10, 1.2e-13), (54321.0, 310.0), (0.5, 2.0)):
+        expected = with_uncertainty(value, u, "1").replace(" ×", "\u00a0×").replace("× ", "×\u00a0")
+        assert visit.evaluate("([v, u]) => Charts.uncertain(v, u)", [value, u]) == expected
     picture = tmp_path / "page.png"
     visit.screenshot(path=picture, full_page=True)
     assert picture.stat().st_size > 50_000

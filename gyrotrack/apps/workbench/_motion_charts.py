@@ -112,6 +112,8 @@ def _from_speed(time: Array, omega: Array) -> tuple[Array, Array, Array]:
 def _thinned(time: Array, angle: Array, omega: Array) -> tuple[Array, Array, Array]:
     if not len(time):
         return time, angle, omega
+    if np.isfinite(omega).sum() < len(omega) / 2:  # the record is shorter than the smoothing of its speed
+        omega = _speed(time, angle)
     few = np.unique(np.linspace(0, len(time) - 1, min(len(time), _DRAWN)).astype(int))
     return time[few], angle[few] - angle[0], omega[few]
 

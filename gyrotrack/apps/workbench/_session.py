@@ -437,6 +437,7 @@ class Session:
                 {
                     "label": self._data.record.label,
                     "surface": self._data.record.surface,
+                    "body": self._data.record.body,
                     "verdict": fit.verdict,
                     "sharp": step.sharp,
                     "current": self.current,

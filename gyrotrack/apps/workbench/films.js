@@ -290,7 +290,7 @@ const Films = (() => {
     at("next").textContent = guide();
     const ready = project.sources.length > 0 && !project.missing.track.length, working = Object.values(project.jobs).some(active) || project.sources.some((x) => active(x.jobs.track));
     at("analyse").disabled = !ready || working || project.can_open;
-    at("analyse").parentElement.hidden = project.sources.length === 0 || project.can_open;
+    at("analyse").parentElement.hidden = project.sources.length === 0 || project.can_open || (single && project.is_matched);
     at("analyse-text").textContent = project.missing.match.some((t) => t.includes("inertia")) && !single ? "Track and synchronise; enter both moments of inertia in step 3 meanwhile." : "Track, synchronise and fit, then open the laboratory.";
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
@@ -306,7 +306,7 @@ const Films = (() => {
       return "Next: press \u201cAnalyse everything\u201d, or first select a film and preview its tracking.";
     }
     if (!project.is_matched) return project.missing.match.length ? `Next: ${project.missing.match[0]}` : "Next: synchronise the clips. The casing, which all cameras see, determines the start of each film.";
-    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "" : "Next: fit. The laboratory then shows the lack of fit and the candidate effects.";
+    return project.can_open ? "Next: open the laboratory." : project.route === "single" ? "The motion is measured; no torque law could be fitted. The reasons stand below the angles." : "Next: fit. The laboratory then shows the lack of fit and the candidate effects.";
   }
 
   /* the clips on the clock of the casing camera */

@@ -39,6 +39,8 @@ const Laboratory = (() => {
     not_determined: "A parameter is not determined by the data", not_converged: "Not converged: results are not valid",
   };
 
+  /* keys and formulas of a single body without the role that it has in the library */
+  const own = (text) => !last || last.body === "casing" ? text : text.replace(/^casing(?=[.:])/, last.body).replace(/^touchpoint\./, "support.").replace(/\b(omega|psi)_c\b/g, "$1");
   const named = (x) => x.words || x.effect || x.name;
 
   function drawn() {
@@ -81,7 +83,7 @@ const Laboratory = (() => {
     at("measure-list").replaceChildren(...state.measures.flatMap((m) => [element("dt", {}, m.name, element("span", {}, m.value)), element("dd", {}, m.meaning)]));
     at("effects").replaceChildren(...state.effects.map((e) => element("li", {},
       element("strong", {}, named(e)),
-      element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : `${e.joint}: ${e.law}`),
+      element("span", { class: "law" }, e.name === `${e.joint}: ${e.law}` ? "" : own(`${e.joint}: ${e.law}`)),
       button("drop", `drop ${e.name}`, () => change({ drop: e.name })))));
     at("parameters").replaceChildren(...state.parameters.map((p) => element("tr", { "data-name": p.name },
       element("th", { scope: "row", class: "name-of", title: p.name }, p.words || p.name), element("td", {}, p.value + (p.at_bound ? " (at a bound)" : ""),
@@ -254,11 +256,11 @@ const Laboratory = (() => {
     const p = predicted[c.effect], fault = FAULTS[c.effect] || (free.has(c.effect) ? "Always fitted." : "");
     const out = element("li", { class: c.significant ? "card" : "card pale", "data-effect": c.effect });
     const alike = c.indistinguishable_from, law = c.law || laws.get(c.effect) || c.effect;
-    const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(c.effect))] : []),
+    const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(own(c.effect)))] : []),
       ...(c.values || []).slice(0, 2).map((v) => element("p", {}, v)));
     const row = element("div", { class: "row" }, left), picture = sketch(c, measured);
     if (picture) row.append(picture);
-    out.append(row, element("p", {}, element("code", {}, ...breakable(law))));
+    out.append(row, element("p", {}, element("code", {}, ...breakable(own(law)))));
     if (p && p.share !== null) {
       const bar = element("span", {});
       bar.style.width = `${100 * p.share}%`;
