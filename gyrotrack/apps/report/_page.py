@@ -370,8 +370,11 @@ def _added(view: StudyView) -> list[Added]:
     return found
 
 
-def pdf(parts: Mapping[str, Any]) -> bytes:
-    """Return the report, a result of `report_parts`, as PDF; text is data for Typst and never parsed as markup."""
+def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
+    """Return the report, a result of `report_parts`, as PDF of four pages, and all tables in an `appendix`.
+
+    Text is data for Typst and never parsed as markup.
+    """
     try:
         import typst
     except ImportError:
@@ -384,6 +387,9 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         document = images.plain({k: v for k, v in parts.items() if k != "view"})
         view = parts["view"]
         document |= {
+            "appendix": appendix,
+            "budget": tables.budget_rows(view),
+            "experiment": tables.experiment_rows(view),
             "improved": view.improved,
             "body": view.body,
             "torque_unit": view.torque_unit,
@@ -449,6 +455,7 @@ def write_report(
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     certificate: Certificate | None = None,
+    appendix: bool = False,
     force: bool = False,
 ) -> Path:
     """Write the report of a history of fits.
@@ -469,6 +476,8 @@ def write_report(
         Further lines of provenance, such as ``command`` and ``date``.
     certificate : Certificate, optional
         The test of the diagnosis on simulated recordings.
+    appendix : bool
+        Add all tables and figures to the four pages of a PDF.
     force : bool
         Replace an existing file.
 
@@ -489,7 +498,7 @@ def write_report(
     parts = report_parts(view, recordings, films, provenance or {}, static=is_pdf, certificate=certificate)
     # file names may contain bytes that are not valid UTF-8
     try:
-        document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
+        document = pdf(parts, appendix=appendix) if is_pdf else html(parts).encode("utf-8", "replace")
     except OSError as error:  # the parts of a PDF are written to the temporary folder first
         raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:
