@@ -76,6 +76,7 @@ from fitting.discovery._select import (
 )
 from fitting.effects._effect import Effect
 from fitting.effects._library import SLIP, START
+from fitting.effects._words import effect_name
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._result import Estimate, Fit
 from fitting.inference._slips import Slip
@@ -776,12 +777,8 @@ def _active_bounds(fit: Fit) -> list[str]:
     return [f"Active bound: {', '.join(at_bound)}; the law there may be another one."] if at_bound else []
 
 
-_NUISANCE = {
-    "camera.centre": "Camera centre offset",
-    "camera.tilt": "Camera tilt",
-    "camera.shutter": "Rolling shutter",
-    "camera.blur": "Motion blur",
-}
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
@@ -792,7 +789,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_NUISANCE[n.effect]} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
+        f"{_capital(effect_name(n.effect).words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

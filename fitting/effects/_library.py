@@ -372,6 +372,11 @@ def find(name: str) -> Effect:
     for role, short in _ROLES:
         if name.startswith(short) and role + name.removeprefix(short) in LIBRARY:
             return LIBRARY[role + name.removeprefix(short)]
+    if not name.replace(".", "").replace("_", "").isalnum():
+        raise EffectError(
+            f"{name[:60]!r} does not say on which body the law acts",
+            "write rotor:, casing: or bearing: before it, for example casing: -k*omega_c**3",
+        )
     close = difflib.get_close_matches(name, LIBRARY, n=3, cutoff=0.4)
     raise EffectError(
         f"there is no effect named {name[:60]!r}",

@@ -394,11 +394,6 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
         return formula(text.strip(), body.strip(), law.strip(), {}, inputs=known)
     found = _OF_INPUT.fullmatch(text.strip())
     if found is None:
-        if _FORMULA.search(text):
-            raise EffectError(
-                f"the law {text.strip()[:60]!r} does not state where it acts",
-                f"write casing: {text.strip()[:60]}, or rotor: or bearing: before it",
-            )
         return find(text.strip())
     name = found["driven"] or found["delayed"]
     if name not in known:
@@ -407,10 +402,6 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
             "record it with `gyrotrack import --input`",
         )
     return drive(found["joint"], name, known[name]) if found["joint"] else dead_time(name, known[name])
-
-
-# signs that a formula contains, and no name of an effect
-_FORMULA = re.compile(r"[*/+()^]|^\s*-")
 
 
 def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[str, str]:

@@ -664,10 +664,11 @@ def _drive(read: Source) -> Drive | None:
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
     """Raise an error for a rotation without acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
+    from fitting._numbers import rounded
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
         raise FittingError(
-            f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
+            f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
             "with zero."
         )
     if motion.kind != "oscillation":

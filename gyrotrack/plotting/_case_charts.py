@@ -430,7 +430,12 @@ def windows_picture(view: CaseView, name: str) -> Picture:
             draw(pair[1], residual, intervals, window=window)
             for ax in pair:
                 ax.set_visible(True)
-                ax.set_ylabel(ax.get_ylabel() if column == 0 else "", fontsize=9)
+                ax.set_ylabel(
+                    ax.get_ylabel().replace(" of the", "\nof the").replace(", ", ",\n")
+                    if column == 0
+                    else "",
+                    fontsize=9,
+                )
             pair[0].set_title(f"window {i + 1}", fontweight="normal")
             pair[0].set_xticklabels([])
             pair[0].set_xlabel("")

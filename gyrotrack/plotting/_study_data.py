@@ -123,17 +123,27 @@ class CaseView:
         for f in failures:
             text = f"{'–'.join(f.times)} s, {f.called}, {f.size_sigma:.0f} σ"
             found.append(Interval(f.t_start, f.t_stop, text, f.body))
-        noise = self.models[-1]
+        found += self._outside_of_bands(model, found)
+        return tuple(found)
+
+    @property
+    def speed_intervals(self) -> tuple[Interval, ...]:
+        """Intervals in which only the residual of the speed is outside of its band, without an unmodelled torque."""
+        return self.intervals[len(self.failures) :]
+
+    def _outside_of_bands(self, model: CaseModel, covering: Sequence[Interval]) -> list[Interval]:
+        """Return the intervals in which the residual of a speed is outside of its band, without the covering ones."""
+        noise, found = self.models[-1], []
         bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
             ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
         ]
         for key, called, residual, band in bodies:
-            covered = [(i.start, i.stop) for i in found if i.body == key]
+            covered = [(i.start, i.stop) for i in covering if i.body == key]
             found += [
                 Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
                 for a, b, size in _outside(residual, band.sigma, covered)
             ]
-        return tuple(found)
+        return found
 
 
 def _outside(

@@ -35,6 +35,9 @@ def report_command(
             "be; .webp: an animated picture of the whole run.",
         ),
     ] = None,
+    appendix: Annotated[
+        bool, option("--appendix", "Add all tables and figures to the four pages of a PDF.")
+    ] = False,
     effects: shared.EffectsFile = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
@@ -42,7 +45,7 @@ def report_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Write a report of the latest fit and its history: one self-contained HTML file or a PDF.
+    """Write a report of the latest fit and its history: one self-contained HTML file or a PDF of four pages.
 
     Frames of the films are included if the films are found.
 
@@ -73,6 +76,7 @@ def report_command(
             films=shared.film_folders(cases, films),
             provenance=where,
             certificate=study.certificate(start, diagnosis),
+            appendix=appendix,
             force=force,
         )
     written = {"output": output} | ({"overlay": overlay} if overlay is not None else {})

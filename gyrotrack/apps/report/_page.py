@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import nonbreaking, probability, rounded, scaled, short, typeset, unit_text
+from fitting._numbers import interval, nonbreaking, probability, rounded, scaled, short, typeset, unit_text
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 
 _SMALL_P = 0.01
-_MAX_INTERVALS = 3
 # animated pictures of a case
 _MAX_GHOSTS = 4
 # sizes of the overview figures [inch]: two stacked, one as high as both
@@ -235,13 +234,7 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:
     """Return location and size of the lack of fit, and significance of the result."""
-    rows = []
-    failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
-    if failures:
-        named = len(view.cases) > 1
-        parts = [_interval(f, named=named) for f in failures[:_MAX_INTERVALS]]
-        parts += [f"{len(failures) - _MAX_INTERVALS} more"] if len(failures) > _MAX_INTERVALS else []
-        rows.append(("Where", f"Unmodelled torque {'; '.join(parts)}"))
+    rows = _where(view)
     best = next((c for c in view.candidates if c.significant), None)
     tested = f"{len(view.candidates)} candidate effects tested, none"
     text = f"{tested} significant" if view.candidates else ""
@@ -257,6 +250,25 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
         if view.verdict == "adequate":
             text = f"{tested} accepted; most significant: {view.name(best.effect).words}, {p}"
     return [*rows, ("Significance", text)] if text else rows
+
+
+def _where(view: StudyView) -> list[tuple[str, str]]:
+    """Return what is shaded in the charts: each unmodelled torque, and where else the speed is outside of its band."""
+    named = len(view.cases) > 1
+    rows = []
+    failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
+    if failures:
+        rows.append(("Where", f"Unmodelled torque {'; '.join(_interval(f, named=named) for f in failures)}"))
+    speeds: dict[str, list[str]] = {}
+    for v in view.cases:
+        for i in v.speed_intervals:
+            body = f"{v.body if i.body == 'casing' else i.body}{f' of {v.label}' if named else ''}"
+            speeds.setdefault(body, []).append(f"{' s to '.join(interval(i.start, i.stop))} s")
+    parts = [f"{body} {', '.join(spans)}" for body, spans in speeds.items()]
+    if parts:
+        title = "" if failures else "Where"
+        rows.append((title, f"Speed outside of its band, due to an earlier torque: {'; '.join(parts)}"))
+    return rows
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
@@ -358,8 +370,11 @@ def _added(view: StudyView) -> list[Added]:
     return found
 
 
-def pdf(parts: Mapping[str, Any]) -> bytes:
-    """Return the report, a result of `report_parts`, as PDF; text is data for Typst and never parsed as markup."""
+def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
+    """Return the report, a result of `report_parts`, as PDF of four pages, and all tables in an `appendix`.
+
+    Text is data for Typst and never parsed as markup.
+    """
     try:
         import typst
     except ImportError:
@@ -372,6 +387,9 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         document = images.plain({k: v for k, v in parts.items() if k != "view"})
         view = parts["view"]
         document |= {
+            "appendix": appendix,
+            "budget": tables.budget_rows(view),
+            "experiment": tables.experiment_rows(view),
             "improved": view.improved,
             "body": view.body,
             "torque_unit": view.torque_unit,
@@ -437,6 +455,7 @@ def write_report(
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     certificate: Certificate | None = None,
+    appendix: bool = False,
     force: bool = False,
 ) -> Path:
     """Write the report of a history of fits.
@@ -457,6 +476,8 @@ def write_report(
         Further lines of provenance, such as ``command`` and ``date``.
     certificate : Certificate, optional
         The test of the diagnosis on simulated recordings.
+    appendix : bool
+        Add all tables and figures to the four pages of a PDF.
     force : bool
         Replace an existing file.
 
@@ -477,7 +498,7 @@ def write_report(
     parts = report_parts(view, recordings, films, provenance or {}, static=is_pdf, certificate=certificate)
     # file names may contain bytes that are not valid UTF-8
     try:
-        document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
+        document = pdf(parts, appendix=appendix) if is_pdf else html(parts).encode("utf-8", "replace")
     except OSError as error:  # the parts of a PDF are written to the temporary folder first
         raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:

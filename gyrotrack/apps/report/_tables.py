@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fitting._numbers import (
     TORQUE,
+    percentage,
     probability,
     scaled,
     short,
@@ -354,6 +355,67 @@ def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -
     return "supplies energy" if may_supply else UNPHYSICAL
 
 
+# contributions of one parameter that are shown, and the least share of the variance
+_MOST_PARTS, _LEAST_SHARE = 3, 0.005
+
+
+def budget_rows(view: StudyView) -> list[Row]:
+    """Return the parameters of the final model with their combined uncertainties and the largest contributions."""
+    from fitting._errors import FittingError
+    from fitting.inference._budget import budget
+
+    try:
+        found = budget(view.final)
+    except FittingError:  # of a fit that did not converge
+        return []
+    rows = []
+    for name, b in found.items():
+        key, _, label = name.partition("@")
+        effect, _, own = key.rpartition(".")
+        symbol, index = symbol_parts(own)
+        shown = [c for c in b.contributions[:_MOST_PARTS] if c.share >= _LEAST_SHARE]
+        case = f" ({label})" if label and len(view.cases) > 1 else ""
+        called = view.name(key)
+        rows.append(
+            {
+                "symbol": symbol,
+                "index": index + ("0" if effect == "initial" else ""),
+                "value": with_uncertainty(b.value, b.u, b.unit),
+                "effect": (called.words if effect == "initial" else view.name(effect).words) + case,
+                "key": called.key,
+                "parts": [f"{c.source} (type {c.type}) {percentage(c.share)}" for c in shown],
+            }
+        )
+    return rows
+
+
+def experiment_rows(view: StudyView) -> list[tuple[str, str]]:
+    """Return what was measured in each case: bodies with their moments of inertia, samples, surface."""
+    rows = []
+    for data in view.base.problem.data:
+        r = data.record
+        at = f" of {r.label}" if len(view.cases) > 1 else ""
+        inertias = [] if r.single else [("rotor", r.I_rotor, r.I_rotor_u)]
+        inertias += [] if r.per_inertia else [(r.body, r.I_casing, r.I_casing_u)]
+        rows += [(f"Moment of inertia of the {body}{at}", _inertia(value, u)) for body, value, u in inertias]
+        if r.per_inertia:
+            rows.append((f"Moment of inertia{at}", "not given: torques are per unit of inertia"))
+        rotor = f", rotor {sum(map(len, r.rotor))} in {len(r.rotor)} windows" if r.rotor else ""
+        count = f"{r.body} {len(r.casing)}{rotor}; {data.n_effective:.0f} equivalent independent samples"
+        rows.append((f"Samples of the {r.quantity}{at}", count))
+        first, last = r.span
+        rows.append((f"Time{at}", f"{first:.2f} s to {last:.2f} s"))
+    rows.append(
+        ("Method", "Films and laws: the method page of the documentation; all tables: the HTML report.")
+    )
+    return rows
+
+
+def _inertia(value: float, u: float) -> str:
+    stated = math.isfinite(u)
+    return with_uncertainty(value, u, "kg m²") if stated else f"{short(value, 4)} kg m², no uncertainty given"
+
+
 _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
 
 
@@ -384,4 +446,6 @@ def _samples(data: CaseData) -> str:
         inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
         count = sum(len(w) for w in r.rotor)
         samples = f"casing {len(r.casing)}, rotor {count} in {len(r.rotor)} windows"
-    return f"{samples}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"
+    return (
+        f"{samples}; {data.n_effective:.0f} equivalent independent samples; {inertia}; measured: {r.quantity}"
+    )

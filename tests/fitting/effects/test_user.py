@@ -81,8 +81,8 @@ def test_derived_units_make_the_law_a_torque():
         ("casing:", "empty"),
         ("casing: -k*omega_c; x", "not a formula"),
         ("casing: __import__('os')", "not allowed"),
-        ("-k*omega_c**3", "does not state where it acts"),
-        ("k*omega_c", "does not state where it acts"),
+        ("-k*omega_c**3", "does not say on which body"),
+        ("k*omega_c", "does not say on which body"),
         ("casing.air.quadratics", "no effect named"),
     ],
 )
