@@ -459,8 +459,15 @@ class Project:
                 "points": [(p.x, p.y) for p in x.picks],
             }
             self.jobs.start(
-                f"preview:{key}", [json.dumps(request)], lambda _: None, module=_PREVIEW, replace=True
+                f"preview:{key}", [json.dumps(request)], self._previewed, module=_PREVIEW, replace=True
             )
+
+    def _previewed(self, job: Job) -> None:
+        """Keep the duration of a preview, from which the progress of the next one is estimated."""
+        with self._lock:
+            if job.state == "done":
+                self.state.seconds["preview"] = round(monotonic() - job.began, 2)
+            self.revision += 1
 
     def previewed(self, key: str) -> dict[str, Any]:
         """Return the result of the preview; empty if there is none yet."""
@@ -680,7 +687,7 @@ class Project:
                 else:
                     self._analysing = False
             if job.state == "done" and self._can_open():
-                with suppress(GyrotrackError):  # the page shows the error when it opens the case
+                with suppress(Exception):  # the page shows the error when it opens the case
                     self.when_fitted()
 
         self.revision += 1

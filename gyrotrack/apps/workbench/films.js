@@ -94,7 +94,7 @@ const Films = (() => {
     if (charted.again) { charted.again = false; moving(working); }
   }
 
-  const USUAL = { match: 6, fit: 8 };  // seconds, before a step has been run in this folder
+  const USUAL = { match: 6, fit: 8, preview: 6 };  // seconds, before a step has been run in this folder
 
   const offset = () => (project.is_matched && project.match.clips?.find((c) => c.name === source()?.name)?.offset_s) || 0;
   function seek(time) {
@@ -408,8 +408,8 @@ const Films = (() => {
     at("find").disabled = active(x.jobs.profile);
     at("command-film").textContent = x.command || "Choose the body first.";
     if (x.jobs.profile?.state === "failed" && active(was?.jobs.profile)) complain(new Error(sentence(x.jobs.profile.message)));
-    if (active(job)) { at("followed").textContent = `tracking the first frames \u2026 ${job.seconds.toFixed(0)} s`; at("followed").className = "soft"; }
-    else if (active(x.jobs.profile)) { at("followed").textContent = "searching for markers \u2026"; at("followed").className = "soft"; }
+    if (active(job)) { at("followed").textContent = progressText({ ...job, expected: project.seconds.preview || USUAL.preview }, "tracking the first frames"); at("followed").className = "soft"; }
+    else if (active(x.jobs.profile)) { at("followed").textContent = progressText({ ...x.jobs.profile, expected: project.seconds.profile || USUAL.preview }, "searching for markers"); at("followed").className = "soft"; }
     else if (job?.state === "failed") { at("followed").textContent = sentence(job.message); at("followed").className = "fault"; if (active(was?.jobs.preview)) { tracks = null; film_.draw(); } }
     else if (job?.state === "done" && active(was?.jobs.preview)) followed();
     else if (!job) { at("followed").textContent = x.is_current ? "" : "The first frame. Mark hub and markers here if they are not those of the paper."; at("followed").className = "soft"; }
@@ -618,5 +618,6 @@ const Films = (() => {
     else if (wanted === "laboratory" && project?.can_open && document.body.dataset.case === undefined) open();
     else turn(document.body.dataset.part);
   })();
-  return { undo: () => act("undo", {}), redo: () => act("redo", {}), act, project: () => project };
+  const again = (name) => { at("corrected").textContent = ""; doubt(null); return act(name, {}); };
+  return { undo: () => again("undo"), redo: () => again("redo"), act, project: () => project };
 })();
