@@ -193,7 +193,7 @@ def visits(browser: Any, case: Path, folder: Path, count: int = VISITS) -> dict[
         ):
             seconds[what].append(_redrawn(page, what, words))
         if n == 0:
-            page.wait_for_selector("#ranking tr", timeout=120_000)
+            page.wait_for_selector("#ranking .card", timeout=120_000)
         left += server.end(page)
         page.close()
     return {
@@ -209,11 +209,12 @@ def _redrawn(page: Any, what: str, words: str) -> float:
     rungs = page.locator("#ladder tr").count()
     began = perf_counter()
     if what == "drop":
+        page.click("#t-model")
         page.get_by_role("button", name=f"drop {words}").click()
     else:
         page.fill("#effect", words)
         page.click("#add")
-    page.locator("#ladder tr").nth(rungs).wait_for()
+    page.locator("#ladder tr").nth(rungs).wait_for(state="attached")
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return perf_counter() - began
 
@@ -285,7 +286,8 @@ _SLID = """
     const s = sliders[i % sliders.length];
     delete board.dataset.overlay;
     const began = performance.now();
-    s.value = String(200 + (i * 61) % 600);
+    const share = 0.2 + ((i * 61) % 600) / 1000;
+    s.value = String(Number(s.min) + share * (s.max - s.min));
     s.dispatchEvent(new Event("input", { bubbles: true }));
     let linear = false;
     const look = () => {
@@ -309,6 +311,6 @@ def _clicks(page: Any) -> list[float]:
 
 def _slides(page: Any) -> dict[str, list[float]]:
     """Move the sliders of the parameters; return the times to the linearised and to the exact residual [ms]."""
-    page.locator("#tuning summary").click()
+    page.click("#t-sliders")
     page.wait_for_selector("#parameters input[type=range]", timeout=60_000)
     return dict(page.evaluate(_SLID, 40))

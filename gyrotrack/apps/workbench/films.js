@@ -86,7 +86,7 @@ const Films = (() => {
       at("no-motion").hidden = found.charts.length > 0;
       at("motion-board").hidden = found.charts.length === 0;
       if (found.charts.length) {
-        if (!charted.board) charted.board = new Charts.Board(at("motion-board"), found, { click: seek, height: () => (at("moving").clientHeight - 90 - [...document.querySelectorAll("#motion-board .head")].reduce((sum, h) => sum + h.offsetHeight, 0)) / 2 - 14 });
+        if (!charted.board) charted.board = new Charts.Board(at("motion-board"), found, { click: seek, height: () => (moving_.clientHeight - 90 - [...moving_.querySelectorAll(".head")].reduce((sum, h) => sum + h.offsetHeight, 0)) / 2 - 14 });
         else charted.board.set(found);
       }
     } catch (error) { complain(error); }
@@ -94,6 +94,7 @@ const Films = (() => {
     if (charted.again) { charted.again = false; moving(working); }
   }
 
+  const moving_ = at("moving");
   const USUAL = { match: 6, fit: 8, preview: 6 };  // seconds, before a step has been run in this folder
 
   const offset = () => (project.is_matched && project.match.clips?.find((c) => c.name === source()?.name)?.offset_s) || 0;

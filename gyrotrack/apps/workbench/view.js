@@ -49,10 +49,11 @@ const Laboratory = (() => {
   }
 
   /* the charts of the chosen tab share the height of the pane */
+  const pane = at("charts"), area = at("board");
   const height = () => {
-    const n = Math.max(1, Math.min(3, drawn().length)), tools = at("board").querySelector(".tools")?.offsetHeight || 60;
-    const heads = [...at("board").querySelectorAll(".panel .head")].slice(0, n).reduce((sum, h) => sum + h.offsetHeight, 0) || 26 * n;
-    return (at("charts").clientHeight - tools - heads - 56) / n - 9;
+    const n = Math.max(1, Math.min(3, drawn().length)), tools = area.querySelector(".tools")?.offsetHeight || 60;
+    const heads = [...area.querySelectorAll(".panel .head")].slice(0, n).reduce((sum, h) => sum + h.offsetHeight, 0) || 26 * n;
+    return (pane.clientHeight - tools - heads - 56) / n - 9;
   };
 
   function plot(state) {
