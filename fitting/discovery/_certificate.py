@@ -25,7 +25,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, Self
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._display import block, headline, table
+from fitting._display import block, draw_answers, figure, figure_of, headline, table
 from fitting._errors import EstimationError, FittingError
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._verdict import Diagnosis, diagnose
@@ -39,6 +39,9 @@ from fitting.inference._replica import replica
 from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from fitting.discovery._select import Candidate
 
 Kind = Literal["null", "truth", "rival"]
@@ -234,12 +237,45 @@ class Certificate:
     @property
     def rows(self) -> list[tuple[str, str, str]]:
         """Simulated effect, number of recordings and counted answers of each hypothesis, as texts."""
-        rows = []
-        for kind, effect in dict.fromkeys((o.kind, o.effect) for o in self.outcomes):
-            found = [o for o in self.outcomes if (o.kind, o.effect) == (kind, effect)]
-            answers = "; ".join(f"{self._words(name)} {count}" for name, count in _counted(found).items())
-            rows.append((self._words(effect) if effect else "none", str(len(found)), answers))
-        return rows
+        return [
+            (
+                effect or "none",
+                str(len(found)),
+                "; ".join(f"{self._words(a)} {n}" for a, n in _counted(found).items()),
+            )
+            for effect, found in self._simulated
+        ]
+
+    @property
+    def _simulated(self) -> list[tuple[str, list[Outcome]]]:
+        """Each simulated effect in words, empty for none, with its outcomes."""
+        kinds = dict.fromkeys((o.kind, o.effect) for o in self.outcomes)
+        return [
+            (self._words(key[1]) if key[1] else "", [o for o in self.outcomes if (o.kind, o.effect) == key])
+            for key in kinds
+        ]
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the answers to the recordings of each simulated effect as shares of a bar (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The new figure, or that of `ax`.
+        """
+        groups = [(effect or "no effect", _counted(found)) for effect, found in self._simulated]
+        drawn = figure_of(ax) if ax is not None else figure(8.0, 1.4 + 0.5 * len(groups))
+        draw_answers(
+            ax if ax is not None else drawn.subplots(),
+            [(f"{name} ({sum(counts.values())})", counts) for name, counts in groups],
+            {answer: self._words(answer) for _, counts in groups for answer in counts},
+        )
+        return drawn
 
     def _words(self, answer: str) -> str:
         return _VERDICT_WORDS.get(answer) or effect_name(answer, self.body).words

@@ -497,7 +497,7 @@ class History(list[Step]):
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
-        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'cv error':>10}  verdict"]
+        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'prediction':>11}  verdict"]
         for s in self:
             numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.reduced_chi2:>11.4g}{s.fit.held_out:>10.4g}"
             lines.append(f"{s.change or 'base':<{width}}{numbers}  {s.fit.verdict}")

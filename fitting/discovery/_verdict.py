@@ -614,7 +614,7 @@ def _sentence(
             )
         else:
             parts.append(
-                "The recording is too short or too noisy to limit another effect to less than the torque that it shows."
+                "The recording is too short or too noisy for a useful upper limit of another effect."
             )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
@@ -756,7 +756,7 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
     if test.is_strong(criteria):
         return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
-        pulled = f"the residuals pull {', '.join(test.bounds)} beyond its bound"
+        pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
         return ["The form is not established: the other parameters absorb every deviation from it."]
@@ -789,7 +789,8 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_capital(effect_name(n.effect).words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
+        f"{_capital(effect_name(n.effect).words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} "
+        "(nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

@@ -57,7 +57,7 @@ AIR = (
     Effect("casing.air.quadratic", "casing", "-k*omega_c*abs(omega_c)",
         (Parameter("k", "N m s2", meaning="pressure drag on the casing"),),
         words="quadratic air drag of the casing",
-        signature="a braking torque near the peak speed of the casing, and almost none in the tail",
+        signature="a braking torque near the peak speed of the casing, and almost none at the end of the run",
         confused_with=("casing.air.laminar",),
         source="drag of a bluff body; mentioned but not fitted in the paper"),
     Effect("casing.air.laminar", "casing", "-k*abs(omega_c)**1.5*sign(omega_c)",

@@ -415,7 +415,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
     if loss != "linear" and (model.angle_dependent or model.measurement):
         raise EstimationError(
-            "a robust loss goes with neither laws that follow an angle nor effects of a camera",
+            "a robust loss is not supported with laws that follow an angle or effects of a camera",
             "fit without them, or with --loss linear",
         )
     known = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]

@@ -66,7 +66,7 @@ class ParameterLayout:
         for name in (*share, *per_case):
             if not any(covers(name, key) for key in model.free):
                 raise EffectError(
-                    f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
+                    f"{name!r} is not a parameter of the model", "it has: " + ", ".join(model.free)
                 )
         default = model.per_case
         chosen = [

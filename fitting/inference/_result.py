@@ -165,7 +165,7 @@ class FitSummary:
 
 def summary_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'cv error':>11}"]
+    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'prediction':>11}"]
     for case in fit.cases:
         single = math.isnan(case.rotor.rmse)
         for name, body in (("body" if single else "casing", case.casing), ("rotor", case.rotor)):
@@ -176,7 +176,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
                 f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
             )
     lines.append(
-        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
+        f"energy balance error {max(c.energy_drift for c in fit.cases):.2g}, "
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
     noises = getattr(fit, "noise", ())

@@ -279,7 +279,7 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     if requested is not None:
         if not (math.isfinite(requested) and requested > 0):
             raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
-        return requested, "asked for", []
+        return requested, "--capture-fps", []
     if film.info.tag_fps is not None:
         return film.info.tag_fps, "tag of the camera", []
     fps = film.info.container_fps

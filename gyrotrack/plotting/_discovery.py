@@ -128,7 +128,7 @@ _KINDS = (
     ("reduced χ²", "", "reduced_chi2", False),
     ("cross-validation error", "noise", "held_out", False),
     ("unmodelled torque, rms", "{torque}", "torque_left", True),
-    ("energy drift", "", "energy_drift", True),
+    ("energy balance error", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
 _PHRASES = (

@@ -26,6 +26,7 @@ from gyrotrack.plotting._charts import AFTER, BEFORE
 from gyrotrack.plotting._tracking import jpeg, on_clock
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from PIL.Image import Image
 
     from fitting.inference._result import Fit
@@ -117,6 +118,41 @@ class Ghost:
         powers = range(int(np.floor(np.log10(max(wanted, 1.0)))) + 2)
         return max(
             s * int(10**p) for p in powers for s in _STEPS if s * 10**p <= max(wanted, 1.0) * (1 + 1e-9)
+        )
+
+    def plot(self, ax: Axes, picture: Picture | None = None, *, frame: int = 0, model: int = 0) -> None:
+        """Draw one frame with the outlines of the markers and of their ghosts into axes (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+            Where to draw.
+        picture : ndarray, shape (height, width, 3), optional
+            The frame of the film (RGB).
+        frame : int
+            Place of the frame among those of this ghost.
+        model : int
+            Index of the model.
+        """
+        factor, colour = self.factor, BEFORE if model == 0 else AFTER
+        if picture is not None:
+            ax.imshow(picture)
+        for name, outlines in self.outlines.items():
+            for places, shown, wide in (
+                (self.turned(name, model, factor), colour, 2.5),
+                (outlines, "white" if picture is not None else "black", 1.0),
+            ):
+                closed = np.concatenate([places[frame], places[frame][:1]])
+                ax.plot(*closed.T, color=shown, linewidth=wide)
+        hub, reach = self.hub[frame], _VIEW * self.radius
+        ax.set_xlim(hub[0] - reach, hub[0] + reach)
+        ax.set_ylim(hub[1] + reach, hub[1] - reach)
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+        drawn = f", drawn × {factor}" if factor > 1 else ""
+        difference = _angle(float(self.difference[model, frame]))
+        ax.set_title(
+            f"{self.models[model]}\n{self.time[frame]:.2f} s, {difference}{drawn}", fontsize="medium"
         )
 
     def turned(self, marker: str, model: int, factor: int = 1) -> Array:

@@ -137,7 +137,11 @@ def _warning(
         first, last = (math.degrees(x) for x in _ends(angle, frame))
         return f"{first:+.0f} to {last:+.0f} degrees per frame"
 
-    alike = "" if period == TURN else f"The body looks alike after {math.degrees(period):.0f} degrees. "
+    alike = (
+        ""
+        if period == TURN
+        else f"The body looks the same when rotated by {math.degrees(period):.0f} degrees. "
+    )
     return (
         f"{alike}The film shows a rotation of {words(taken)} as well as one of {words(other)}; the one "
         f"{chosen} is taken. {remedy}"

@@ -518,8 +518,8 @@ def _measure(
     angle, share = -alias.angle, share_of(alias.angle)
     if share < _EXPLAINED:
         raise TrackingError(
-            f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
-            f"{100 * max(share, 0):.0f} % of the change of brightness; {100 * _EXPLAINED:.0f} % are required.",
+            f"The body in {film.path.name} is tracked through a part of the film only: tracking quality "
+            f"{100 * max(share, 0):.0f} %; {100 * _EXPLAINED:.0f} % are required.",
             "Cut the film to the motion"
             + (". Check --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )
@@ -725,7 +725,7 @@ def _finish(
     steps = np.abs(np.diff(angle[kept]))
     if np.sum(steps) ** 2 < _FEWEST_STEPS * np.sum(steps**2):
         raise TrackingError(
-            f"The picture of the body in {film.path.name} changes between a few frames only: this is no rotation.",
+            f"The picture of the body in {film.path.name} changes between a few frames only, so it is not rotating.",
             "Check that it is the right film"
             + (", and --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )

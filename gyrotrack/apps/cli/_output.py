@@ -414,7 +414,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     from fitting.effects._words import change_name
 
     lines = [
-        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
+        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'predict.':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
         "",
     ]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
@@ -431,7 +431,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         if left := r.get("torque_left_Nm"):
-            added += f"  (remainder: {left:.2g} {record.torque_unit})"
+            added += f"  (unmodelled torque {left:.2g} {record.torque_unit} rms)"
         lines += [f"      {line}" for line in _wrapped(added)]
         lines += [f"        {r['added']}"] if words != r["added"] else []
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
@@ -442,8 +442,11 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     lines += [
         f"{'noise':<6}{rmse:>9} {1:>9} {1:>9} {bic:>10}  expected for noise alone",
         "",
-        f"rmse of the angular rate of the {record.body} [rad/s]; cross-validation error in units",
-        "of the noise" + (f"; {last['samples']} samples, effectively {last['n_eff']:.0f}" if counted else ""),
+        f"rmse of the angular rate of the {record.body} [rad/s]; prediction: cross-validation",
+        "error / noise"
+        + (
+            f"; {last['samples']} samples, {last['n_eff']:.0f} equivalent independent ones" if counted else ""
+        ),
     ]
     return ["\n".join(lines)]
 

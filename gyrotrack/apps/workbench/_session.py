@@ -147,7 +147,7 @@ class Session:
                 words.append(f"-{drop}")
             if values:
                 start |= values
-                words.append("other initial values")
+                words.append("fitted again")
             if not words:
                 raise GyrotrackError("No change was requested.", "Enter the name of an effect, or a formula.")
             mine = self._fitting = _Fitting(" ".join(words), self.fit_seconds)

@@ -267,7 +267,7 @@ const Laboratory = (() => {
       bar.style.width = `${100 * p.share}%`;
       out.append(element("div", { class: "share", "aria-hidden": "true" }, bar), element("p", {}, `Accounts for ${share(p.share)} of the misfit: ${times(found.base_misfit)} \u2192 ${times(p.misfit)} times the noise.`));
     }
-    if (c.kind === "measurement") out.append(element("p", { class: "soft" }, "An artefact of the measurement, not of the motion."));
+    if (c.kind === "measurement") out.append(element("p", { class: "soft" }, "A measurement effect: an error of the measurement, not of the motion."));
     if (!c.significant) out.append(element("p", { class: "soft" }, "Not significant."));
     if (alike.length) out.append(element("p", { class: "soft" }, `These data cannot distinguish it from ${(c.indistinguishable_words || alike).join(", ")}.`));
     const why = element("details", {}, element("summary", { "aria-label": `why ${c.effect}` }, "Why, and what would contradict it"), element("dl", {},

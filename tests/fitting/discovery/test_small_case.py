@@ -551,7 +551,7 @@ class TestGrade:
             (0.5, False, 0.5, "only a deviation above 50 % of its torque"),
             (1.5, False, 0.5, "any law of similar size and shape"),
             (np.inf, False, 0.5, "the other parameters absorb every deviation"),
-            (0.5, False, 0.001, "the residuals pull x beyond its bound"),
+            (0.5, False, 0.001, "the fit prefers x outside its bounds"),
         ],
     )
     def test_why_a_form_is_not_established(self, limit, strong, bounds_p, words):

@@ -42,12 +42,12 @@ def test_of_two_rotations_that_look_alike_the_one_that_slows_down_is_taken():
     (angle, warning), template = taken(apparent, polars(TRUE))
     assert symmetries(template)[-1] == 3
     np.testing.assert_allclose(angle, TRUE, atol=1e-9)
-    assert "looks alike after 120 degrees" in warning
+    assert "looks the same after 120 degrees" in warning
     assert "-67 to -43 degrees per frame as well as one of +53 to +77" in warning
     # the right one followed from the beginning is kept, with the same warning
     (angle, warning), _ = taken(TRUE, polars(TRUE))
     np.testing.assert_allclose(angle, TRUE, atol=1e-9)
-    assert "looks alike after 120 degrees" in warning
+    assert "looks the same after 120 degrees" in warning
 
 
 def test_a_mark_on_one_arm_decides():
