@@ -1,6 +1,7 @@
 """Every threshold that determines a result, in one record.
 
-`diagnose` and `improve` take a `Criteria`; a fit's own verdict and the noise of a recording use the default.
+`fit`, `diagnose`, `improve`, `laws`, `certify` and `plan` take a `Criteria`. A fit keeps its own, with which the noise
+of its recordings was measured; a search with other criteria of the noise repeats the fit with them (`NOISE`).
 
 >>> from dataclasses import replace
 >>> strict = replace(Criteria(), significance=0.001)
@@ -142,3 +143,9 @@ _AT_MOST_ONE = frozenset({
 })  # fmt: skip
 
 DEFAULT = Criteria()
+
+NOISE = (
+    "correlated_noise", "spectral_line", "periodic_torque", "angle_noise_ratio", "slip_tolerance", "slip_sigma",
+    "gross_misfit",
+)  # fmt: skip
+"""Criteria that determine what is noise in a recording: where they differ, a fit has other weights."""

@@ -193,6 +193,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         compress(casing, degree=CASING_DEGREE, blocks=_BLOCKS, noisy=False),
         tuple(compress(w, degree=ROTOR_DEGREE, blocks=1, noisy=False) for w in windows),
         noiseless=True,
+        criteria=fit.criteria,
     )
     problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
     values = numbers | {START_ROTOR: run.omega_rotor, START_CASING: run.omega_casing}

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting._numbers import percentage, rounded
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -53,6 +51,7 @@ from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
 from fitting.inference._problem import fails_grossly
 from fitting.inference._result import Fit
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -307,8 +306,11 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
             continue
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
-        with suppress(FittingError):
-            yield fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True), speed
+        found = None
+        with attempt(f"a smooth law of {speed} instead of {effect.name}"):
+            found = fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True)
+        if found is not None:
+            yield found, speed
 
 
 def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:

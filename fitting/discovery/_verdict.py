@@ -2,7 +2,8 @@
 
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
-Each step takes the result of the one before; there is no iteration.
+Each step takes the result of the one before. Two of them repeat the search once: `select` ranks the candidates again at
+the noise of the best one, and `with_free_inertia` with the ratio of the moments of inertia free.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting._criteria import Criteria
 from fitting._display import (
     block,
     draw_candidates,
@@ -76,8 +77,10 @@ from fitting.discovery._select import (
 )
 from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
+from fitting.inference._fit import measured_with
 from fitting.inference._result import Estimate, Fit
 from fitting.inference._slips import Slip
+from fitting.inference._trace import Refit, recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,8 +135,11 @@ class Diagnosis:
         Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
         where the form was not tested.
     differs : DifferentParameter or None
-        The shared parameter whose different values in the recordings explain the lack of fit without another effect;
-        the verdict is then "unexplained".
+        The shared parameter whose per-recording values explain the lack of fit without another effect; the verdict is
+        then "unexplained".
+    trace : tuple of Refit
+        Every fit that the search made, in order: its purpose, its model, and its result or the reason of its failure.
+        Empty for a diagnosis that was read from a file.
     """
 
     fit: Fit
@@ -152,6 +158,7 @@ class Diagnosis:
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
     differs: DifferentParameter | None = None
+    trace: tuple[Refit, ...] = ()
 
     def __repr__(self) -> str:
         shown = [f"  {c!r}"[:_WIDTH] for c in self.candidates[:_IN_REPR]]
@@ -260,7 +267,7 @@ def diagnose(
     fit: Fit,
     extra: Sequence[Effect] = (),
     *,
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     candidates: Sequence[Candidate] | None = None,
     history: Sequence[Step] = (),
     workers: WorkerPool | None = None,
@@ -274,8 +281,9 @@ def diagnose(
         The fit in question.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds of every decision.
+    criteria : Criteria, optional
+        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
+        first, and `candidates` and `history` are not used.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
     history : sequence of Step
@@ -294,7 +302,13 @@ def diagnose(
     FittingError
         If the fit cannot be evaluated.
     """
-    return _with_findings(_diagnosis(fit, extra, criteria, candidates, history, workers, brief=brief))
+    criteria = criteria or fit.criteria
+    with recording() as trace:
+        measured = measured_with(fit, criteria)
+        if measured is not fit:
+            candidates, history = None, ()
+        found = _diagnosis(measured, extra, criteria, candidates, history, workers, brief=brief)
+    return replace(_with_findings(found), trace=tuple(trace.refits))
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
@@ -551,7 +565,9 @@ def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significa
     """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
-    if any(k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined):
+    if any(
+        k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined_at(criteria)
+    ):
         return "unexplained"
     if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"

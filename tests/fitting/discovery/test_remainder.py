@@ -241,7 +241,7 @@ def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
 def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
     """Not even if with a second one the residuals are consistent with noise, as for a drag with sqrt(omega_r)."""
     named, final = (
-        SimpleNamespace(model=SimpleNamespace(names=n), undetermined=())
+        SimpleNamespace(model=SimpleNamespace(names=n), undetermined_at=lambda _: ())
         for n in (
             ("bearing.linear", "rotor.air.linear"),
             ("bearing.linear", "rotor.air.linear", "setup.inertia"),

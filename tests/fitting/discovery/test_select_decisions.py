@@ -59,6 +59,7 @@ def data(*, oscillation=None, single=False, tracked=False, is_angle=True):
     return SimpleNamespace(
         oscillation=oscillation,
         is_angle=is_angle,
+        has_noise_of=lambda _: True,
         record=SimpleNamespace(single=single, tracked=tracked, inputs=(), driving=()),
     )
 
@@ -83,6 +84,7 @@ class Found:
     )
     values: dict = field(default_factory=dict)
     cases: tuple = (held_out(1.0),)
+    criteria: Criteria = DEFAULT
     lacks_restoring_torque: bool = False
 
     def fails(self, criteria):
@@ -616,10 +618,10 @@ class TestPassedOn:
         monkeypatch.setattr(module, "starts_are_unknown", lambda data: False)
         strict = Criteria(significance=0.001)
         used = []
-        workers = SimpleNamespace(map=lambda *args: used.append(args) or [candidate()])
+        workers = SimpleNamespace(map=lambda *args: used.append(args) or [(candidate(), [])])
         rank(base, self.OWN, criteria=strict, workers=workers)
         assert asked == [(base, self.OWN), (base, [], [None], strict)]
-        ((function, fit, (promising,), _),) = used
+        ((_, fit, ((function, promising),), _),) = used
         assert (function, fit, promising.criteria) == (module._refit_candidate, base, strict)
 
     def test_by_select_and_improve(self, monkeypatch):

@@ -606,12 +606,12 @@ def test_a_second_effect_of_the_library_completes_an_answer(
     explained, remainder, significant, completed, expected
 ):
     chosen = SimpleNamespace(effect=SimpleNamespace(name="a"))
-    named = SimpleNamespace(undetermined=(), model=SimpleNamespace(names=("a",)))
+    named = SimpleNamespace(undetermined_at=lambda _: (), model=SimpleNamespace(names=("a",)))
     final = SimpleNamespace(model=SimpleNamespace(names=("a", "b") if completed else ("a",)))
     selection = SimpleNamespace(chosen=chosen, named=named, final=final)
     size = Grade(None, explained, remainder)
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == expected
-    named.undetermined = ("a.k",)
+    named.undetermined_at = lambda _: ("a.k",)
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == "unexplained"
 
 

@@ -36,7 +36,7 @@ def estimate(value=4e-8, stderr=1e-9, unit="N m s2", *, at_bound=False):
 def data(*, oscillation=None, lines=(), slips=(), label="run"):
     samples = SimpleNamespace(sigma=np.full(3, 1e-3))
     return SimpleNamespace(
-        oscillation=oscillation, spectral_lines=lines, slips=slips,
+        oscillation=oscillation, spectral_lines=lines, slips=slips, has_noise_of=lambda _: True,
         casing=SimpleNamespace(scale=2.0, samples=samples), rotor=(),
         record=SimpleNamespace(label=label, inputs=()),
     )  # fmt: skip
@@ -63,6 +63,7 @@ class Found:
     torque_unit: str = "N m"
     converged: bool = True
     undetermined: tuple = ()
+    criteria: Criteria = DEFAULT
     estimates: dict = field(default_factory=dict)
     lacks_restoring_torque: bool = False
     rows: int = 500
@@ -70,6 +71,9 @@ class Found:
 
     def fails(self, criteria):
         return self.wrong
+
+    def undetermined_at(self, criteria):
+        return self.undetermined
 
     def has_excess_noise(self, criteria):
         return self.noisy

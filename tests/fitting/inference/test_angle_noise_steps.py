@@ -123,7 +123,7 @@ class TestPosterior:
             module._Kind(np.array([t]), [k], [module._Peak(1.0, 0.5, g)])
             for t, k, g in ((0.5, first, 30.0), (8.0, other, second))
         ]
-        found = module._with_periodic_part(*kinds, gain)
+        found = module._with_periodic_part(*kinds, gain, DEFAULT.correlated_noise)
         assert (found is not None) is taken
         if found is not None:
             assert found.turn_time == pytest.approx(8.0)

@@ -494,11 +494,11 @@ class TestRobust:
         made = []
 
         class Data(SimpleNamespace):
-            def __init__(self, record, casing, rotor, free_inertia):
+            def __init__(self, record, casing, rotor, free_inertia, criteria):
                 made.append(record)
 
             @staticmethod
-            def of(record):
+            def of(record, criteria):
                 made.append(record.casing)
                 return SimpleNamespace(casing=None, rotor=None)
 
@@ -507,7 +507,7 @@ class TestRobust:
         original = Record(run)
         for psi, floor in ((huber, False), (lambda x: (x, np.zeros(5)), True)):
             made.clear()
-            module._pseudo(SimpleNamespace(record=original, free_inertia=False), 0, None, psi)
+            module._pseudo(SimpleNamespace(record=original, free_inertia=False, criteria=None), 0, None, psi)
             scale = 1.4826 * 2.0 / 0.5
             influence, slope = psi(value / sigma / scale)
             expected = model + sigma * scale * influence / (0.1 if floor else slope.mean())
