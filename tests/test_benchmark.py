@@ -203,7 +203,7 @@ def test_known_answers_give_known_rates(tmp_path):
     assert "1, 1, 1; 100 %; 50" in text
 
 
-def test_what_is_done_is_not_done_again_and_a_torn_line_is(tmp_path):
+def test_what_is_done_is_not_done_again_and_an_incomplete_line_is(tmp_path):
     path = tmp_path / "lines.jsonl"
     for r in LIBRARY_RUNS[:3]:
         lines.append(path, known(r))

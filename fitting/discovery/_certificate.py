@@ -449,7 +449,7 @@ def outcome_of_records(
     extra: Sequence[Effect] = (),
     criteria: Criteria | None = None,
 ) -> Outcome:
-    """Return the answer to recordings that were simulated elsewhere, such as from rendered films.
+    """Return the answer to recordings that were simulated elsewhere, for example from rendered films.
 
     Parameters
     ----------

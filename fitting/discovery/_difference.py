@@ -3,7 +3,7 @@
 Grease that has warmed up, another point on the table or a screw that has come loose changes a parameter between two
 recordings. Fitted with one value, they show a lack of fit that an effect of the library may imitate. The hypothesis is
 
-    theta_k, k = 1...K, in place of one theta for K recordings:    K - 1 additional parameters,
+    theta_k, k = 1...K, instead of one theta for K recordings:    K - 1 additional parameters,
 
 scored like an effect (`_score`) and refitted for the parameters with the largest scores.
 """

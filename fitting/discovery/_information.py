@@ -1,6 +1,6 @@
 """Fisher information of recordings, made or planned, about parameters and candidate effects.
 
-A run that is planned is simulated without noise, and its rows and their derivatives are computed as those of a
+A planned run is simulated without noise. Its rows and their derivatives are computed in the same way as for a
 recording, with the measurement noise and the process noise of the present recordings. With J the derivatives by the
 free parameters, s_k the responses to the candidate effects, and the parameters of one run alone (its initial angular
 rates, touch point, casing drag, phases of the films) projected out,

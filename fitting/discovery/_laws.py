@@ -22,8 +22,8 @@
    each of them can be written.
 4. Where one law is not enough, a second one is sought in the same way about the best fit.
 
-An effect of the library that describes the data as well as a law is named before it. So is a parameter of the base that
-the recordings share, if with a value of its own in each recording the base describes the data better than any law.
+An effect of the library that describes the data as well as a law is named before it. So is a shared parameter of the
+base, if freeing it per recording describes the data better than any law.
 """
 
 from __future__ import annotations

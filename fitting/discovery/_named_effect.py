@@ -134,7 +134,7 @@ def _variable(effect: Effect) -> str:
 
 
 def _has_time_constant(effect: Effect) -> bool:
-    """Return whether a law has a time constant or a frequency of its own, and no changepoint."""
+    """Return whether a law has a time constant or a separate frequency, and no changepoint."""
     names = symbols(effect.expression)
     in_time = effect.state is not None or "t" in names
     return in_time and not effect.breakpoint and any(p.role == "shape" for p in effect.parameters)

@@ -159,7 +159,7 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     the law that describes the data.
     """
     if score.effect.restoring and not base.model.restoring:
-        # the motion of the base does not oscillate: its optimum is no initial value for a model that does
+        # the motion of the base does not oscillate: its optimum is not an initial value for a model that does
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
         # the parameters of a model without the drive of a body describe the drive

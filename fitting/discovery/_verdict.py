@@ -386,7 +386,7 @@ def _diagnosis(
     doubt = _contradiction(fit, selection, criteria, misfit=misfit)
     size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
     if size.form is None and isinstance(doubt, PeriodogramPeak):
-        # an effect that does not explain the sinusoid is no part of the answer
+        # an effect that does not explain the sinusoid is not part of the answer
         peak = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
@@ -399,7 +399,7 @@ def _diagnosis(
     noisy = verdict == "adequate" and not within_uncertainty and fit.needs_random_torque(criteria)
     if noisy:
         random = with_random_torque(fit, criteria)
-        # above its ceiling it is no noise
+        # above its ceiling it is not noise
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
@@ -458,7 +458,7 @@ def _random_alternative(
 ) -> RandomTorque | None:
     """Return the slow random torque that describes the data as well as the answer; None if none does."""
     oscillates = any(d.oscillation is not None for d in fit.problem.data)
-    # the sinusoids of an angle or of time are no random torque
+    # the sinusoids of an angle or of time are not a random torque
     periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
     if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
         return None
@@ -530,7 +530,7 @@ def _graded(
     """Return the grade of the chosen effect, with what moments of inertia and random torque leave of its form."""
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
-        # an error of inertia within its uncertainty is no remainder
+        # an error of inertia within its uncertainty is not a remainder
         allowed_error = rival.is_allowed(criteria) and not misfit and doubt is None
         size = (
             replace(size, form="exact", explained=1.0, remainder=None)
@@ -562,7 +562,7 @@ def _with_unknown_laws(
 
 
 def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significant: bool) -> str:
-    """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
+    """Return "adequate", "missing_effect" or "unexplained", decided by effect size as well as significance."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
     if any(

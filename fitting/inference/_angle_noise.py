@@ -57,7 +57,7 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 # share of `Criteria.correlated_noise` that a coarse search, or the sum of two kinds alone, does not reach where there
-# is no such noise
+# is none
 _UNLIKELY = 0.25
 # correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
@@ -325,7 +325,7 @@ def _with_periodic_part(
 ) -> AngleNoise | None:
     """Return the angle noise with a part periodic in the angle; None where the other kind alone is as likely.
 
-    A second kind needs a gain of its own of at least `needed`.
+    A second kind must raise the gain by at least `needed`.
     """
     near = periodic.points(_NEAR_LEVELS, CONSISTENT)
     alone = [(exponential.times[0], 0.0, exponential.covariances[0], *p) for p in near]

@@ -529,7 +529,7 @@ class CaseData:
 
     @cached_property
     def _driven_rows(self) -> Array:
-        """Polynomial rows of the responses to the recorded inputs, which are no noise; independent columns."""
+        """Polynomial rows of the responses to the recorded inputs, which are not noise; independent columns."""
         driving = self.record.driving
         if not driving:
             return np.zeros((len(self.casing.z), 0))

@@ -247,7 +247,7 @@ def fit(
 ) -> Fit:
     """Fit a model to one case, or to several together (see `fitting.fit`).
 
-    Of another fit in place of cases its data are fitted, with its shared and per-case parameters. `noise` is that of an
+    Given another fit instead of cases, fit its data, with its shared and per-case parameters. `noise` is that of an
     earlier fit of the same data, so that both are comparable; `ranges` are bounds tighter than the declared ones;
     `steady` parameters, by their names in the fit, keep their initial values until all others have converged. `quick`:
     stop where chi-square is within about 0.01 of its minimum, enough to rank candidates. EstimationError: there is
@@ -374,7 +374,7 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
             name = effect.inputs[0][0]
             raise EstimationError(
                 f"{effect.name} has no influence: no law of the model depends on {name}",
-                f"add a law such as 'casing: k*{name}'",
+                f"add a law like 'casing: k*{name}'",
             )
         for name, unit in effect.inputs:
             for record in (d.record for d in data):
@@ -449,7 +449,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
     if loss != "linear" and (model.angle_dependent or model.measurement):
         raise EstimationError(
-            "a robust loss goes with neither laws that follow an angle nor effects of a camera",
+            "a robust loss is not supported with laws of an angle or effects of a camera",
             "fit without them, or with --loss linear",
         )
     criteria = options.get("criteria", DEFAULT)

@@ -402,7 +402,7 @@ def initial_shapes(
 ) -> tuple[Problem, Array]:
     """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
-    `fitted` tells that the other variables are at the optimum without these effects, `noise` is the noise without
+    `fitted` states that the other variables are at the optimum without these effects, `noise` is the noise without
     them.
     """
     layout = problem.layout

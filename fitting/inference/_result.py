@@ -204,7 +204,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
     reliable = fit.verdict != "not_converged"
     for name, e in fit.estimates.items():
         note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
-        # the curvature where a search stopped is no uncertainty
+        # the curvature where a search stopped is not an uncertainty
         value = rounded(e.value, e.stderr if reliable else math.nan, e.unit)
         lines += [f"  {name}"] if len(name) >= 32 else []
         lines.append(f"  {name if len(name) < 32 else '':<32}{value}{note}")
@@ -529,7 +529,7 @@ class Fit(FitSummary):
         case : int
             Index of the case that is drawn into `ax`.
         residual : bool
-            Draw the residual of the speed into `ax`, in place of the speed.
+            Draw the residual of the speed into `ax`, instead of the speed.
 
         Returns
         -------

@@ -1,6 +1,6 @@
 """Whole turns that slipped in a series of angles: found as steps of 2 pi between two samples, and corrected.
 
-A tracker that confuses two alike markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
+A tracker that confuses two similar markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
 all later angles by a whole turn. With the local speed v, the median of the difference quotients of the neighbouring
 samples, the angle changes from one sample to the next by v dt plus noise, and a slip of n turns is
 

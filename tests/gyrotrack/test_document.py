@@ -70,7 +70,7 @@ def test_lines(location, line):
         (b"__proto__ = 1\n" * 1, "marker: field required"),
     ],
 )
-def test_what_is_no_document(tmp_path, content, words):
+def test_what_is_not_a_document(tmp_path, content, words):
     path = tmp_path / "p.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigurationError, match=words.replace("[", r"\[")):

@@ -71,7 +71,7 @@ _REGULAR = 0.13
 _SIGNIFICANT_STEP = 3.5  # smallest step of the counts in standard errors
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
 _PART = 3000  # number of intervals in which steps of the counts are found together
-_OVERLAP = 300  # ... with so many before and after them
+_OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
 # smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
@@ -102,7 +102,7 @@ def signal_columns(raw: RawTable, time_column: int) -> list[int]:
 
 
 def is_regular(edges: Floats) -> bool:
-    """Return whether pulses follow each other regularly, as those of a rotation do."""
+    """Return whether pulses follow each other as regularly as those of a rotation."""
     step = np.diff(edges)
     return len(step) > 2 and float(np.median(np.abs(np.diff(np.log(step))))) < _REGULAR_EDGES
 
@@ -467,7 +467,7 @@ def from_events(
 
 
 def varies_both_ways(time: Floats) -> bool:
-    """Return whether the speed of pulses rises and falls repeatedly, as that of a driven body does.
+    """Return whether the speed of pulses rises and falls repeatedly, which shows a drive.
 
     Single intervals, in which pulses are missed or doubled, are removed by a running median; of what remains, the
     turning points are those that are at least `_SWING` of the speed apart, beyond the scatter of the intervals.
@@ -477,7 +477,7 @@ def varies_both_ways(time: Floats) -> bool:
         return False
     logs = -np.log(interval)
     smooth = median_filter(logs, _SMOOTHED, mode="nearest")
-    # the median of n normal values errs by 1.25 s / sqrt(n), and m such errors range over 2 sqrt(2 ln m) times that
+    # the median of n normal values has an error of 1.25 s / sqrt(n); m such errors range over 2 sqrt(2 ln m) times that
     error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
     least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
     return rises(smooth, least) >= _MOST_RISES + 1
@@ -517,7 +517,7 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
         raise DatasetError(
             f"{raw.path}, line {line[k + 1]}: {step[k]:.4g} s pass without a pulse, and the speed is the same before "
             "and after: the clock was set, or pulses are lost.",
-            "Give the part before or after this line as a file of its own.",
+            "Give the part before or after this line as a separate file.",
         )
 
 

@@ -44,7 +44,7 @@ def test_harmonics_of_the_residual_torque_contain_an_unbalance(order):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
-def test_a_lack_of_fit_elsewhere_is_no_harmonic(centre, width):
+def test_a_lack_of_fit_elsewhere_is_not_a_harmonic(centre, width):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))
     cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
     motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)

@@ -70,7 +70,7 @@ class TestRates:
         assert found.alarms == 3
         assert found.interval == certificate.rate_interval(3, 5)
 
-    def test_outcomes_with_the_effect_are_no_false_alarms(self):
+    def test_outcomes_with_the_effect_are_not_false_alarms(self):
         found = made(outcome(), outcome("truth", verdict="missing_effect", named=(NAME,), effect=NAME))
         assert (found.alarms, found.names) == (0, {})
 

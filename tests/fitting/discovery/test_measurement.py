@@ -72,7 +72,7 @@ def test_errors_of_starts_are_found_where_nothing_is_stated():
 
 
 @pytest.mark.slow
-def test_starts_that_are_right_are_no_candidate_of_weight():
+def test_starts_that_are_right_are_not_candidate_of_weight():
     record = replace(data(seed=0).record, start_sigma=UNKNOWN)
     starts = StartErrors(fit(fitted().model, [CaseData.of(record)]), DEFAULT)
     assert starts.p_value > 0.05

@@ -50,7 +50,7 @@ def test_a_nonparametric_law_describes_the_data_as_well_as_the_true_one():
 
 
 @pytest.mark.slow
-def test_a_step_in_time_is_no_law_of_the_speed():
+def test_a_step_in_time_is_not_a_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert nonparametric_law(base("step"), "casing", "omega_c") < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()

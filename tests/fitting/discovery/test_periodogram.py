@@ -74,7 +74,7 @@ def test_diagnosis_names_the_sinusoid_and_its_law_fits(shaken):
 
 
 @pytest.mark.slow
-def test_on_film_a_sinusoid_below_the_angle_noise_is_no_evidence():
+def test_on_film_a_sinusoid_below_the_angle_noise_is_not_an_evidence():
     faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
     told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))
     assert told.p_value < 0.01

@@ -93,7 +93,7 @@ def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
 
 
 @pytest.mark.slow
-def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_no_unexplained_torque():
+def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_not_an_unexplained_torque():
     """What the base leaves of omega_r^2.1 differs by more than a half from what it leaves of the square.
 
     With other noise (seed 1) an error of the moments of inertia describes the difference better, which is told instead.

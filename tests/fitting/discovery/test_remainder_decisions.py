@@ -458,7 +458,7 @@ class TestGrade:
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)
             assert size.explained == pytest.approx(0.75)
 
-    def test_a_better_law_of_another_speed_is_no_approximate_answer(self, monkeypatch):
+    def test_a_better_law_of_another_speed_is_not_an_approximate_answer(self, monkeypatch):
         size = self.graded(monkeypatch, misfit=True, better="omega_r")
         assert (size.form, size.unknown) == (None, "omega_r")
         size = self.graded(monkeypatch, misfit=True, better="omega_r", effect=UNBALANCE)

@@ -141,7 +141,7 @@ class TestApplicable:
         base = Found(model=Model(effects), problem=SimpleNamespace(data=[data(**options)]))
         return {e.name for e in applicable_effects(base, extra)}
 
-    def test_effects_of_the_model_and_of_every_fit_are_no_candidates(self):
+    def test_effects_of_the_model_and_of_every_fit_are_not_candidates(self):
         found = self.names()
         assert "bearing.linear" not in found
         assert "camera.centre" not in found
@@ -709,7 +709,7 @@ class TestSeparateValues:
         "change",
         [{"wrong": False}, {"still_wrong": True}, {"rival": 74.0}, {"improves": True}, {"none": True}],
     )
-    def test_when_it_is_no_answer(self, monkeypatch, change):
+    def test_when_it_is_not_an_answer(self, monkeypatch, change):
         assert not self.found(monkeypatch, **change)[1]
 
     def test_without_a_law_of_physics_any_score_counts(self, monkeypatch):
@@ -770,7 +770,7 @@ class TestImprove:
         assert len(found) == 1
         assert "--start-u" in found.stopped
 
-    def test_a_candidate_that_is_no_improvement_ends_it(self, monkeypatch):
+    def test_a_candidate_that_is_not_an_improvement_ends_it(self, monkeypatch):
         found, counted = self.improved(monkeypatch, [[candidate()]], lambda *_: iter(()))
         assert (len(found), counted) == (1, [])
 
@@ -811,7 +811,7 @@ class TestSteps:
     def test_a_step_needs_evidence(self, monkeypatch, base, count):
         assert len(list(self.steps(monkeypatch, refined=50.0, base=base))) == count
 
-    def test_a_free_shape_is_a_step_of_its_own(self, monkeypatch):
+    def test_a_free_shape_is_a_separate_step(self, monkeypatch):
         law = module.with_free_shape.__globals__["with_shape_parameter"](DRAG)
         general = Found(20.0, model=Model((STEP, law)))
         first, second = self.steps(monkeypatch, refined=50.0, general=general)

@@ -395,7 +395,7 @@ def with_torque_of_the_angle():
 class TestKindsOfTorque:
     """A drag and a second effect that repeats with the angle and is not determined."""
 
-    def test_torques_of_the_angle_have_a_size_of_their_own(self):
+    def test_torques_of_the_angle_have_a_separate_size(self):
         named, end = with_torque_of_the_angle()
         torques = Torques(base(), end, residual=False)
         assert torques.of_angle(named) == pytest.approx(2e-3 / math.sqrt(2))
@@ -496,7 +496,7 @@ class TestGrade:
             (False, True, False, None, "exact"),
         ],
     )
-    def test_an_inertia_within_its_uncertainty_is_no_remainder(
+    def test_an_inertia_within_its_uncertainty_is_not_a_remainder(
         self, monkeypatch, better, allowed, misfit, doubt, form
     ):
         rival = SimpleNamespace(better=better, is_allowed=lambda _: allowed)

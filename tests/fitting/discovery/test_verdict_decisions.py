@@ -215,7 +215,7 @@ class TestVerdict(Answer):
     @pytest.mark.parametrize(
         ("text", "verdict"), [("within its uncertainty", "adequate"), ("", "missing_effect")]
     )
-    def test_an_inertia_within_its_uncertainty_is_no_missing_effect(self, text, verdict):
+    def test_an_inertia_within_its_uncertainty_is_not_a_missing_effect(self, text, verdict):
         chosen = candidate("setup.inertia")
         found = self.answer(select=selection(chosen), grade=COMPLETE, inertia_within_uncertainty=text)
         assert found.verdict == verdict
@@ -395,7 +395,7 @@ def test_without_an_effect_significance_makes_the_verdict(significant, verdict):
 @pytest.mark.parametrize(
     ("undetermined", "verdict"), [((f"{DRAG}.k",), "unexplained"), (("other.k",), "missing_effect")]
 )
-def test_an_effect_of_undetermined_strength_is_no_answer(undetermined, verdict):
+def test_an_effect_of_undetermined_strength_is_not_an_answer(undetermined, verdict):
     chosen = selection(candidate(), named=Found(undetermined=undetermined))
     assert module._verdict(chosen, COMPLETE, DEFAULT, significant=False) == verdict
 

@@ -79,7 +79,7 @@ def test_a_jump_is_at_an_edge():
     assert path.kinks == (61.237,)
 
 
-def test_a_jump_outside_the_record_is_no_edge():
+def test_a_jump_outside_the_record_is_not_an_edge():
     path = path_of(PAPER | EXTRA["step"] | {"touchpoint.step.t0": 300.0})
     assert path.kinks == ()
     check(PAPER, path, TIMES)

@@ -353,7 +353,7 @@ class TestBeginning:
             assert path.y[0, :, 1] == pytest.approx(speed * (1 - share))
 
 
-def test_a_stop_at_the_end_of_the_record_is_no_event():
+def test_a_stop_at_the_end_of_the_record_is_not_an_event():
     """w = 5 - t / 2: at rest after 10 s."""
     run = pushed(0.0)
     for span, stops in ((9.9, ()), (10.1, (10.0,))):

@@ -280,7 +280,7 @@ def test_misspelt_variables_are_refused(text, meant):
 @pytest.mark.parametrize(
     "text", ["casing: k", "casing: -k*exp(-t/tau0)", "casing: -k*omega_c*exp(-omega_c/w1)", "bearing: k*t"]
 )
-def test_parameters_are_no_misspelt_variables(text):
+def test_parameters_are_not_misspelt_variables(text):
     assert resolve(text).amplitude.symbol == "k"
 
 

@@ -76,7 +76,7 @@ def test_residuals_of_the_true_parameters_are_noise():
     assert np.sum(residual**2) / len(residual) == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_motion_beyond_any_number_is_no_perfect_fit():
+def test_a_motion_beyond_any_number_is_not_a_perfect_fit():
     """Sums of squares that overflow are an error; they were taken for rows that the nuisance parameters explain."""
     found = fitted(seed=0)
     assert np.linalg.norm(found.problem.residuals(found.predictions)[0]) > 1

@@ -189,7 +189,7 @@ def test_the_discovery_proposes_no_contact():
         ("camera.centre", None),
     ],
 )
-def test_laws_of_a_single_body_as_those_of_the_rotor(alone, on_the_rotor):
+def test_laws_of_a_single_body_equal_those_of_the_rotor(alone, on_the_rotor):
     found = of_the_rotor(find(alone))
     assert (found and found.name) == on_the_rotor
 

@@ -139,8 +139,8 @@ def test_bic_counts_parameters_and_rows():
     assert result.n_eff == pytest.approx(61_000, rel=0.1)
 
 
-def test_names_that_are_no_parameters_are_refused():
-    with pytest.raises(EffectError, match=r"'bearing\.heating' is no parameter") as caught:
+def test_names_that_are_not_parameters_are_refused():
+    with pytest.raises(EffectError, match=r"'bearing\.heating' is not a parameter") as caught:
         fit(Model.of(LINEAR), [data(seed=0)], share=["bearing.heating"])
     assert "bearing.linear.d" in caught.value.hint
 

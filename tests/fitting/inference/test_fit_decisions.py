@@ -466,7 +466,7 @@ class TestChecks:
             module._check(model, data)
 
     @pytest.mark.parametrize("single", [True, False])
-    def test_the_rotor_of_a_body_alone_is_no_variable(self, single):
+    def test_the_rotor_of_a_body_alone_is_not_a_variable(self, single):
         names = ("a.k", "initial.omega_r@run", "initial.omega_c@run")
         problem = SimpleNamespace(data=[body([1.0], single=single)], layout=SimpleNamespace(names=names))
         assert module._free_names(problem) == {*names} - ({"initial.omega_r@run"} if single else set())

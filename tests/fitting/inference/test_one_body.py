@@ -151,7 +151,7 @@ def test_single_bodies_are_fitted_jointly_but_not_with_a_gyroscope():
         make_record(casing=run, rotor=[], I_rotor=1e-5, I_casing=1e-5)
 
 
-def test_presliding_friction_is_no_candidate_of_a_body_that_never_reverses():
+def test_presliding_friction_is_not_a_candidate_of_a_body_that_never_reverses():
     from fitting.discovery._select import applicable_effects
 
     names = {e.name for e in applicable_effects(fit(BASE, [wheel()]), [])}

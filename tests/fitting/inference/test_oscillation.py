@@ -155,7 +155,7 @@ def test_torques_are_compared_about_the_equilibrium_of_each_fit():
     assert Torques(base, end, residual=False).remaining(named)[0] < 5e-3
 
 
-def test_a_spring_is_no_power_of_a_speed():
+def test_a_spring_is_not_a_power_of_a_speed():
     t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.3), 10.0, 40.0)
     power = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
     found = fit(Model.of([SPRING]).with_effect(power), [oscillators.record(t, angle, 1e-3, 7)])

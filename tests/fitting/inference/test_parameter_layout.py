@@ -72,7 +72,7 @@ def test_each_case_gets_its_own_numbers(records):
 
 def test_unknown_names_are_refused(records):
     for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
-        with pytest.raises(EffectError, match="is no parameter of the model"):
+        with pytest.raises(EffectError, match="is not a parameter of the model"):
             ParameterLayout.of(Model.of(LINEAR), records, **words)
 
 

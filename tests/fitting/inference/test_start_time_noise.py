@@ -69,7 +69,7 @@ def test_windows_with_known_starts_are_unchanged():
 
 
 @pytest.mark.slow
-def test_uncertain_window_starts_are_no_missing_effect():
+def test_uncertain_window_starts_are_not_missing_effect():
     """Start times wrong by a millisecond give a lack of fit if they count as exact, and none if uncertain."""
     model = Model.of(REDUCED)
     for seed in range(3):

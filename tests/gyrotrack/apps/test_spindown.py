@@ -332,7 +332,7 @@ def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeyp
     document = json.loads(captured.out)
     assert code == 3
     assert document["ambiguous"]
-    assert "looks alike after 120 degrees" in captured.err
+    assert "looks the same when rotated by 120 degrees" in captured.err
     found = document["motion"]["alpha"]
     assert found["value"] == pytest.approx(alpha, abs=4 * found["stderr"])
     assert found["stderr"] < 0.02

@@ -74,7 +74,7 @@ def test_tables_of_a_recording(recording, tmp_path):
     assert frames.attrs["units"]["centre_x"] == "px"
 
 
-def test_what_is_not_there_is_told(file, tmp_path):
+def test_what_is_not_there_is_reported(file, tmp_path):
     with pytest.raises(UsageError, match="no markers"):
         export_file(file, tmp_path / "a.csv", table="markers")
     with pytest.raises(UsageError, match="suffix"):

@@ -219,7 +219,7 @@ except OutputError as error:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("name", ["a", ".a.lock"])
-def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
+def test_a_pipe_instead_of_an_output_is_refused(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(OutputError, match="is a named pipe, not a regular file"):
         write(tmp_path / "a", force=True)
@@ -227,7 +227,7 @@ def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_pipe_in_place_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, capsys):
+def test_a_pipe_instead_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, capsys):
     os.mkfifo(tmp_path / "p")
     os.mkfifo(tmp_path / "p.unfinished")
     with pytest.raises(DatasetError, match="named pipe"):

@@ -86,7 +86,7 @@ def test_bad_arguments(recordings):
         synchronise(recordings[0], [], NAMES[:1], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
-def test_a_rotor_that_speeds_up_between_clips_is_told(recordings):
+def test_a_rotor_that_speeds_up_between_clips_is_reported(recordings):
     late, early = recordings[1:]
     faster = dataclasses.replace(late.bodies["rotor"], omega=2 * late.bodies["rotor"].omega)
     late = dataclasses.replace(late, bodies={**late.bodies, "rotor": faster})

@@ -241,7 +241,7 @@ def test_a_journal_cut_anywhere_costs_only_what_was_cut_off(lab, tmp_path):
         assert lab()[1] == []
 
 
-def test_what_is_no_journal_is_left_alone(lab):
+def test_what_is_not_a_journal_is_left_alone(lab):
     lab.results.mkdir()
     (lab.results / "batch.lock").touch()
     (lab.results / "batch.jsonl").write_text('{"format": "other"}\n{"a": 1}\n')

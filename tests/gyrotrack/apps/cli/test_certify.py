@@ -120,7 +120,7 @@ class Notes:
         self.said.append(text)
 
 
-def test_duration_is_told_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
+def test_duration_is_reported_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
     from fitting.discovery._certificate import Certificate, Outcome
     from gyrotrack.apps.cli import _certify
 

@@ -83,7 +83,7 @@ def test_other_code_finds_anew(study, monkeypatch):
 
 
 @pytest.mark.slow
-def test_damage_is_no_error(study):
+def test_damage_is_not_an_error(study):
     entry = study.entry("f1")
     fit = entry.shown(study.data)
     for harm in ({"theta": "x"}, {"theta": [1.0]}, {"noise": [{}]}):

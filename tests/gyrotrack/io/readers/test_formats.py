@@ -98,7 +98,7 @@ def test_an_inertial_unit_is_not_a_table_of_points(tmp_path):
 
 
 @pytest.mark.parametrize(("bits", "low"), [(16, 0), (16, -(2**15)), (32, 0)])
-def test_the_overflows_of_a_binary_counter_are_no_motion(tmp_path, bits, low):
+def test_the_overflows_of_a_binary_counter_are_not_motion(tmp_path, bits, low):
     turns = -6e3 * TIME / TURN if bits == 16 else 2**32 / 360 - 1 + 20 * TIME
     count = (np.floor(360 * turns) - low) % 2**bits + low
     read = read_motion(

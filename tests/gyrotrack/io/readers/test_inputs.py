@@ -48,7 +48,7 @@ def test_a_column_of_mostly_equal_values_holds(tmp_path, repeated, kind):
     assert imported(path, "u=u").inputs[0].interpolation == kind
 
 
-def test_an_input_has_a_table_of_its_own(tmp_path):
+def test_an_input_has_a_separate_table(tmp_path):
     own = tmp_path / "drive.csv"
     np.savetxt(
         own, [[0, 0.0], [1000, 2.0], [2500, 1.0]], delimiter=",", header="t [ms],torque [N m]", comments=""

@@ -53,7 +53,7 @@ class TestSampled:
         step[:few] *= 1 + deviation * np.where(np.arange(few) % 2, 1, -1)
         assert is_sampled(np.cumsum(step)) is sampled
 
-    def test_repeated_times_are_no_clock(self):
+    def test_repeated_times_are_not_clock(self):
         assert not is_sampled(np.zeros(20))
         assert not is_sampled(np.zeros(1))
 
@@ -105,7 +105,7 @@ class TestEdges:
         assert edges[:3] == pytest.approx([1.5, 5.5, 9.5])
         assert after[:3].tolist() == [2, 6, 10]
 
-    def test_a_weak_part_of_the_signal_is_no_pulse(self):
+    def test_a_weak_part_of_the_signal_is_not_a_pulse(self):
         """Below a quarter of the typical height the body is at rest."""
         t = np.arange(0.0, 40.0, 0.01)
         for height, most in ((0.22, 21), (0.28, 41)):
@@ -386,7 +386,7 @@ class TestReading:
         found = read_pulses(table(t, np.arange(60.0) % 7, names=("t", "x")), self.options())
         assert (np.diff(found.time) > 0).all()
 
-    def test_the_numbers_of_the_rows_are_no_times(self):
+    def test_the_numbers_of_the_rows_are_not_times(self):
         with pytest.raises(DatasetError, match="numbers the rows"):
             read_pulses(table(np.arange(40.0), np.full(40, 0.3)), self.options())
 
@@ -440,7 +440,7 @@ class TestCounter:
         found = self.counted(t, np.arange(80.0), pulses_per_turn=4.0)
         assert found.value[-1] - found.value[0] == pytest.approx(TURN * 78 / 4.0, abs=0.01)
 
-    def test_a_false_pulse_is_no_turn(self):
+    def test_a_false_pulse_is_not_a_turn(self):
         t = np.insert(np.arange(60.0), 31, 30.1)
         found = self.counted(t, np.arange(61.0))
         assert len(found.time) == 59
