@@ -119,6 +119,31 @@ class TestEdges:
         assert len(edges) >= 57
         assert np.abs(edges - np.round(edges)).max() < 0.15
 
+    @pytest.mark.parametrize(
+        ("drift", "tolerance"),
+        [
+            (lambda t: 0.0 * t, 0.001),
+            (lambda t: 10.0 * t / 20.0, 0.02),
+            (lambda t: 3.0 * np.exp(-t / 5.0), 0.02),
+            (lambda t: 3.0 * np.sin(2 * np.pi * t / 15.0), 0.02),
+        ],
+    )
+    def test_a_drift_larger_than_the_amplitude_hides_no_pulse(self, drift, tolerance):
+        """A sine of amplitude 0.5 with two periods a second rises through its middle at 0.5 s, 1 s ..."""
+        t = np.arange(0.0, 20.0, 0.01)
+        edges, _ = rising_edges(t, drift(t) + 0.5 * np.sin(4 * np.pi * t), "pulses", notes := [])
+        expected = 0.5 * np.round(2 * edges)
+        assert len(edges) >= 37
+        assert np.unique(expected).size == len(edges)
+        assert np.abs(edges - expected).max() < tolerance
+        assert not notes
+
+    def test_noise_without_pulses_stays_without_regular_edges(self):
+        random = np.random.default_rng(0)
+        for _ in range(5):
+            edges, _ = rising_edges(np.arange(2000) * 0.01, random.standard_normal(2000), "pulses", [])
+            assert not is_regular(edges)
+
     @pytest.mark.parametrize(("samples", "enough"), [(4.4, True), (3.4, False)])
     def test_a_pulse_needs_four_samples(self, samples, enough):
         t = np.arange(0.0, 100.0, 1 / samples)
@@ -203,6 +228,19 @@ class TestEvents:
     def test_a_pulse_closer_than_0_35_intervals_is_double(self, share, double):
         time = np.arange(60.0)
         assert module._not_double(np.insert(time, 31, 30.0 + share)).all() is np.bool_(not double)
+
+    @pytest.mark.parametrize("early", [0.3, 0.64, 0.66, 0.7, 0.75, 0.9, -0.64, -0.66, -0.7, -0.75])
+    def test_a_displaced_pulse_is_still_one_turn(self, early):
+        """Beyond 0.65 of an interval it counts as a double pulse, and its place as a missed one."""
+        time = slowing()
+        moved = time.copy()
+        moved[40] -= early * (time[40] - time[39] if early > 0 else time[41] - time[40])
+        found, _ = read(moved)
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 79, abs=0.05)
+        said = " ".join(found.notes)
+        assert ("1 double pulses were excluded" in said) == ("1 missed pulses were added" in said)
+        assert ("1 missed pulses were added" in said) == (abs(early) > 0.65)
+        assert (moved[40] in found.time) == (abs(early) < 0.65)
 
     def test_the_more_regular_one_of_two_is_kept(self):
         time = np.arange(60.0)
