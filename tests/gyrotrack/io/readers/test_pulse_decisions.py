@@ -303,6 +303,34 @@ class TestEvents:
             assert any("missed and double pulses are not looked for" in n for n in read(time)[1])
         assert not varies_both_ways(time[:15])
 
+    @pytest.mark.parametrize(
+        ("ratio", "steps"),
+        [
+            (0.59, [-1]),  # a short interval: a double pulse, and never more than one
+            (0.61, [0]),  # neither short nor long
+            (1.39, [0]),
+            (1.41, [1]),  # round(0.41 + 2 * 0.2) = 1 missed pulse at most
+            (2.3, [2]),  # round(1.3 + 0.4) = 2
+            (1.95, [1]),
+        ],
+    )
+    def test_steps_that_an_interval_allows(self, ratio, steps):
+        """All later counts are wrong by three, in the sense of the interval; its length limits the step."""
+        time, ratios = np.arange(200.0), np.ones(199)
+        ratios[99] = ratio
+        shift = 3.0 if ratio > 1 else -3.0
+        moved = time + shift * (np.arange(200) >= 100)
+        found = module._steps_of_part(moved, ratios, 0.2)
+        assert found[99] == steps[0]
+        assert np.count_nonzero(found) == (steps != [0])
+
+    def test_a_step_against_the_sense_of_its_interval_is_not_made(self):
+        for ratio, shift in ((0.5, 3.0), (1.5, -3.0)):
+            ratios = np.ones(199)
+            ratios[99] = ratio
+            moved = np.arange(200.0) + shift * (np.arange(200) >= 100)
+            assert not module._steps_of_part(moved, ratios, 0.2).any()
+
     def test_jittering_counts_are_described_together(self):
         """A fifth of an interval of jitter: single intervals show nothing, a spline through the counts does."""
         rng = np.random.default_rng(2)
