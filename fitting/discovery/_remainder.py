@@ -464,6 +464,9 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
     return f"{what} {rounded(e.value, e.stderr, '' if e.unit == '1' else e.unit)}"
 
 
+_POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
+
+
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the amplitudes of the camera effects that are fitted always, case by case.
 
@@ -494,7 +497,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
             direction = pair / max(amplitude, 1e-300)
             stderr = float(np.sqrt(max(direction @ cov @ direction, 0.0)))
             chi2 = float(pair @ np.linalg.pinv(cov, hermitian=True) @ pair)
-            scale = speed if name == "camera.shutter" else 1.0
+            scale = speed ** _POWER_OF_SPEED.get(name, 0)
             unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
             found.append(
                 Nuisance(

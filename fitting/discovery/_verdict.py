@@ -782,7 +782,11 @@ _NUISANCE = {
     "camera.centre": "Camera centre offset",
     "camera.tilt": "Camera tilt",
     "camera.shutter": "Rolling shutter",
+    "camera.blur": "Motion blur",
 }
+
+
+_PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
@@ -790,7 +794,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_NUISANCE[n.effect]} {1e3 * n.value:.2g} m{n.unit} (nuisance parameter, fitted)."
+        f"{_NUISANCE[n.effect]} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

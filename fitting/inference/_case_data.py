@@ -9,8 +9,8 @@ Its symmetric inverse root, which whitens them, changes one direction only:
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
 harmonic rows of the casing. Nuisance parameters are fitted always: the initial angle of the casing, the phase of each
-rotor window, and a constant centre offset, tilt and rolling shutter of the camera of the casing; for an oscillation
-whose speeds were measured, the bias of the gyroscope.
+rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing; for an
+oscillation whose speeds were measured, the bias of the gyroscope.
 """
 
 from __future__ import annotations
@@ -407,14 +407,14 @@ class CaseData:
     def _camera_prior(self) -> Array:
         """Standard deviations of the prior of the camera's nuisance functions, in units of `camera_columns`.
 
-        They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, and a shutter time up to a frame.
-        Empty where these functions are not fitted.
+        They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, a shutter time up to a frame, and,
+        on film, 5 mrad by motion blur. Empty where these functions are not fitted.
         """
         if not self.is_angle or not (self.oscillation is None or self.record.tracked):
             return np.zeros(0)
         samples = self.casing.samples
         frame = float(np.median(np.diff(samples.time)))
-        return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples)], 2)
+        return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples), _BLUR], 2)
 
     @property
     def has_camera_prior(self) -> bool:
@@ -545,12 +545,12 @@ class CaseData:
 
     @cached_property
     def camera_columns(self) -> Array:
-        """The camera's nuisance functions at the samples, (samples, 6).
+        """The camera's nuisance functions at the samples, (samples, 8).
 
         For an oscillation, their part that is linear in the angle is removed: over a part of a turn they are nearly
         linear in the angle, and would absorb any motion.
         """
-        columns = camera_columns(self.casing.samples)
+        columns = camera_columns(self.casing.samples, blurred=self.record.tracked)
         if self.oscillation is None:
             return columns
         psi = self.casing.samples.value
@@ -832,19 +832,21 @@ def _gradients(speeds: Samples) -> Array:
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
 _RUN_PARTS, _PERIOD_PARTS = 50, 16
-# standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
-_CENTRE, _TILT = 0.15, 0.05
+# standard deviations of a displaced centre, of the radius, of the second harmonic of a tilt, and of the change of the
+# first harmonic by motion blur at the largest speed [rad]; tracked films err by 0.5 to 5 mrad once a turn
+_CENTRE, _TILT, _BLUR = 0.15, 0.05, 5e-3
 # longest step of the integral of speeds from sample to sample [rad]
 _LONGEST_STEP = 1.0
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
 
 
-def camera_columns(samples: Samples) -> Array:
-    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6).
+def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
+    """Return cos and sin of the angle, of twice the angle, of the angle times the speed and its square, (n, 8).
 
-    Zeros where a harmonic is the same in all samples: pulses once per turn contain no information on harmonics of the
-    angle, and the rounding errors of their sines increase with the angle.
+    The speed is in units of the largest. Zeros where a harmonic is the same in all samples: pulses once per turn
+    contain no information on harmonics of the angle, and the rounding errors of their sines increase with the angle.
+    Only frames are `blurred` by the motion; for other samples the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)
@@ -852,7 +854,8 @@ def camera_columns(samples: Samples) -> Array:
     once, twice = (np.stack([np.cos(m * psi), np.sin(m * psi)], axis=1) for m in (1, 2))
     for pair in (once, twice):
         pair *= (np.abs(pair).max(axis=0) > _ROUNDING) & (np.ptp(pair, axis=0).max() > _ROUNDING)
-    return np.concatenate([once, twice, omega[:, None] * once], axis=1)
+    blur = omega[:, None] ** 2 * once * blurred
+    return np.concatenate([once, twice, omega[:, None] * once, blur], axis=1)
 
 
 def largest_speed(samples: Samples) -> float:

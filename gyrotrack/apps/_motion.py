@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import Legendre
+from numpy.polynomial.legendre import legvander
 from scipy.optimize import least_squares
 
 from gyrotrack._correlated_noise import Estimate, correlated_least_squares
@@ -24,8 +26,8 @@ TURN = 2 * math.pi
 # camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
 _MIN_SAMPLES = 12
-_ORDERS = range(2, 7)
-_SPEED_ORDERS = range(1, 6)
+_ORDERS = range(2, 11)
+_SPEED_ORDERS = range(1, 10)
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 # difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
@@ -86,8 +88,8 @@ class BodyMotion:
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
 
-    A rotation is fitted by a polynomial in time (of degree 2 to 6, by the Bayesian information criterion) and the first
-    three harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
+    A rotation is fitted by a polynomial in time (of degree 2 to 10, by the Bayesian information criterion) and three
+    harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
     uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
@@ -189,7 +191,7 @@ def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]
 def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
     """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
 
-    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 5, by the Bayesian information
+    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 9, by the Bayesian information
     criterion). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
     of an oscillation.
     """
@@ -200,13 +202,18 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     half = 0.5 * float(time[-1] - time[0])
     x = (time - 0.5 * (time[0] + time[-1])) / half
     most = max(order for order in _SPEED_ORDERS if order == _SPEED_ORDERS[0] or len(time) >= 2 * (order + 2))
-    design = x[:, None] ** np.arange(most + 1)
-    models = [list(range(order + 1)) for order in range(_SPEED_ORDERS[0], most + 1)]
-    fits = correlated_least_squares(x * half, design, omega, sigma, models, np.full(most + 1, np.inf))
-    orders = [np.arange(order + 1) for order in range(_SPEED_ORDERS[0], most + 1)]
-    first, last = (_averaged(fits, [np.power(float(e), k).astype(float) for k in orders]) for e in (-1, 1))
-    mean = _averaged(fits, [np.where(k % 2 == 0, 1.0 / (k + 1), 0.0).astype(float) for k in orders])
-    alpha = _averaged(fits, [np.where(k == 1, 1.0 / half, 0.0) for k in orders])
+    orders = range(_SPEED_ORDERS[0], most + 1)
+    models = [list(range(order + 1)) for order in orders]
+    fits = correlated_least_squares(
+        x * half, legvander(x, most), omega, sigma, models, np.full(most + 1, np.inf)
+    )
+
+    def averaged(row: Floats) -> Value:
+        return _averaged(fits, [row[: order + 1] for order in orders])
+
+    first, last = (averaged(legvander(np.array([end]), most)[0]) for end in (-1.0, 1.0))
+    mean = averaged(np.eye(most + 1)[0])
+    alpha = averaged(_derivatives(most, 1, 0.0) / half)
     ends, ends_u = _ends(first, last)
     return BodyMotion(_kind(ends, mean, alpha), whole.turns, ends, mean, alpha, omega_u=ends_u)
 
@@ -271,30 +278,31 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     harmonics = np.stack([f(k * smooth) for k in range(1, len(VIEW) + 1) for f in (np.cos, np.sin)], axis=1)
     most = max(order for order in _ORDERS if order == _ORDERS[0] or len(t) >= 2 * (order + 1))
     view = harmonics.shape[1]
-    design = np.concatenate([harmonics, x[:, None] ** np.arange(most + 1)], axis=1)
+    design = np.concatenate([harmonics, legvander(x, most)], axis=1)
     prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
-    models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
-    fits = correlated_least_squares(t, design, psi, sigma, models, prior, smooth)
+    orders = range(_ORDERS[0], most + 1)
+    fits = correlated_least_squares(
+        t, design, psi, sigma, [list(range(view + order + 1)) for order in orders], prior, smooth
+    )
 
-    def averaged(row: Callable[[int], list[float]]) -> Value:
-        return _averaged(
-            fits, [np.concatenate([np.zeros(view), row(o)]) for o in range(_ORDERS[0], most + 1)]
-        )
+    def averaged(row: Floats) -> Value:
+        return _averaged(fits, [np.concatenate([np.zeros(view), row[: order + 1]]) for order in orders])
 
-    def speed(place: float) -> Value:
-        return averaged(lambda order: [k * place ** max(k - 1, 0) / half for k in range(order + 1)])
-
-    ends = [speed(x[0]), speed(x[-1])]
+    ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     for i, place in enumerate((0, -1)):
-        local = _speed_at(t, angle, place)
+        local = _speed_at(t, angle, sigma, place)
         # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
-    length = t[-1] - t[0]
-    mean = averaged(lambda order: [(x[-1] ** k - x[0] ** k) / length for k in range(order + 1)])
-    alpha = averaged(lambda order: [0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])
+    mean = averaged((legvander(x[-1:], most)[0] - legvander(x[:1], most)[0]) / (t[-1] - t[0]))
+    alpha = averaged(_derivatives(most, 2, 0.0) / half**2)
     return *ends, mean, alpha  # type: ignore[return-value]  # two ends
+
+
+def _derivatives(most: int, order: int, place: float) -> Floats:
+    """Return a derivative of the Legendre polynomials of degree 0 to `most` at a place, (most + 1,)."""
+    return np.asarray([float(Legendre.basis(k).deriv(order)(place)) for k in range(most + 1)])
 
 
 def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
@@ -311,28 +319,26 @@ def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
     return Value(mean, math.sqrt(float(weight @ (u**2 + (value - mean) ** 2))))
 
 
-def _speed_at(t: Floats, angle: Floats, place: int) -> Value:
+def _speed_at(t: Floats, angle: Floats, sigma: Floats, place: int) -> Value:
     """Return the angular velocity at the first (0) or last (-1) sample.
 
-    From a cubic through that end of the record, which is shortened while a quartic describes it better.
+    From a cubic through that end of the record, which is shortened while a quartic describes it better. The noise may
+    be correlated.
     """
     count = int((np.abs(t - t[place]) < _END * (t[-1] - t[0])).sum())
+    cubic, quartic = list(range(4)), list(range(5))
     while True:
         count = max(count, min(_MIN_SAMPLES, len(t)))
         near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
-        x = t[near] - t[place]
-        design = x[:, None] ** np.arange(5)
-        scale = np.abs(design).max(axis=0)
-        values, errors = [], []
-        for order in (3, 4):
-            inverse = np.linalg.pinv(design[:, : order + 1] / scale[: order + 1])
-            found = inverse @ angle[near]
-            rest = angle[near] - design[:, : order + 1] / scale[: order + 1] @ found
-            variance = float(rest @ rest) / max(count - order - 1, 1)
-            values.append(found / scale[: order + 1])
-            errors.append(np.sqrt(variance * (inverse**2).sum(axis=1)) / scale[: order + 1])
-        if abs(values[1][4]) < 3 * errors[1][4] or count < 2 * _MIN_SAMPLES:
-            return Value(float(values[0][1]), float(errors[0][1]))
+        half = 0.5 * float(np.ptp(t[near]))
+        x = (t[near] - 0.5 * (t[near][0] + t[near][-1])) / half
+        free = np.full(5, np.inf)
+        fits = correlated_least_squares(
+            x * half, legvander(x, 4), angle[near] - angle[near][0], sigma[near], [cubic, quartic], free
+        )
+        bend, u = fits[1].of(np.eye(5)[4])
+        if abs(bend) < 3 * u or count < 2 * _MIN_SAMPLES:
+            return Value(*fits[0].of(_derivatives(3, 1, x[place]) / half))
         count //= 2
 
 

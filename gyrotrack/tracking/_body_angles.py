@@ -696,7 +696,7 @@ def _followed(
 
 _HARMONICS = range(1, 13)
 _FIRST_STATED = 3  # order from which harmonics are not caused by the camera
-_LAWS_OF_SPEED = 3  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
+_LAWS_OF_SPEED = 4  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
 _DEGREE = 5
 _FEWEST_BATCHES = 5
 # variance of an amplitude over that of a complete set of angles from which an order resembles the motion
@@ -712,8 +712,9 @@ def harmonic_error(angle: Floats) -> float:
     the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
     the motion are left out in their batches: there the frames are in step with the error, and it is slow.
 
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter), or fall
-    as its inverse square (a torque of the angle, as of an unbalance). The remainder beside these three is their error.
+    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter) or its
+    square (motion blur), or fall as its inverse square (a torque of the angle, as of an unbalance). The remainder
+    beside these four is their error.
 
     Parameters
     ----------
@@ -753,9 +754,9 @@ def harmonic_error(angle: Floats) -> float:
 
 
 def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
-    """Return amplitudes, (2, batches), less their least-squares fit by a constant, the speed and its inverse square."""
+    """Return amplitudes, (2, batches), less their least-squares fit by powers 0, 1, 2 and -2 of the speed."""
     relative = speed / speed.max()
-    laws = np.stack([np.ones_like(relative), relative, relative**-2.0], axis=1)
+    laws = np.stack([relative**power for power in (0.0, 1.0, 2.0, -2.0)], axis=1)
     return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 

@@ -149,7 +149,11 @@ def _without_drift(time: Floats, signal: Floats) -> Floats:
     """
     edges, after = _local_edges(time, signal)
     best, (most, period) = signal, _regular_pulses(edges, after)
-    if most and after[-1] - after[0] > _MOSTLY * len(signal) and np.diff(after).max() < 2 * _PULSES_PER_PART * period:
+    if (
+        most
+        and after[-1] - after[0] > _MOSTLY * len(signal)
+        and np.diff(after).max() < 2 * _PULSES_PER_PART * period
+    ):
         return signal  # pulses throughout
     width = len(signal) // 2
     while width >= _LEAST_PART:

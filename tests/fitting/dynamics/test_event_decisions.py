@@ -402,7 +402,7 @@ class TestUntilRest:
         assert found.edges[-1, 1] == pytest.approx(0.5)
 
 
-class TestGuessOfAnOscillation:
+class TestKnownOscillation:
     """Three reversals: stretches start from the guess, with errors relative to a thousandth of its largest speed."""
 
     @pytest.mark.parametrize(("reversals", "scale", "horizon"), [(3, 5e-3, 6.0), (2, None, math.inf)])

@@ -110,6 +110,7 @@ def test_unknown_inputs_do_not_contribute():
         "camera.centre",
         "camera.tilt",
         "camera.shutter",
+        "camera.blur",
     }
     document = budget_document(budget(plain))
     assert set(document) == {"parameters"}

@@ -34,6 +34,7 @@ EXTRA = {
     "camera.centre": {"eps": 2e-3, "phi": 0.3},
     "camera.tilt": {"eps": 2e-3, "phi": 1.3},
     "camera.shutter": {"k": 1e-5, "phi": 2.0},
+    "camera.blur": {"k": 1e-7, "phi": 1.1},
 }
 
 
