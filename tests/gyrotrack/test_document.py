@@ -6,9 +6,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gyrotrack._errors import ConfigurationError, ProfileError
+from gyrotrack import ConfigurationError, Profile, ProfileError
 from gyrotrack._toml import line_of, read_document
-from gyrotrack.tracking._profile import Profile, load
+from gyrotrack.tracking._profile import load
 
 TEXT = """\
 name = "x"           # 1

@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import REDUCED, Experiment, Model, fit, make_record, simulate
 from fitting.discovery._residuals import angle_harmonics, find_failures, residual_torques
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.inference._simulation import Experiment, simulate
 
 AMPLITUDE, PHASE = 4e-6, 0.9
 

@@ -7,6 +7,7 @@ from functools import cache
 import pytest
 import twobody
 
+from fitting import LIBRARY, REDUCED, Model, diagnose, make_record
 from fitting._criteria import DEFAULT
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -14,13 +15,9 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._named_effect import form_test
 from fitting.discovery._select import rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
 HIDDEN = {

@@ -8,13 +8,9 @@ import twobody
 from oscillators import motion, record
 from scipy import stats
 
+from fitting import REDUCED, Model, diagnose, fit, make_record
 from fitting.discovery._lack_of_fit import periodogram_peak
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 from fitting.inference._spectral_lines import false_alarm_probability
 
 TORQUE, RATE, PHASE = 8e-7, 2.3, 0.7

@@ -9,20 +9,25 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting._criteria import Criteria
+from fitting import (
+    LIBRARY,
+    REDUCED,
+    Criteria,
+    Estimate,
+    Experiment,
+    Model,
+    diagnose,
+    fit,
+    improve,
+    make_record,
+    simulate,
+)
 from fitting.discovery._remainder import Grade, Remainder, nuisance_parameters, smooth_law
 from fitting.discovery._residuals import residual_torques
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import _verdict, _with_both, diagnose
-from fitting.dynamics._model import Model
+from fitting.discovery._verdict import _verdict, _with_both
 from fitting.effects._expression import Tape
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve as effect
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.inference._result import Estimate
-from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6

@@ -7,19 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import EstimationError, SimulationError
+from fitting import LIBRARY, Candidate, Criteria, Estimate, EstimationError, SimulationError, improve
+from fitting._criteria import DEFAULT
 from fitting.discovery import _select as module
 from fitting.discovery._measurement import START
 from fitting.discovery._score import Score
 from fitting.discovery._select import (
-    Candidate,
     Step,
     applicable_effects,
     best,
     equivalence_classes,
     found_starts,
-    improve,
     needs_search,
     ordered,
     rank,
@@ -28,8 +26,6 @@ from fitting.discovery._select import (
     select,
     separate_values,
 )
-from fitting.effects._library import LIBRARY
-from fitting.inference._result import Estimate
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting import LIBRARY, Criteria, Model, diagnose, improve, make_record
+from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as remainder
 from fitting.discovery import _verdict as verdict
 from fitting.discovery._lack_of_fit import contradiction, smooth_test
@@ -25,18 +26,13 @@ from fitting.discovery._select import (
     _is_essential,
     _to_refit,
     best,
-    improve,
     needed_evidence,
     ordered,
     rank,
 )
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape, symbols
-from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 INERTIA, SIGMA, DRAG = 2e-3, 1e-3, 4e-7
 FRICTION = (1e-3, 2e-5, DRAG)

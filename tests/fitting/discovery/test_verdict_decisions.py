@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose
+from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery import _verdict as module
 from fitting.discovery._lack_of_fit import (
@@ -20,10 +21,8 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._measurement import SLIP, START
 from fitting.discovery._remainder import Grade, Nuisance, Remainder
-from fitting.discovery._select import Candidate, Selection
-from fitting.discovery._verdict import diagnose, slipped
-from fitting.effects._library import LIBRARY
-from fitting.inference._result import Estimate
+from fitting.discovery._select import Selection
+from fitting.discovery._verdict import slipped
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
 LEFT = Remainder(1e-6, 0.03, 1e-5, "Remainder 1 uN m rms.")

@@ -5,10 +5,10 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.linalg import expm
 
-from fitting._errors import SimulationError
+from fitting import Model, SimulationError
 from fitting.dynamics._collocation import Mesh, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._model import Dynamics
 
 TIMES = np.linspace(0, 200, 1501)
 

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._errors import SimulationError
+from fitting import Model, SimulationError
 from fitting.dynamics import _events as module
 from fitting.dynamics._collocation import NODES, Mesh, Path, Sampler
 from fitting.dynamics._events import Segments, halved, solve
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.dynamics._sensitivities import sensitivities
 
 DRY, PUSH, SPRING = "touchpoint.constant", "external.constant", "casing.spring.linear"

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from fitting._errors import EffectError, ExpressionError
-from fitting.effects._effect import Effect, Parameter, State
+from fitting import Effect, EffectError, ExpressionError, Parameter
+from fitting.effects._effect import State
 from fitting.effects._library import find
 
 

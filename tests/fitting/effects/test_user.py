@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from fitting._errors import EffectError, ExpressionError
+from fitting import EffectError, ExpressionError, read_effects
 from fitting.effects._effect import parse_unit
 from fitting.effects._library import find
-from fitting.effects._user import formula, read_effects, resolve
+from fitting.effects._user import formula, resolve
 
 
 def parts(effect):

@@ -9,12 +9,10 @@ import pytest
 import twobody
 from scipy.signal import lfilter
 
-from fitting.dynamics._model import Model
+from fitting import Experiment, Model, fit, make_record, simulate
 from fitting.inference._angle_noise import _row_covariance_beyond_white
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
-from fitting.inference._simulation import Experiment, simulate
+from fitting.inference._record import Samples
 
 ROOT = Path(__file__).parents[3]
 FILM = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"

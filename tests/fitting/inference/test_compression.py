@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import make_record
 from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress, responses_to_harmonics
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 
 SIGMA = 1e-3
 

@@ -7,12 +7,9 @@ import pytest
 import twobody
 from cases import data, fitted, pulls
 
-from fitting._errors import EffectError
-from fitting.dynamics._model import Model
-from fitting.effects._library import LINEAR, REDUCED
+from fitting import LINEAR, REDUCED, EffectError, Model, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 TRUTH = twobody.truth()
 

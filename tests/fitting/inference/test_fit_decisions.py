@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from linearised import covariance, gyroscope, least_squares
 
-from fitting._errors import EstimationError, SimulationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY
+from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
 from fitting.inference._record import Samples
-from fitting.inference._result import Estimate
 
 
 class Level(SimpleNamespace):

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from linearised import BEGIN, SPAN, VALUES, gyroscope
 
-from fitting._errors import EstimationError, SimulationError
+from fitting import LIBRARY, LINEAR, REDUCED, EstimationError, Model, Parameter, SimulationError
 from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import Model
-from fitting.effects._effect import Parameter
-from fitting.effects._library import LIBRARY, LINEAR, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference import _initial_values as module
 from fitting.inference._initial_values import (

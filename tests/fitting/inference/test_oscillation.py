@@ -6,15 +6,11 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting._errors import EstimationError, SimulationError
-from fitting.discovery._plan import plan
+from fitting import LIBRARY, EstimationError, Model, SimulationError, diagnose, improve, plan
 from fitting.discovery._remainder import Torques
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._library import LIBRARY
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel

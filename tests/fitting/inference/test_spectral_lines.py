@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fitting import make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._record import make_record
 
 SPAN, RATE = 60.0, 260.0
 FRICTION, NOISE, TIME = 0.3, 0.01, 0.3

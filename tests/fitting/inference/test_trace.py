@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import EstimationError, Fit, Model, SimulationError, diagnose, improve, make_record
+from fitting import EstimationError, Fit, Model, SimulationError, diagnose, fit, improve, make_record
 from fitting import fit as public_fit
 from fitting._workers import WorkerPool
-from fitting.inference._fit import fit
 from fitting.inference._trace import (
     Refit,
     attempt,

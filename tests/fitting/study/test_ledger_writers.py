@@ -11,11 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from fitting import _schema
-from fitting._errors import LedgerError
+from fitting import Ledger, LedgerError, _schema
 from fitting._schema import effects_of
 from fitting.study import _history
-from fitting.study._history import Ledger
 
 ROOT = Path(__file__).parents[3]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrotrack import Series
 from gyrotrack.apps._drive import drive_of
 from gyrotrack.apps._motion import motion_of_speeds
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._records import Series
 from gyrotrack.io.readers._motion_table import Driver
 
 CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import (
+    DatasetError,
+    UsageError,
+    export_file,
+    read_case,
+    read_recording,
+    write_case,
+    write_recording,
+)
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._contents import columns, export_file, plain_cell
-from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
+from gyrotrack.io._contents import columns, plain_cell
 
 pd = pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from fitting._errors import LedgerError, RecordError
+from fitting import Ledger, LedgerError, RecordError
 from fitting._schema import locked as ledger_locked
 from fitting.inference._case_file import read_record
-from fitting.study._history import Ledger
-from gyrotrack._errors import DatasetError, OutputError
+from gyrotrack import DatasetError, OutputError, import_body, read_recording, write_recording
 from gyrotrack.io._atomic import CheckpointFile, locked, new_file, refuse_existing
-from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack.io._hdf5 import new_hdf5
 
 
 def names(folder):

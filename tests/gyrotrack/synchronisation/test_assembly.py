@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fitting.inference._case_file import read_record
-from gyrotrack._errors import SyncError, UsageError
+from gyrotrack import SyncError, UsageError, read_case, write_recording
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_case, write_recording
 from gyrotrack.synchronisation._decision import synchronise
 
 NAMES = ["casing.h5", "a.h5", "b.h5", "c.h5"]

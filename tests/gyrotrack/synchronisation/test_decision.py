@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrotrack._errors import SyncError
+from gyrotrack import SyncError
 from gyrotrack.synchronisation._decision import match_clips
 from gyrotrack.synchronisation._matching import Curve
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError
 from gyrotrack.synthetic._film import Film, load_truth, render_clip, to_planes, write_film
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError, UsageError, VideoError
+from gyrotrack import TrackingError, UsageError, VideoError
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import parse

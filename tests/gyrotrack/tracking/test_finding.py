@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError
+from gyrotrack import Profile, TrackingError, propose
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._extract import extract
-from gyrotrack.tracking._profile import PAPER, Profile, load, parse
-from gyrotrack.tracking._proposal import propose
+from gyrotrack.tracking._profile import PAPER, load, parse
 
 ROOT = Path(__file__).parents[3]
 WHEEL = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
-from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking import _any_body, _hub_search
 from gyrotrack.tracking._any_body import track_body

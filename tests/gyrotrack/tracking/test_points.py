@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError, UsageError
 from gyrotrack._column_store import StoredPictures
-from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking import _point_motion
 from gyrotrack.tracking._point_motion import HUB_SHARE, about_pivot, follow_path, follow_point
 from gyrotrack.tracking._point_tracker import PointPath

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import ProfileError
-from gyrotrack.tracking._profile import PAPER, Profile, load, parse, to_toml
+from gyrotrack import Profile, ProfileError
+from gyrotrack.tracking._profile import PAPER, load, parse, to_toml
 
 ROOT = Path(__file__).parents[3]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError, VideoError
+from gyrotrack import UsageError, VideoError
 from gyrotrack.video._time_base import Timing
 
 FPS, TICK = 260.0, 1 / 90000

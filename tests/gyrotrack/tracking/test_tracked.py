@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.io._records import BodyTrack
+from gyrotrack import BodyTrack
 from gyrotrack.tracking._extract import track_doubts
 from gyrotrack.tracking._tracked import white_noise
 

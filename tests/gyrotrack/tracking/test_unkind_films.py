@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError
+from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured
 from gyrotrack.tracking._extract import extract

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import ClipInfo
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings, stamp_warnings
 

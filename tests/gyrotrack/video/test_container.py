@@ -2,7 +2,7 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import opened, probe
 
 

@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import probe, read_packets, read_raw_stamps
 from gyrotrack.video._decoder import Part, Reader, frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings

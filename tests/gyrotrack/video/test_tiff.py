@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.video._container import is_film, probe
 from gyrotrack.video._decoder import Reader

@@ -13,9 +13,9 @@ import time
 
 import pytest
 
+from gyrotrack import read_recording
 from gyrotrack.apps.batch._workers import Child, LocalWorkers, checked, run_once
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_recording
 
 pytestmark = pytest.mark.slow
 

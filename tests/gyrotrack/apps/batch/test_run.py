@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, with_folders
 from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
 from gyrotrack.apps.batch._steps import Journal, Request, locked_folder, plan

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import gyrotrack
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as lazy
 from gyrotrack.apps.cli._output import Output, running

@@ -121,7 +121,8 @@ class Notes:
 
 
 def test_duration_is_reported_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
-    from fitting.discovery._certificate import Certificate, Outcome
+    from fitting import Certificate
+    from fitting.discovery._certificate import Outcome
     from gyrotrack.apps.cli import _certify
 
     clock = iter([0.0, 10.0, 21.0, 25.0, 45.0])

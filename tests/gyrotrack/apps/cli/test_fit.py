@@ -132,7 +132,7 @@ def test_dropping_what_was_added_leads_back(gyrotrack, study):
 @pytest.mark.slow
 def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch):
     """What the parent's values cannot start is fitted from the program's own."""
-    from fitting._errors import SimulationError
+    from fitting import SimulationError
     from fitting.inference import _fit as robust
 
     whole, starts = robust.robust_fit, []

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from fitting import read_effects
 from fitting.discovery._laws import Laws
-from fitting.effects._user import read_effects
 
 
 def test_a_picture_needs_a_known_suffix(gyrotrack, simulated):

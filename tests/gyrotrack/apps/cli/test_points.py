@@ -165,7 +165,7 @@ def test_a_given_tilt_corrects_the_angles(tilted, bob, tmp_path, tilt, right):
     [("30", False), ("75,0", False), ("76", True), ("-1", True), ("steep", True), ("1,2,3", True)],
 )
 def test_a_tilt_is_between_0_and_75_degrees(text, refused):
-    from gyrotrack._errors import UsageError
+    from gyrotrack import UsageError
     from gyrotrack.apps._points import read_tilt
 
     if refused:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import Model
+from fitting import Model
 from gyrotrack.apps.report._laws import laws_of_body
 from gyrotrack.io.readers._reading import units_of_file
 

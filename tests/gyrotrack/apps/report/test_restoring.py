@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from fitting import Ledger
 from fitting._schema import StoredFit
 from fitting.discovery._select import Step
 from fitting.inference._case_data import CaseData
 from fitting.study import _serialisation as restoring
-from fitting.study._history import Ledger
-from gyrotrack.apps._study import Study
+from gyrotrack import Study
 from gyrotrack.plotting._study_data import gather
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import ConfigurationError, GyrotrackError, UsageError
+from gyrotrack import ConfigurationError, GyrotrackError, UsageError
 from gyrotrack.apps.workbench._processes import Jobs
 from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
 

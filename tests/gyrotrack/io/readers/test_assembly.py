@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_case, summary
+from gyrotrack import DatasetError, UsageError, import_case
+from gyrotrack.io.readers._import_case import summary
 
 
 def motion(body, time):

@@ -10,10 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._contents import export_file
-from gyrotrack.io._hdf5 import write_case
-from gyrotrack.io.readers._import_case import import_body, import_case
+from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack import DatasetError, UsageError, import_body
 from gyrotrack.io.readers._inputs import UNITS, read_input_options
 from gyrotrack.io.readers._motion_table import ReadOptions
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.apps._motion import motion_of_passages
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._registry import read_motion, read_passages

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting._errors import RecordError
+from fitting import RecordError
 from fitting.inference import _record
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers import _number_range as number_range
 from gyrotrack.io.readers._registry import read_motion
 

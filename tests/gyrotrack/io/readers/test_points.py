@@ -8,8 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_case
+from gyrotrack import DatasetError, UsageError, import_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._point_files import listed_names
 from gyrotrack.io.readers._points import circle_centre

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _pulses as module
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._pulses import (

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, without_spikes
 from gyrotrack.io.readers._registry import read_motion
 

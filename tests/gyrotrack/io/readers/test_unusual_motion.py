@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack import DatasetError, import_body
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_motion, read_passages
 
