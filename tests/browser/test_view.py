@@ -114,7 +114,13 @@ def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
     # a number has the digits that its u allows, as in the reports
     from fitting._numbers import with_uncertainty
 
-    for value, u in ((3.3976, 0.017), (-0.0902246, 0.000087), (3.6e-10, 1.2e-13), (54321.0, 310.0), (0.5, 2.0)):
+    for value, u in (
+        (3.3976, 0.017),
+        (-0.0902246, 0.000087),
+        (3.6e-10, 1.2e-13),
+        (54321.0, 310.0),
+        (0.5, 2.0),
+    ):
         expected = with_uncertainty(value, u, "1").replace(" ×", "\u00a0×").replace("× ", "×\u00a0")
         assert visit.evaluate("([v, u]) => Charts.uncertain(v, u)", [value, u]) == expected
     picture = tmp_path / "page.png"
@@ -189,7 +195,7 @@ def test_a_typed_law_is_fitted(visit):
 
 
 @pytest.mark.slow
-def test_an_error_of_the_user_is_told_in_a_sentence(visit):
+def test_an_error_of_the_user_is_reported_in_a_sentence(visit):
     count = _rungs(visit)
     for typed, told in (
         ("casing: -k*omega_c**", "is not a formula"),

@@ -230,7 +230,7 @@ def view_command(
         bench = Workbench(project=project, address=own)
     try:
         serve(bench, port, announce, window=window)
-    except KeyboardInterrupt:  # the regular end
+    except KeyboardInterrupt:  # Ctrl-C quits
         return
 
 

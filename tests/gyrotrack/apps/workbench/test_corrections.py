@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError, read_recording, write_recording
 from gyrotrack.apps.workbench._corrections import (
     CLICK_SIGMA,
     JUMP,
@@ -13,7 +13,6 @@ from gyrotrack.apps.workbench._corrections import (
     without_correction,
 )
 from gyrotrack.apps.workbench._films import copy_excerpt
-from gyrotrack.io._hdf5 import read_recording, write_recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 
