@@ -206,9 +206,9 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         f"{prefix}{view.torque_unit}",
         tuple(traces),
         _torque_finding(view, body),
-        caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted (difference): "
-        "torque of the final model minus that of the base model; dashed: the same for other candidates after a "
-        "refit.",
+        caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted "
+        "(difference): torque of the final model minus that of the base model; dashed: the same for other candidates "
+        "after a refit.",
     )
 
 
