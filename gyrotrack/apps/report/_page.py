@@ -157,7 +157,7 @@ def _section(
     view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool
 ) -> Section:
     v = view.cases[index]
-    steps = [s.change for s in view.steps]
+    steps = [s.words for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
     intervals = [i for i in v.intervals if i.body == "casing"]
     overview = (
