@@ -44,6 +44,7 @@ _ALTERNATIVES = (GREEN, PURPLE, ORANGE)
 _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
+_RPM = 60 / (2 * np.pi)
 # a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
 _UNDETERMINED = 3.0
 # intervals of the deflection in which the unmodelled torque is averaged, smallest number of points in one
@@ -87,7 +88,7 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
         f"Angular velocity, median over {view.smoothing_width} points; bands: ±2 σ due to the parameters"
     )
     caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
-    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s."
+    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s ({short(largest * _RPM)} rpm)."
     return Chart(
         "speed" if body == "casing" else "rotor",
         f"Speed of the {_body_name(view, body)}",

@@ -157,7 +157,7 @@ def _section(
     view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool
 ) -> Section:
     v = view.cases[index]
-    steps = [s.change for s in view.steps]
+    steps = [s.words for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
     intervals = [i for i in v.intervals if i.body == "casing"]
     overview = (
@@ -263,11 +263,11 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
     for v in view.cases:
         for i in v.speed_intervals:
             body = f"{v.body if i.body == 'casing' else i.body}{f' of {v.label}' if named else ''}"
-            speeds.setdefault(body, []).append(f"{' s to '.join(interval(i.start, i.stop))} s")
-    parts = [f"{body} {', '.join(spans)}" for body, spans in speeds.items()]
+            speeds.setdefault(body, []).append("–".join(interval(i.start, i.stop)))
+    parts = [f"{body} {', '.join(spans)} s" for body, spans in speeds.items()]
     if parts:
         title = "" if failures else "Where"
-        rows.append((title, f"Speed outside of its band, due to an earlier torque: {'; '.join(parts)}"))
+        rows.append((title, f"Speed alone, due to an earlier torque: {'; '.join(parts)}"))
     return rows
 
 
@@ -297,7 +297,7 @@ def _interval(f: Failure, *, named: bool) -> str:
     of = f" of {f.label}" if named else ""
     first, last = f.times
     largest = f"(≤ {f.size_sigma:.0f} σ)".replace(" ", "\N{NO-BREAK SPACE}")
-    return f"{size} on the {f.called}{of}, {first} s to {last} s {largest}"
+    return f"{size} on the {f.called}{of}, {first}–{last} s {largest}"
 
 
 def _failures(view: StudyView) -> list[str]:
