@@ -44,7 +44,13 @@ from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
 from gyrotrack.tracking._moving_hub import track_free_body
-from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
+from gyrotrack.tracking._point_motion import (
+    TrackedPoint,
+    follow_path,
+    follow_point,
+    follow_second_link,
+    point_details,
+)
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked, white_noise
@@ -252,11 +258,10 @@ def _film(
         several: RefusedFilmError | None = None
         try:
             recording, point = point_recording(film, options, progress)
+        except TrackingError as other:  # of several compact bodies, one may move across the picture
+            several = other if isinstance(other, RefusedFilmError) else None
+        else:
             return recording, (film, point)
-        except RefusedFilmError as other:  # several compact bodies, of which one may move across the picture
-            several = other
-        except TrackingError:
-            pass
         with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
@@ -369,6 +374,44 @@ def points_recording(
     return replace(recording, points=tracks, warnings=tuple(warnings))
 
 
+def links_recording(
+    film: Film,
+    starts: Sequence[tuple[float, float]],
+    options: SpindownOptions,
+    progress: Progress | None = None,
+) -> Recording:
+    """Follow the joint of two links and a point of the second one; make a recording of both bodies.
+
+    The casing is the first link, the rotor the second one. Both angles are relative to the ground, counter-clockwise
+    from the right of the picture; their difference is that of the links to each other.
+    """
+    if len(starts) != 2:
+        what = f"--links needs two points, and {len(starts)} are given."
+        raise UsageError(
+            what, "Give the joint and a point of the second link with --points X,Y --points X,Y."
+        )
+    joint = follow_point(film, starts[0], options.hub, progress)
+    second = follow_second_link(film, joint, starts[1], progress)
+    first = replace(joint, warnings=())
+    recording = _recording_of(film, options, first)
+    time = recording.time
+    bodies = {
+        "casing": _body_of(time[joint.frame], joint.angle, joint.sigma),
+        "rotor": replace(_body_of(time[second.frame], second.angle, second.sigma), name="rotor"),
+    }
+    tracks = {
+        name: point_track(name, path, time[path.frame], recording.frame_index, film, options.scale)
+        for name, path in (("joint", joint), ("second_link", second.path))
+    }
+    text = (
+        "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
+        "relative to the ground; the angle of the links to each other is rotor minus casing."
+    )
+    extra = {**recording.extra, "links": ["casing", "rotor"]}
+    warnings = (*recording.warnings, *joint.warnings, text)
+    return replace(recording, sense=1, bodies=bodies, points=tracks, warnings=warnings, extra=extra)
+
+
 def _recording_of(
     film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint | PointPath
 ) -> Recording:
@@ -380,7 +423,10 @@ def _recording_of(
     sense, bodies, unsure = 1, dict[str, BodyTrack](), list[str]()
     if not isinstance(tracked, PointPath):
         sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
-        bodies["casing"] = body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        if isinstance(tracked, TrackedPoint):
+            body = replace(body, harmonic_sigma=tracked.error_by_place(film.info.width))
+        bodies["casing"] = body
         # a body that enters or leaves the picture is not lost in the frames before and after
         shown = fresh_frames(film)
         count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))

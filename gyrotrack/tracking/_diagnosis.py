@@ -49,8 +49,8 @@ _SHOT = 12  # frames of the shortest shot
 # detail along the circles of a ring over that across them, below which the picture is smeared, in noise-free gradients
 _SMEARED = 0.12
 FOLLOW_LINKS = (
-    "Follow the joint and a point of the second link: `gyrotrack extract --links --points X,Y --points X,Y`, with their "
-    "positions in the first frame, the joint first, and the pivot by --hub X,Y."
+    "Follow the joint and a point of the second link, in this order, by their positions in the first frame: "
+    "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
 _FAINT = 3.0  # rms change of the picture in a ring, in standard deviations of the noise, below which it shows no detail
 

@@ -78,6 +78,21 @@ class TrackedPoint:
     ambiguous: bool = False
     orbit: Orbit | None = None  # of a tilted axis; the angles are those in the plane of the body
 
+    def error_by_place(self, width: float) -> float:
+        """Return the standard deviation of the angles that repeats with the place on a part of an orbit [rad].
+
+        Beside what the residuals of the circle show, this is the third order of the perspective of a camera at a
+        distance of about one `width` of the picture [px]: a^3 phi^2 / width^2 for a path of half length a and a tilt
+        phi. The first order is the scale, which `view` contains. It imitates a restoring torque that is not linear.
+        """
+        if self.view == 0.0:
+            return 0.0
+        half = 0.5 * float(np.hypot(*np.ptp(self.place, axis=0)))
+        perspective = half**3 * TILT**2 / width**2
+        return math.hypot(perspective, self.arc.by_place) / float(
+            np.median(np.hypot(*(self.place - self.hub).T))
+        )
+
     def displaced(self) -> list[Floats]:
         """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis.
 
@@ -138,6 +153,62 @@ def follow_path(
         noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
         scale = max(*noise, 1.0)
         return replace(path, covariance=scale**2 * path.covariance)
+
+
+@dataclass(frozen=True)
+class SecondLink:
+    """The direction of the second link of a double pendulum, from the joint to a point of it.
+
+    Attributes
+    ----------
+    frame : ndarray of int64, shape (m,)
+        Frames in which both are measured.
+    angle, sigma : ndarray, shape (m,)
+        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad].
+    path : PointPath
+        The path of the point.
+    """
+
+    frame: npt.NDArray[np.int64]
+    angle: Floats
+    sigma: Floats
+    path: PointPath
+
+
+# relative scatter of the distance of two points of one rigid link
+_RIGID = 0.05
+
+
+def follow_second_link(
+    film: Film, joint: TrackedPoint, start: tuple[float, float], progress: Progress | None = None
+) -> SecondLink:
+    """Follow a point of the link that turns about a joint, which is followed already.
+
+    A TrackingError is raised if their distance varies: a circle that is seen about a tilted axis, or other bodies.
+    """
+    path = track_point(film, start, lambda _: None, progress)
+    frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
+    if len(frame) < _FEWEST_ORBIT:
+        raise TrackingError(
+            f"Joint and second link of {film.path.name} are seen together in {len(frame)} frames only.",
+            "Give more distinct points.",
+        )
+    away = path.place[two] - joint.place[one]
+    length = np.hypot(*away.T)
+    if float(np.std(length)) > _RIGID * float(np.mean(length)):
+        raise TrackingError(
+            f"The points of the second link in {film.path.name} are {np.mean(length):.0f} +- {np.std(length):.1f} px "
+            "apart: they belong to no rigid body that is seen along its axis.",
+            "Give the joint and a point of the second link, in this order.",
+        )
+    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / length[:, None]
+    variance = np.einsum("ni,nij,nj->n", across, path.covariance[two], across)
+    variance += np.sum((across * joint.place_sigma[one]) ** 2, axis=1)
+    angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+    sigma = np.sqrt(variance) / length
+    return SecondLink(
+        frame, angle, sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0), path
+    )
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
@@ -346,11 +417,12 @@ def _about_tilted_axis(
     along = along * max(white_noise(angle, path.frame) / float(np.median(along)), 1.0)
     centre, covariance = orbit.value[:2], orbit.covariance[:2, :2]
     tilt, short = (math.degrees(v) for v in orbit.tilt)
-    warnings = [
+    text = (
         f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees against the line of "
-        f"sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the plane of the "
-        "body. Which side of it is nearer is not visible; the sense of rotation is that seen."
-    ]
+        f"sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the plane of "
+        "the body. Which side of it is nearer is not visible; the sense of rotation is that seen."
+    )
+    warnings = [text]
     ambiguous = False
     if hub is not None:
         off = np.array(hub) - centre

@@ -41,6 +41,7 @@ _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from
 _FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
 _SMALLEST = 1.5  # smallest radius of a spot [px]
 _OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
+_CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
 _REACH = 12.0  # largest distance of a spot from the point that was given [px]
 _AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
@@ -228,8 +229,20 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
         row, column = np.unravel_index(int(np.argmax(near)), near.shape)
         best = (left + int(column), top + int(row))
         if depth[best[1], best[0]] <= depth[at[1], at[0]]:
-            return _spot_of(region, at)
+            break
         at = best
+    spot, inner = _spot_of(region, at), float(depth[at[1], at[0]])
+    if spot is None or math.dist(spot.place, place) <= max(inner, _REACH):
+        return spot
+    # rods join the part that was pointed at to others: the inscribed disc about its middle
+    v, u = np.ogrid[0 : depth.shape[0], 0 : depth.shape[1]]
+    core = (depth > _CORE * inner) & (np.hypot(u - at[0], v - at[1]) < inner)
+    y, x = np.nonzero(core)
+    weight = depth[core] - _CORE * inner
+    half = math.ceil(inner)
+    v, u = np.ogrid[-half : half + 1, -half : half + 1]
+    middle = (float(np.average(x, weights=weight)), float(np.average(y, weights=weight)))
+    return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
 def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Spot:
