@@ -164,7 +164,8 @@ class SecondLink:
     frame : ndarray of int64, shape (m,)
         Frames in which both are measured.
     angle, sigma : ndarray, shape (m,)
-        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad].
+        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
+        contains that of the distance of both points from the places on the links that they stand for.
     path : PointPath
         The path of the point.
     """
@@ -175,8 +176,9 @@ class SecondLink:
     path: PointPath
 
 
-# relative scatter of the distance of two points of one rigid link
-_RIGID = 0.05
+# relative scatter of the distance of two points of one rigid link; standard uncertainty of the distance of a point that
+# is followed from the axis of a joint, and from its place on a link that turns [px]
+_RIGID, _OFF_AXIS = 0.05, 0.5
 
 
 def follow_second_link(
@@ -206,9 +208,8 @@ def follow_second_link(
     variance += np.sum((across * joint.place_sigma[one]) ** 2, axis=1)
     angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
     sigma = np.sqrt(variance) / length
-    return SecondLink(
-        frame, angle, sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0), path
-    )
+    sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
+    return SecondLink(frame, angle, np.hypot(sigma, math.sqrt(2.0) * _OFF_AXIS / length), path)
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
