@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from gyrotrack._errors import GyrotrackError
 from gyrotrack.plotting._frames import write_tiles
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 
 _HUB = (0, 0, 255)
 
 
-def write_refusal(path: Path, error: RefusedFilmError, *, force: bool = False) -> None:
+@contextmanager
+def pictured_refusal(target: Path) -> Iterator[None]:
+    """Write a picture beside `target` if the film is refused in this context, and name it in the hint of the error.
+
+    TARGET.refused.png shows frames of the film and the best hub. An earlier one is replaced.
+    """
+    try:
+        yield
+    except RefusedFilmError as error:
+        with suppress(OSError, GyrotrackError):
+            write_refusal(target.with_suffix(".refused.png"), error)
+        raise
+
+
+def write_refusal(path: Path, error: RefusedFilmError) -> None:
     """Write a PNG of the frames that show why a film is refused, with a cross at the best hub, and name it in the hint.
 
-    `error` is not changed if it has no pictures, or if the file exists and `force` is not set.
+    An `error` without pictures is not changed.
     """
-    if not error.frames or (path.exists() and not force):
+    if not error.frames:
         return
     tiles = []
     for frame in error.frames:
@@ -28,5 +45,5 @@ def write_refusal(path: Path, error: RefusedFilmError, *, force: bool = False) -
             cv2.drawMarker(tile, (x, y), _HUB, cv2.MARKER_CROSS, 16, 2)
         tiles.append(tile)
     where = "" if error.hub is None else f"; best hub ({error.hub[0]:.0f}, {error.hub[1]:.0f}) px"
-    write_tiles(path, tiles, f"refused: {error.kind}{where}.", force=force)
+    write_tiles(path, tiles, f"refused: {error.kind}{where}.", force=True)
     error.add_hint(f"The picture is {path}.")

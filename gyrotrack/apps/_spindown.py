@@ -26,7 +26,6 @@ from gyrotrack.apps._motion import (
     start_of_motion,
 )
 from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
-from gyrotrack.apps._refusal import write_refusal
 from gyrotrack.apps._study import Recorder, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
@@ -586,12 +585,7 @@ def _analysed(
     from fitting.study._serialisation import diagnosis_document
 
     picture = picture_path(source, target)
-    try:
-        read = read_source(source, options, progress)
-    except RefusedFilmError as error:
-        if picture is not None:
-            write_refusal(picture, error, force=force)
-        raise
+    read = read_source(source, options, progress)
     case, body = read.case, read.film
     series = case.casing
     if case.quantity == "omega" and not np.any(series.window):

@@ -176,7 +176,7 @@ def refuse_cut(film: Film, usable: Frames) -> None:
         raise RefusedFilmError(
             f"{film.path.name} is cut at frame {frame} ({time[frame]:.3g} s): the picture changes by {change:.0f} grey "
             f"levels there, and by at most {other:.1f} in the frames around.",
-            f"Select one shot, such as the longest with {longer} {time[frame - (longer == '--to')]:.3f}.",
+            f"Select one shot; for the longest one, give {longer} {time[frame - (longer == '--to')]:.3f}.",
             kind="cut",
             evidence={"frame": float(frame), "change": change, "other": other},
             frames=(before, after),
@@ -190,7 +190,7 @@ def refuse_moving_camera(film: Film, usable: Frames, pairs: Sequence[Pair], shap
         some = film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])
         raise RefusedFilmError(
             f"The camera moves in {film.path.name}: {100 * share:.0f} % of the features move together by {step:.1f} px "
-            f"per frame, and their motion is no rotation about a hub (residual {100 * off:.0f} %).",
+            f"per frame, and a rotation about a hub does not explain it (residual {100 * off:.0f} %).",
             "Film with the camera on a stand, or give the centre of rotation of a body that fills the picture with "
             "--hub X,Y.",
             kind="moving camera",
@@ -202,8 +202,8 @@ def refuse_moving_camera(film: Film, usable: Frames, pairs: Sequence[Pair], shap
 def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
     """Return the frame at which another shot begins, its change, and the largest one around it [grey levels].
 
-    A flash of light ends in the picture before it, a cut does not. Shots of fewer than `_SHOT` frames, such as a still
-    at the beginning, are left to the tracker.
+    A flash of light ends in the picture before it, a cut does not. Shots of fewer than `_SHOT` frames (a still at the
+    beginning) are left to the tracker.
     """
     change = film.changes[usable]
     if len(change) < 2 * _SHOT:
@@ -223,7 +223,7 @@ def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
 
 
 def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float, float, float] | None:
-    """Return how the whole picture moves if that is no rotation about a hub, else None.
+    """Return how the whole picture moves unless it turns about a hub, else None.
 
     Returned are the median displacement of the features per frame [px], the share of the features that move together,
     and the rms residual of their displacements from those about the best hub, relative to their rms.

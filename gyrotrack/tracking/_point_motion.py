@@ -374,7 +374,7 @@ _GAP, _ELLIPSE, _BETTER = 0.25 * TURN, 0.03, 0.5
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
-    """Return the ellipse of a path that covers most of it and is no circle; None for any other path."""
+    """Return the ellipse of a path that covers most of it and is not a circle; None for any other path."""
     if len(place) < 4 * _FEWEST_ORBIT:
         return None
     try:

@@ -164,7 +164,7 @@ def track_point(
 
 
 def _retraced(place: Floats, name: str) -> None:
-    """Raise a TrackingError unless rough positions of a point that nobody selected are near a circle."""
+    """Raise a TrackingError unless rough positions of an unselected point are near a circle."""
     arc = fit_arc(place, np.full(len(place), _ROUGH))
     extent = float(np.hypot(*np.ptp(place, axis=0)))
     if math.hypot(arc.noise, arc.by_place) > max(_ROUGHLY_ROUND * extent, 2.0 * _ROUGH):

@@ -576,6 +576,7 @@ def spindown_command(
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
     from gyrotrack.apps._points import read_point, read_tilt
+    from gyrotrack.apps._refusal import pictured_refusal
     from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -608,7 +609,7 @@ def spindown_command(
         tilt=None if tilt is None else read_tilt(tilt),
     )
     outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
-    with outputs, out.progress(f"tracking {source.name}", "frames") as progress:
+    with pictured_refusal(target), outputs, out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.apps._refusal import write_refusal
+from gyrotrack.apps._refusal import pictured_refusal
 from gyrotrack.tracking import _diagnosis
 from gyrotrack.tracking._diagnosis import (
     Pair,
@@ -71,7 +71,7 @@ def test_the_camera_moves_most_features(moving, seen):
     assert (camera_motion(_pairs(some), SHAPE) is not None) == seen
 
 
-def test_a_large_ball_before_a_blank_wall_is_no_camera():
+def test_a_large_ball_before_a_blank_wall_is_not_the_background():
     def ball(k):
         z = _places(200, k, (100.0, 60.0, 220.0, 180.0))  # 19 % of the picture
         return z, _moved(z, shift=3.0)
@@ -88,7 +88,7 @@ def _two(hub, other, turn, second, moving_joint=False):
     return _pairs(pair)
 
 
-def test_two_bodies_that_turn_differently_are_told_with_both_hubs():
+def test_two_bodies_that_turn_differently_are_reported_with_both_hubs():
     two = two_motions(_two(90 + 120j, 230 + 120j, 0.06, -0.1))
     assert two.hubs[0] == pytest.approx(90 + 120j, abs=1.0)
     assert two.hubs[1] == pytest.approx(230 + 120j, abs=1.0)
@@ -149,7 +149,7 @@ def test_a_cut_changes_the_picture_more_than_any_motion_near_it(other, cut):
         assert error.value.hint.endswith("--from 3.000.")
 
 
-def test_a_flash_and_a_still_at_the_beginning_are_no_cut():
+def test_a_flash_and_a_still_at_the_beginning_are_not_cuts():
     frames = [np.full((8, 8), 90 if k == 30 else 50, np.uint8) for k in range(60)]
     changes = [255.0, *np.full(59, 1.0)]
     changes[30] = changes[31] = 40.0
@@ -189,16 +189,21 @@ def test_a_body_that_is_smeared_along_its_circles_is_blurred(along, blurred):
 
 def test_a_refusal_writes_a_picture_and_names_it(tmp_path):
     frames = [np.full((60, 80), 90, np.uint8)] * 2
-    error = RefusedFilmError(
-        "It moves.", "Stop.", kind="two bodies", evidence={}, frames=frames, hub=(40.0, 30.0)
-    )
-    path = tmp_path / "film.png"
-    write_refusal(path, error)
-    assert path.exists()
-    assert error.hint == f"Stop. The picture is {path}."
-    assert str(error) == f"It moves. Stop. The picture is {path}."
-    write_refusal(path, error)  # an existing picture is kept
-    assert error.hint.count("picture") == 1
+    path = tmp_path / "film.refused.png"
+    for _ in range(2):  # an earlier picture is replaced
+        error = RefusedFilmError(
+            "It moves.", "Stop.", kind="two bodies", evidence={}, frames=frames, hub=(40.0, 30.0)
+        )
+        with pytest.raises(RefusedFilmError), pictured_refusal(tmp_path / "film.h5"):
+            raise error
+        assert path.exists()
+        assert error.hint == f"Stop. The picture is {path}."
+        assert str(error) == f"It moves. Stop. The picture is {path}."
+    plain = RefusedFilmError("It moves.", "Stop.", kind="two bodies", evidence={})
+    with pytest.raises(RefusedFilmError), pictured_refusal(tmp_path / "other.h5"):
+        raise plain
+    assert plain.hint == "Stop."
+    assert not (tmp_path / "other.refused.png").exists()
 
 
 def test_the_hint_names_the_command():
