@@ -327,7 +327,7 @@ def refuse_two_motions(film: Film, usable: Frames, pairs: Sequence[Pair]) -> Non
     )
     kind, what = "two bodies", f"Two bodies turn in {film.path.name}"
     one, other = (f"--hub {z.real:.0f},{z.imag:.0f}" for z in two.hubs)
-    hint = f"Give the centre of the body to track, such as {one} or {other}."
+    hint = f"Give the centre of the body to track: {one} or {other}."
     if two.linked:
         kind, what, hint = "two links", f"Two linked bodies turn in {film.path.name}", FOLLOW_LINKS
     raise RefusedFilmError(
