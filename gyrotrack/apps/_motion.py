@@ -26,8 +26,9 @@ TURN = 2 * math.pi
 # camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
 _MIN_SAMPLES = 12
-_ORDERS = range(2, 11)
-_SPEED_ORDERS = range(1, 10)
+_ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
+_ORDERS = range(2, 17)
+_SPEED_ORDERS = range(1, 16)
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 # difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
@@ -88,7 +89,7 @@ class BodyMotion:
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
 
-    A rotation is fitted by a polynomial in time (of degree 2 to 10, by the Bayesian information criterion) and three
+    A rotation is fitted by a polynomial in time (of degree 2 to 16, by the Bayesian information criterion) and three
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
     uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
@@ -191,7 +192,7 @@ def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]
 def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
     """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
 
-    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 9, by the Bayesian information
+    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 15, by the Bayesian information
     criterion). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
     of an oscillation.
     """
@@ -244,7 +245,7 @@ def motion_of_passages(passages: Passages) -> BodyMotion:
     for values in (when, size):
         fits = correlated_least_squares(count, design, values, np.ones(len(values)), models, free)
         best = min(fits, key=lambda fit: fit.criterion)
-        slopes.append(Value(*best.of(np.eye(len(best.value))[1])))
+        slopes.append(Value(*best.of(np.eye(best.values.shape[1])[1])))
     by_time, by_size = slopes
     period = 4 * by_time.value / (count[-1] - count[0])
     relative = by_time.stderr / by_time.value
@@ -275,18 +276,24 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     psi = angle - angle[len(angle) // 2]
     # harmonics of the smooth angle: those of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
-    harmonics = np.stack([f(k * smooth) for k in range(1, len(VIEW) + 1) for f in (np.cos, np.sin)], axis=1)
+    # pulses at whole multiples of a period of a harmonic contain no information on it
+    orders = [
+        k
+        for k in range(1, len(VIEW) + 1)
+        if max(np.ptp(np.cos(k * psi)), np.ptp(np.sin(k * psi))) > _ROUNDING
+    ]
+    harmonics = [f(k * smooth) for k in orders for f in (np.cos, np.sin)]
     most = max(order for order in _ORDERS if order == _ORDERS[0] or len(t) >= 2 * (order + 1))
-    view = harmonics.shape[1]
-    design = np.concatenate([harmonics, legvander(x, most)], axis=1)
-    prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
-    orders = range(_ORDERS[0], most + 1)
+    view = len(harmonics)
+    design = np.concatenate([np.reshape(harmonics, (view, len(t))).T, legvander(x, most)], axis=1)
+    prior = np.array([s for k in orders for s in (VIEW[k - 1], VIEW[k - 1])] + [np.inf] * (most + 1))
+    degrees = range(_ORDERS[0], most + 1)
     fits = correlated_least_squares(
-        t, design, psi, sigma, [list(range(view + order + 1)) for order in orders], prior, smooth
+        t, design, psi, sigma, [list(range(view + degree + 1)) for degree in degrees], prior, smooth
     )
 
     def averaged(row: Floats) -> Value:
-        return _averaged(fits, [np.concatenate([np.zeros(view), row[: order + 1]]) for order in orders])
+        return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
 
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     for i, place in enumerate((0, -1)):
