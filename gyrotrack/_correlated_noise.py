@@ -145,8 +145,8 @@ def correlated_least_squares(
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
     """Return the spectral density of residuals at a low frequency over that of white noise of unit variance.
 
-    `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s. The
-    degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
+    `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s.
+    The degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
 
         s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))),
 
