@@ -49,7 +49,7 @@ _FASTEST = np.pi
 _DRAWS = 1000  # null data sets; p-values down to 0.001
 _RANK = 1e-5  # singular values below this share of the largest are rounding
 _CURVE = 120  # points of a curve that is shown
-# trial standard deviations of a torque, in units of that which the data determine
+# trial standard deviations of a torque, in units of the determined one
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 # correlation lengths over the range of the variable
 _LENGTHS = np.geomspace(0.03, 3.0, 9)

@@ -25,7 +25,7 @@ from fitting.inference._record import Samples
 Array = NDArray[np.float64]
 
 HARMONICS = 4  # rows for the first two harmonics of the angle, sine and cosine
-# amplitude orthogonal to the polynomials from which a harmonic has rows, as a share of its own
+# amplitude orthogonal to the polynomials from which a harmonic has rows, relative to its amplitude
 _MIN_INDEPENDENCE = 0.2
 # change of an angle [rad] below which the integrals of its harmonics are series: the fourth power is 1e-12
 _SMALL_CHANGE = 1e-3

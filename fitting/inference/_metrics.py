@@ -110,7 +110,7 @@ def median_noise(cutoff: Array) -> Array:
     return np.asarray(np.maximum(variance - 2 * opposed, 0.0) / inside**2)
 
 
-_POINTS = 2000  # points of the integrals of power at most
+_POINTS = 2000  # largest number of points of an energy balance
 
 
 @dataclass(frozen=True)
