@@ -1,8 +1,8 @@
 """Tracking of a body whose hub moves: a table suspended by threads, a sliding puck, a rolling cylinder.
 
 The path of the hub is found first: from the features of a body that hardly moves, or from the outlines of the
-difference from the background. The picture of the body about this path is then registered against its learnt mean,
-which measures the angle and the remaining displacement together.
+difference from the background. The picture of the body about this path is then registered against a template averaged
+from the film, which measures the angle and the remaining displacement together.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _TRAVEL = 0.5  # diameters that a free body moves at least
 _SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
 _TURNING = 3.0  # ... rms change of its picture over the noise, and ...
 _TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest exceed the noise
-_STEADY = 9  # frames of which most show the motion
+_STEADY = 9  # frames of a window in which most must show the motion
 _WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
 _BODIES = 4  # paths of which the rotation is measured, at most
 # largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense
@@ -125,7 +125,7 @@ def track_by_features(
     for first in np.unique(followed):
         apart[followed == first] -= apart[followed == first].mean()
     correlated = float(apart.std())
-    repeated = len(film) - len(usable)
+    repeated = int(film.selected.sum()) - len(usable)
     notes = [
         (
             f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
@@ -133,7 +133,7 @@ def track_by_features(
         )
     ]
     if repeated:
-        notes.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
+        notes.append(f"{repeated} of {film.selected.sum()} frames repeat the previous frame and are omitted.")
     return _completed(film, tracked, correlated, "features", notes)
 
 
@@ -177,10 +177,14 @@ def track_free_body(
         ]
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
-            notes.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
+            notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
         return _completed(film, tracked, correlated, "outline", notes)
-    what = f"No body that turns while it moves across the picture is found in {film.path.name}."
-    raise TrackingError(what, "Give the centre of rotation, or a point that the body passes, with --hub X,Y.")
+    where = "" if near is None else f" and passes ({near[0]:.0f}, {near[1]:.0f}) px"
+    what = f"No body that turns while it moves across the picture{where} is found in {film.path.name}."
+    hint = "--point X,Y follows a point of it."
+    raise TrackingError(
+        what, f"--hub X,Y selects a body by a point on its path; {hint}" if near is None else hint
+    )
 
 
 @dataclass(frozen=True)
