@@ -23,7 +23,7 @@ angle, a function of the angle `psi` and the angular velocity `omega` of the fil
 `gyrotrack fit --add` and `--json` use the names in the first column. For a case of a single body the role may be
 left out (`air.quadratic`), and the touch point is its support (`support.constant`); its name replaces the casing's
 in words. User-defined laws may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter.
-Times of events, such as t0 in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
+Times of events, for example t0 in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
 """
 
 _JOINTS = {

@@ -184,6 +184,7 @@ def fit(
     per_case: Iterable[str] = (),
     start: Mapping[str, float] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    criteria: Criteria | None = None,
 ) -> Fit:
     """Fit a model to one case, or to several together.
 
@@ -204,6 +205,8 @@ def fit(
         Initial values [SI]; by default they are computed from the data.
     ranges : mapping of str to (float, float), optional
         Bounds by name [SI], within the declared ones.
+    criteria : Criteria, optional
+        What counts as noise in the recordings, and the thresholds of the verdict and of a search from this fit.
 
     Returns
     -------
@@ -238,7 +241,15 @@ def fit(
     for key, pair in (ranges or {}).items():
         if not isinstance(pair, Sequence) or len(pair) != 2 or not pair[0] <= pair[1]:
             raise EstimationError(f"the range of {key!r} is {pair!r}", "use a pair (lower, upper)")
-    options = {"share": _names(share), "per_case": _names(per_case), "start": start, "ranges": ranges}
+    options: dict[str, Any] = {
+        "share": _names(share),
+        "per_case": _names(per_case),
+        "start": start,
+        "ranges": ranges,
+    }
+    if criteria is not None:
+        several = [c.with_criteria(criteria) if isinstance(c, CaseData) else c for c in several]
+        options["criteria"] = criteria
     with single_blas_thread():
         return robust_fit(chosen.with_fixed(fixed or {}), several, loss, **options)
 

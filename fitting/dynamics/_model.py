@@ -142,7 +142,7 @@ class Model:
         Raises
         ------
         EffectError
-            If a name is no parameter of the model, names several, or its value is not finite.
+            If a name is not a parameter of the model, names several, or its value is not finite.
         """
         held: dict[str, float] = {}
         for name, value in values.items():

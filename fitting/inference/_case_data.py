@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, NOISE, Criteria
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
@@ -57,7 +57,7 @@ from fitting.inference._process_noise import (
     mean_acceleration,
 )
 from fitting.inference._record import WIDTH, PiecewiseCubics, Record, Samples, initial_speeds, speeds
-from fitting.inference._slips import Slip, without_slips
+from fitting.inference._slips import Slip, as_measured, without_slips
 from fitting.inference._spectral_lines import (
     SpectralLine,
     line_rows,
@@ -177,7 +177,7 @@ class CaseData:
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
     `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
     stated uncertainties. `slips` are whole turns that slipped in the angles as measured; the record and all rows are
-    those of the corrected angles.
+    those of the corrected angles. `criteria` determine what is noise.
     """
 
     record: Record
@@ -187,14 +187,15 @@ class CaseData:
     noiseless: bool = False
     free_inertia: bool = False
     slips: tuple[Slip, ...] = ()
+    criteria: Criteria = DEFAULT
 
     def __repr__(self) -> str:
         return f"CaseData, {len(self.casing.operators)} blocks of {self.record!r}"
 
     @classmethod
-    def of(cls, record: Record) -> CaseData:
+    def of(cls, record: Record, criteria: Criteria = DEFAULT) -> CaseData:
         """Project a record, after the correction of whole turns that slipped."""
-        record, slips = without_slips(record)
+        record, slips = without_slips(record, criteria)
         angle = record.quantity == "angle"
         driving = record.driving
         # a body that an input drives to and fro does not oscillate about an equilibrium
@@ -234,7 +235,20 @@ class CaseData:
             )
             for w in record.rotor
         )
-        return cls(record, casing, rotor, oscillation, slips=slips)
+        return cls(record, casing, rotor, oscillation, slips=slips, criteria=criteria)
+
+    def with_criteria(self, criteria: Criteria) -> CaseData:
+        """Return the same measured data with other criteria of the noise."""
+        if self.has_noise_of(criteria):
+            changed = replace(self, criteria=criteria)
+            changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in _OF_THE_SAMPLES})
+            return changed
+        made = CaseData.of(as_measured(self.record, self.slips), criteria)
+        return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
+
+    def has_noise_of(self, criteria: Criteria) -> bool:
+        """Return whether other criteria determine the same noise of this recording (`NOISE`)."""
+        return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
         """Return the same data with this standard uncertainty of every start that is not stated [s]."""
@@ -335,7 +349,7 @@ class CaseData:
         """
         camera = self.casing.at_samples(camera_columns(self.casing.samples))[1]
         p_value = p_value_of_response(self.casing, self._camera_rows, camera, responses)
-        return p_value < DEFAULT.periodic_torque
+        return p_value < self.criteria.periodic_torque
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
@@ -422,7 +436,7 @@ class CaseData:
     def _correlated_noise(self) -> AngleNoise:
         if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
-        return estimate_angle_noise(self.casing, self._nuisance_rows)
+        return estimate_angle_noise(self.casing, self._nuisance_rows, self.criteria)
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
@@ -430,12 +444,11 @@ class CaseData:
         noise = self._correlated_rotor_noise
         return AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
 
-    @staticmethod
-    def _excess_angle_noise(noise: AngleNoise, runs: Sequence[Compressed]) -> float:
+    def _excess_angle_noise(self, noise: AngleNoise, runs: Sequence[Compressed]) -> float:
         """Return the ratio of correlated to white noise if it exceeds `Criteria.angle_noise_ratio`, else zero."""
         white = [run.scale * float(np.median(run.samples.sigma)) for run in runs]
         ratio = max(noise.sigma, noise.turn_sigma) / min(white, default=math.inf)
-        return ratio if ratio > DEFAULT.angle_noise_ratio else 0.0
+        return ratio if ratio > self.criteria.angle_noise_ratio else 0.0
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
@@ -503,7 +516,7 @@ class CaseData:
         if self.oscillation is not None:
             return ()
         least = float(np.median(self.record.casing.sigma)) if self.record.tracked else 0.0
-        found = spectral_lines(self.casing, self._camera_rows)
+        found = spectral_lines(self.casing, self._camera_rows, self.criteria)
         return tuple(line for line in found if line.amplitude > least)
 
     @cached_property
@@ -516,7 +529,7 @@ class CaseData:
 
     @cached_property
     def _driven_rows(self) -> Array:
-        """Polynomial rows of the responses to the recorded inputs, which are no noise; independent columns."""
+        """Polynomial rows of the responses to the recorded inputs, which are not noise; independent columns."""
         driving = self.record.driving
         if not driving:
             return np.zeros((len(self.casing.z), 0))

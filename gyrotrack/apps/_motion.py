@@ -44,7 +44,7 @@ _ALIKE = 4  # neighbouring deviations from a mean speed that count as one
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a motion that is no damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
+# a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
 # with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
 
@@ -96,9 +96,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is no such oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation whose
-    speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and
-    its mean is that of the angles.
+    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation
+    whose speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are
+    local, and its mean is that of the angles.
     """
     if len(time) < _MIN_SAMPLES:
         what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
@@ -133,7 +133,7 @@ def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:
 
 
 def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
-    """Return whether the speed of a rotation in one sense rises repeatedly, as that of a motor or a swimming cell.
+    """Return whether the speed of a rotation in one sense rises repeatedly, for example with a motor.
 
     Friction never makes a body faster. Harmonics of the angle, from an unbalance, a displaced hub or a tilted camera,
     do, with an amplitude that changes slowly: the speed must rise with them and without them. Two rises by more than
@@ -172,7 +172,7 @@ def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
     near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
     (slope, _), covariance = np.polyfit(t[near], angle[near], 1, cov="unscaled")
     rest = angle[near] - np.polyval(np.polyfit(t[near], angle[near], 1), t[near])
-    # the deviations from a constant speed are no noise: neighbours have the same sign
+    # the deviations from a constant speed are not noise: neighbours have the same sign
     variance = float(rest @ rest) / max(count - 2, 1) * min(count, _ALIKE)
     return Value(float(slope), math.sqrt(float(covariance[0, 0]) * variance))
 
@@ -298,7 +298,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     for i, place in enumerate((0, -1)):
         local = _speed_at(t, angle, sigma, place)
-        # a polynomial through the whole record may swing at its ends
+        # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
@@ -563,7 +563,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
     A rotation is driven up to the maximum of its speed (means over 1/50 of the record, at least 5 samples) if it is in
     the first half and exceeds the initial speed by more than 5 % and 5 standard errors, and if the speed does not rise
-    by half as much again later, as that of a motor does. The end of the drive is then found to the sample. An
+    by half as much again later, which a motor causes. The end of the drive is then found to the sample. An
     oscillation is free where its periods and amplitudes are those of a free one.
     """
     windows = _speeds(time, angle, sigma)
@@ -613,7 +613,7 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
 # windows from which a free motion is extrapolated; speed before a stop over the largest one
 _FREE, _ABRUPT = 3, 0.1
-_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is no drive by hand
+_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is not a drive by hand
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
@@ -643,12 +643,12 @@ def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    # an uncertainty that all angles share, such as that of the hub, is no error of a difference
+    # an uncertainty that all angles share, for example that of the hub, is not an error of a difference
     noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
     return edges, speed, float(noise) * math.sqrt(12 / width) / duration
 
 
 def _turns_back(speed: Floats, error: float) -> bool:
-    """Tell whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
+    """Return whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))

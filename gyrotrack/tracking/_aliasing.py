@@ -54,8 +54,8 @@ def unaliased(
 ) -> Alias:
     """Return the rotation to take of those that a film allows.
 
-    The one that explains more (`explained`) of the changes of brightness is taken. Of two that explain as much it is
-    the one that slows down, as a body does that turns freely; of two steady ones the slower one, with a warning.
+    The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
+    one that slows down, as a free body does; if both are steady, the slower one, with a warning.
     `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
     picture `template` was learnt.
     """

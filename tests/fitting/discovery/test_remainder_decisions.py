@@ -9,19 +9,16 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
+from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effect_name
 from fitting._criteria import DEFAULT
-from fitting._errors import EstimationError
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._remainder import Torques, better_law, grade, nuisance_parameters, ranges_of
 from fitting.discovery._residuals import ResidualTorque
-from fitting.discovery._select import Candidate, Selection
+from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._library import LIBRARY, LINEAR
-from fitting.effects._words import effect_name
-from fitting.inference._result import Estimate
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"
@@ -469,7 +466,7 @@ class TestGrade:
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)
             assert size.explained == pytest.approx(0.75)
 
-    def test_a_better_law_of_another_speed_is_no_approximate_answer(self, monkeypatch):
+    def test_a_better_law_of_another_speed_is_not_an_approximate_answer(self, monkeypatch):
         size = self.graded(monkeypatch, misfit=True, better="omega_r")
         assert (size.form, size.unknown) == (None, "omega_r")
         size = self.graded(monkeypatch, misfit=True, better="omega_r", effect=UNBALANCE)

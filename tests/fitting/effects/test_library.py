@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting import GENERAL, LIBRARY, LINEAR, REDUCED, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._effect import RATIO, parse_unit
 from fitting.effects._expression import Tape, derivative, parse, symbols
-from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED, find
+from fitting.effects._library import find
 
 
 def sgn(x):

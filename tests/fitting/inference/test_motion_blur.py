@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import Model, fit, make_record
 from fitting.discovery._remainder import nuisance_parameters
-from fitting.dynamics._model import Model
 from fitting.inference._case_data import CaseData, camera_columns, largest_speed
-from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
 BASE = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear", "bearing.power")

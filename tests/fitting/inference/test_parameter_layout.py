@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from cases import data
 
-from fitting._errors import EffectError
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import LINEAR, REDUCED
+from fitting import LINEAR, REDUCED, EffectError, Model, Record
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._parameters import ParameterLayout
-from fitting.inference._record import Record
 
 
 @pytest.fixture(scope="module")

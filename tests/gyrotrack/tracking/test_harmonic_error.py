@@ -31,14 +31,14 @@ def test_so_it_is_of_the_orders_of_the_camera_where_they_follow_no_law_of_the_sp
     assert harmonic_error(turning(1e-3, order)) == pytest.approx(1e-3 / np.sqrt(2), rel=0.35)
 
 
-def test_noise_and_higher_orders_are_no_error():
+def test_noise_and_higher_orders_are_not_error():
     assert all(harmonic_error(turning(seed=seed)) < 0.1e-3 for seed in range(5))
     assert harmonic_error(turning(1e-3, 13)) < 0.15e-3
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0, -2.0, 8.0, -6.0])
-def test_centre_shutter_blur_and_unbalance_are_no_error_of_orders_1_and_2(order, power):
+def test_centre_shutter_blur_and_unbalance_are_not_an_error_of_orders_1_and_2(order, power):
     """While the speed falls from 100 to 40 rad/s the amplitude follows a power of it, 1 mrad on average."""
     t = np.arange(20 * 512) / FPS
     psi = 100.0 * t - 0.76 * t**2
