@@ -472,7 +472,7 @@ class TestWords:
         unknown = (UNKNOWN_IN_TIME, next(iter(UNKNOWN_LAWS.values())))
         text = self.missing(candidate(alike=unknown))
         assert text.startswith(f"Missing: {NAMED}, or {unknown[0]}, or {unknown[1]};")
-        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("One of")
+        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("Missing: one of these effects")
 
     def test_the_remainder_the_noise_or_the_test_is_stated(self, monkeypatch):
         monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
