@@ -38,11 +38,18 @@ from gyrotrack.io.readers._number_range import check_numbers, usable_numbers
 from gyrotrack.io.readers._registry import read_motion, read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
-from gyrotrack.tracking._any_body import SeveralBodiesError, track_body
+from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
-from gyrotrack.tracking._film import Film, Tilt, fresh_frames
+from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
 from gyrotrack.tracking._moving_hub import track_free_body
-from gyrotrack.tracking._point_motion import TrackedPoint, follow_path, follow_point, point_details
+from gyrotrack.tracking._point_motion import (
+    TrackedPoint,
+    follow_path,
+    follow_point,
+    follow_second_link,
+    point_details,
+)
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
 from gyrotrack.tracking._tracked import Tracked, white_noise
@@ -56,6 +63,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
+# kinds of films that no other method tracks; of two bodies, the user selects one
+_NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
 _MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
 
 
@@ -227,27 +236,36 @@ def _film(
         ), None
     if options.point is not None or options.colour is not None:
         film = Film(source, colour=options.colour, tilt=options.tilt)
-        _rate(film, options.capture_fps)  # an unknown rate is reported before the film is tracked
+        _limit(film, options)  # an unknown rate is reported before the film is tracked
         recording, point = point_recording(film, options, progress)
         return recording, (film, point)
     film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
-    _rate(film, options.capture_fps)
+    _limit(film, options)
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
     try:
         recording, tracked = film_recording(film, options, progress)
-    except SeveralBodiesError:  # the user selects one
-        raise
-    except TrackingError:
+    except TrackingError as error:
+        kind = error.kind if isinstance(error, RefusedFilmError) else ""
+        if kind in _NO_OTHER_WAY:
+            raise
         if options.body is None and (found := _papers_markers(source, film, options, progress)) is not None:
             return found, None
-        with suppress(TrackingError):
+        if kind == "moving camera":
+            raise
+        several: RefusedFilmError | None = None
+        try:
             recording, point = point_recording(film, options, progress)
+        except TrackingError as other:  # of several compact bodies, one may move across the picture
+            several = other if isinstance(other, RefusedFilmError) else None
+        else:
             return recording, (film, point)
         with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
+        if several is not None:
+            raise several from error
         raise
     x, y = tracked.ring.hub
     if not (0 <= x < recording.width and 0 <= y < recording.height):
@@ -265,6 +283,8 @@ def _papers_markers(
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
     with suppress(GyrotrackError):
+        if not is_coloured(source):
+            return None
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)
         tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
         # coloured things at rest or in a hand are not markers
@@ -287,6 +307,18 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
         raise VideoError(f"{film.path} does not state its capture rate.", "Give --capture-fps.")
     slow = f"The capture rate is that of the container, {fps:g} fps; a slow-motion film needs --capture-fps."
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
+
+
+def _limit(film: Film, options: SpindownOptions) -> None:
+    """Select the frames of a film within the limits of the user, before it is tracked."""
+    fps, *_ = _rate(film, options.capture_fps)
+    limits = options.limits
+    if limits.start is None and limits.stop is None and not limits.cuts:
+        return
+    keep = enough_within(Timing("auto", fps).of(film.stamps, float(film.info.time_base)).seconds(fps), limits)
+    film.selected &= keep
+    text = f"{int((~keep).sum())} of {len(keep)} frames are excluded by --from, --to or --cut."
+    film.warnings = (*film.warnings, text)
 
 
 def film_recording(
@@ -341,6 +373,44 @@ def points_recording(
     return replace(recording, points=tracks, warnings=tuple(warnings))
 
 
+def links_recording(
+    film: Film,
+    starts: Sequence[tuple[float, float]],
+    options: SpindownOptions,
+    progress: Progress | None = None,
+) -> Recording:
+    """Follow the joint of two links and a point of the second one; make a recording of both bodies.
+
+    The casing is the first link, the rotor the second one. Both angles are relative to the ground, counter-clockwise
+    from the right of the picture; their difference is that of the links to each other.
+    """
+    if len(starts) != 2:
+        what = f"--links needs two points, and {len(starts)} are given."
+        raise UsageError(
+            what, "Give the joint and a point of the second link with --points X,Y --points X,Y."
+        )
+    joint = follow_point(film, starts[0], options.hub, progress)
+    second = follow_second_link(film, joint, starts[1], progress)
+    first = replace(joint, warnings=())
+    recording = _recording_of(film, options, first)
+    time = recording.time
+    bodies = {
+        "casing": _body_of(time[joint.frame], joint.angle, joint.sigma),
+        "rotor": replace(_body_of(time[second.frame], second.angle, second.sigma), name="rotor"),
+    }
+    tracks = {
+        name: point_track(name, path, time[path.frame], recording.frame_index, film, options.scale)
+        for name, path in (("joint", joint), ("second_link", second.path))
+    }
+    text = (
+        "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
+        "relative to the ground; the angle of the links to each other is rotor minus casing."
+    )
+    extra = {**recording.extra, "links": ["casing", "rotor"]}
+    warnings = (*recording.warnings, *joint.warnings, text)
+    return replace(recording, sense=1, bodies=bodies, points=tracks, warnings=warnings, extra=extra)
+
+
 def _recording_of(
     film: Film, options: SpindownOptions, tracked: Tracked | TrackedPoint | PointPath
 ) -> Recording:
@@ -352,7 +422,10 @@ def _recording_of(
     sense, bodies, unsure = 1, dict[str, BodyTrack](), list[str]()
     if not isinstance(tracked, PointPath):
         sense = 1 if tracked.angle[-1] >= tracked.angle[0] else -1
-        bodies["casing"] = body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        body = _body_of(time, sense * tracked.angle, tracked.sigma)
+        if isinstance(tracked, TrackedPoint):
+            body = replace(body, harmonic_sigma=tracked.error_by_place(film.info.width))
+        bodies["casing"] = body
         # a body that enters or leaves the picture is not lost in the frames before and after
         shown = fresh_frames(film)
         count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
@@ -511,6 +584,7 @@ def _analysed(
     from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
+    picture = picture_path(source, target)
     read = read_source(source, options, progress)
     case, body = read.case, read.film
     series = case.casing
@@ -536,7 +610,7 @@ def _analysed(
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
         hint = "state the unit of the angle."
         if body is not None:
-            hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check --hub X,Y."
+            hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check the hub."
         raise TrackingError(
             f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
         )
@@ -551,11 +625,11 @@ def _analysed(
         "inertia": options.inertia,
     }
     write_case(target, case, command=command, settings=settings, force=force)
-    picture = None
     ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
     ambiguous |= bool(case.extra.get("doubts"))
-    if body is not None:
-        picture = picture_path(source, target)
+    if body is None:
+        picture = None
+    else:
         assert picture is not None  # noqa: S101 - `body` is of a film
         if isinstance(body[1], TrackedPoint):
             write_point_picture(picture, body[0], body[1], force=force)

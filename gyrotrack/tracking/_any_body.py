@@ -12,13 +12,23 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
+from gyrotrack.tracking._diagnosis import (
+    RefusedFilmError,
+    pairs_of,
+    refuse_blurred,
+    refuse_cut,
+    refuse_moving_camera,
+    refuse_two_motions,
+)
 from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
@@ -27,6 +37,7 @@ from gyrotrack.tracking._hub_search import (
     distance_from,
     propose_hubs,
     ring_for,
+    tilted_outline,
 )
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
@@ -81,6 +92,12 @@ _AS_MUCH, _OTHER_RANGE = 1.1, 0.05
 # explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
 _AS_GOOD = 0.8
 _HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the slowest step
+_HOPEFUL = 0.5  # share of what must be explained, below which no candidate is refined
+# explained share from which a candidate is refined at once; number of frames and iterations of the cheap refinement of
+# others, and the share of what must be explained that it must reach: few frames are explained better than many
+_CLEAR, _FEW_FRAMES, _FEW_STEPS, _PROMISING = 0.6, 12, 3, 0.85
+_STEPS, _FRAMES = 6, 60  # iterations of the refinement of a candidate, and frames for it
+_TILTED = 0.35  # tilt of the axis [rad] from which the result states it
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
@@ -89,12 +106,8 @@ _STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is alw
 _CLEARLY_BETTER = 0.02
 
 
-class NothingMovesError(TrackingError):
+class NothingMovesError(RefusedFilmError):
     """No part of the picture changes by more than noise."""
-
-
-class SeveralBodiesError(TrackingError):
-    """Several bodies turn about different centres."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +137,7 @@ def track_body(
             f"{film.path.name} has only {len(usable)} different frames; at least 12 are required to track a motion.",
             "Give a longer film.",
         )
+    refuse_cut(film, usable)
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))]
     sample = film.some(chosen)
     shake = camera_shake(sample, film.frames())
@@ -136,6 +150,8 @@ def track_body(
             )
             return _with_shake(found, shake)
         film.stabilise(None)
+    elif hub is None:
+        refuse_moving_camera(film, usable, pairs_of(film, usable), sample[0].shape)
     return _track(film, usable, sample, hub, progress)
 
 
@@ -172,8 +188,18 @@ def _track(
 ) -> Tracked:
     """Track the body in a film of a camera at rest; a margin [px] is excluded at every edge."""
     motion = Motion.of(sample, margin)
-    if motion.moving.mean() < 2e-4:
-        raise NothingMovesError(f"Nothing moves in {film.path.name}.", "Check that it is the right film.")
+    moving = float(motion.moving.mean())
+    if moving < 2e-4:
+        largest = float(cv2.blur(motion.deviation, (3, 3)).max())
+        raise NothingMovesError(
+            f"Nothing moves in {film.path.name}: the brightness of {1e6 * moving:.0f} of a million pixels changes by "
+            f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels), by at most {largest:.1f}.",
+            "Check that it is the right film, and the light; a body that turns by more than a turn during an exposure "
+            "shows no motion.",
+            kind="no motion",
+            evidence={"moving": moving, "noise": motion.noise, "largest": largest},
+            frames=(sample[0], sample[-1]),
+        )
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
     block = film.some(usable[first : first + _TRIAL])
     if hub is not None and not all(math.isfinite(v) for v in hub):
@@ -185,26 +211,30 @@ def _track(
         return loose
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
+    if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):
+        trials += _trials(seen, block, motion)
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     where, hint = "about a hub", _GIVE_HUB
     if hub is not None:
         where = f"about the hub ({hub[0]:g}, {hub[1]:g}) px"
-        hint = "Check the hub. The axis of rotation must point at the camera, and the body must show marks or texture."
-    if not trials or trials[0].score < 0.02:
-        raise TrackingError(f"No body that turns {where} is found in {film.path.name}.", hint)
+        hint = "Check the hub. The body must show marks or texture; --point X,Y follows one of its points."
+    coarse = trials[0].score if trials else 0.0
+    if coarse < _HOPEFUL * _EXPLAINED:  # the refinement is the slowest step
+        _refuse(film, usable, block, motion, trials[0] if trials else None, where, hint, _EXPLAINED)
     distinct = _distinct(trials)
+    if coarse < _CLEAR:  # a cheap refinement shows whether any candidate can explain enough
+        rough = [_quickly_refined(trial, block, motion.area, keep=hub is not None) for trial in distinct]
+        needs = [_OUTSIDE if _off_picture(t.ring, motion, hub) else _EXPLAINED for t in rough]
+        distinct = [t for t, r, n in zip(distinct, rough, needs, strict=True) if r.score >= _PROMISING * n]
+        if not distinct:
+            k = max(range(len(rough)), key=lambda k: rough[k].score / needs[k])
+            _refuse(film, usable, block, motion, rough[k], where, hint, needs[k])
     refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
     best = max(refined, key=lambda t: t.score * _steadiness(t))
-    height, width = motion.mean.shape
-    inside = 0 <= best.ring.hub[0] < width and 0 <= best.ring.hub[1] < height
-    outside = hub is None and not (inside and best.ring.inside(motion.area).mean() > _SHOWN)
+    outside = _off_picture(best.ring, motion, hub)
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
-        raise TrackingError(
-            f"No body that turns {where} is found in {film.path.name}: the best candidate explains "
-            f"{100 * max(best.score, 0):.0f} % of the change of brightness; {100 * needed:.0f} % are required.",
-            hint,
-        )
+        _refuse(film, usable, block, motion, best, where, hint, needed)
     left, top, right, bottom = motion.area
     if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
         what = (
@@ -215,9 +245,14 @@ def _track(
         )
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
-        raise SeveralBodiesError(
-            f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px.",
-            "Give the centre of the body to track with --hub X,Y.",
+        raise RefusedFilmError(
+            f"Two bodies turn in {film.path.name}: one about ({x:.0f}, {y:.0f}) px, one about ({u:.0f}, {v:.0f}) px, "
+            f"which explain {100 * best.score:.0f} % and {100 * other.score:.0f} % of the change of brightness there.",
+            f"Give the centre of the body to track with --hub {x:.0f},{y:.0f} or --hub {u:.0f},{v:.0f}.",
+            kind="two bodies",
+            evidence={"explained": best.score, "other_explained": other.score},
+            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+            hub=best.ring.hub,
         )
     tracked = _measure(film, usable, first, best, motion, progress)
     doubt = (
@@ -229,6 +264,44 @@ def _track(
         else _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
     )
     return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
+
+
+def _off_picture(ring: Ring, motion: Motion, given: tuple[float, float] | None) -> bool:
+    """Return whether a hub that was found is outside the picture, or most of its ring is."""
+    height, width = motion.mean.shape
+    inside = 0 <= ring.hub[0] < width and 0 <= ring.hub[1] < height
+    return given is None and not (inside and float(ring.inside(motion.area).mean()) > _SHOWN)
+
+
+def _refuse(
+    film: Film,
+    usable: npt.NDArray[np.int64],
+    block: StoredPictures,
+    motion: Motion,
+    best: _Trial | None,
+    where: str,
+    hint: str,
+    needed: float,
+) -> NoReturn:
+    """Raise a RefusedFilmError that names why no rotation explains a film."""
+    refuse_two_motions(film, usable, pairs_of(film, usable))
+    some = tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int))
+    if best is not None and best.ring.span >= TURN:
+        refuse_blurred(film, block[:: max(len(block) // 30, 1)], best.ring, motion.noise)
+    what = f"No body that turns {where} is found in {film.path.name}"
+    if best is not None:
+        what += (
+            f": the best candidate explains {100 * max(best.score, 0):.0f} % of the change of brightness; "
+            f"{100 * needed:.0f} % are required"
+        )
+    raise RefusedFilmError(
+        f"{what}.",
+        hint,
+        kind="no rotation",
+        evidence={"explained": 0.0 if best is None else best.score, "needed": needed},
+        frames=some,
+        hub=None if best is None else best.ring.hub,
+    )
 
 
 def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]], chosen: int) -> str | None:
@@ -297,7 +370,7 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:
-    ring = ring_for(proposal.hub, motion, _COARSE)
+    ring = ring_for(proposal.hub, motion, _COARSE, proposal.stretch)
     if ring is None:
         return []
     polars = [ring.unwrap(frame) for frame in block]
@@ -365,8 +438,37 @@ def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bo
     polars = [ring.unwrap(frame) for frame in block]
     _, rows = _score(polars, angle, ring.inside(area), ring, separate=trial.separate)
     ring = ring.trimmed(rows, finest=_COARSE)
-    use = np.unique(np.linspace(0, len(block) - 1, 60).astype(int))
-    few = block.at(use)
+    use = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
+    found = _search(ring, angle[use], block.at(use), area, separate=trial.separate, keep=keep, steps=_STEPS)
+    ring, angles, _ = found
+    polars = [ring.unwrap(frame) for frame in block]
+    allowed = ring.inside(area)
+    template = learn([polars[i] for i in use], angles, allowed, ring, separate=trial.separate, plain=True)
+    offset = float(np.median(angles - angle[use]))
+    angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
+    score, _ = _score(polars, angle, allowed, ring, separate=trial.separate)
+    return replace(trial, ring=ring, angle=angle, score=score)
+
+
+def _quickly_refined(trial: _Trial, block: StoredPictures, area: Area, *, keep: bool) -> _Trial:
+    """Refine a candidate on few frames and in few steps; its angles are not changed."""
+    use = np.unique(np.linspace(0, len(block) - 1, _FEW_FRAMES).astype(int))
+    ring, _, score = _search(
+        trial.ring,
+        trial.angle[use],
+        block.at(use),
+        area,
+        separate=trial.separate,
+        keep=keep,
+        steps=_FEW_STEPS,
+    )
+    return replace(trial, ring=ring, score=score)
+
+
+def _search(
+    ring: Ring, angle: Floats, few: StoredPictures, area: Area, *, separate: bool, keep: bool, steps: int
+) -> tuple[Ring, Floats, float]:
+    """Refine hub and stretch of a ring on few frames; returns it, their angles, and the explained share."""
 
     def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
         there = _placed(ring, place)
@@ -375,9 +477,9 @@ def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bo
             return -math.inf, angle
         polars = [there.unwrap(frame) for frame in few]
         for _ in range(2):
-            template = learn(polars, angle, allowed, there, separate=trial.separate, plain=True)
+            template = learn(polars, angle, allowed, there, separate=separate, plain=True)
             angle = np.array([register(p, template, a).angle for p, a in zip(polars, angle, strict=True)])
-        template = learn(polars, angle, allowed, there, separate=trial.separate, plain=True)
+        template = learn(polars, angle, allowed, there, separate=separate, plain=True)
         usable = (allowed * there.area).astype(np.float32)
         mean = np.mean(polars, axis=0)
         rest = sum(
@@ -389,11 +491,11 @@ def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bo
 
     place: Floats = np.array([*ring.hub, *ring.stretch])
     angles: Floats
-    best, angles = tried(place, angle[use])
+    best, angles = tried(place, angle)
     free = _free(ring, angle, given=keep)
-    for _ in range(6 if free else 0):
+    for _ in range(steps if free else 0):
         change: Floats = np.zeros(4)
-        change[free] = ring_step(_placed(ring, place), few, angles, free, area, separate=trial.separate)
+        change[free] = ring_step(_placed(ring, place), few, angles, free, area, separate=separate)
         factor, before, start = 1.0, best, place
         while True:  # lengthen the step while it improves the fit: the template adapts to the new place
             value, there = tried(start + factor * change, angles)
@@ -405,14 +507,7 @@ def _refined_trial(trial: _Trial, block: StoredPictures, area: Area, *, keep: bo
                 factor *= 0.3
         if best - before < 1e-4:
             break
-    ring = _placed(ring, place)
-    polars = [ring.unwrap(frame) for frame in block]
-    allowed = ring.inside(area)
-    template = learn([polars[i] for i in use], angles, allowed, ring, separate=trial.separate, plain=True)
-    offset = float(np.median(angles - angle[use]))
-    angle = np.array([register(p, template, a + offset).angle for p, a in zip(polars, angle, strict=True)])
-    score, _ = _score(polars, angle, allowed, ring, separate=trial.separate)
-    return replace(trial, ring=ring, angle=angle, score=score)
+    return _placed(ring, place), angles, best
 
 
 def _free(ring: Ring, angle: Floats, *, given: bool) -> list[int]:
@@ -714,9 +809,18 @@ def _finish(
     inflated = formal * np.sqrt(np.maximum(misfit / usual, 1.0))
     scale = max(scatter / float(np.median(inflated[kept])), 1.0)  # not below the Cramer-Rao bound
     warnings = list(film.warnings)
-    repeated = len(film) - len(usable)
+    if (tilt := ring.tilt) is not None and tilt[0] > _TILTED:
+        warnings.append(
+            f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees against the line of sight (the "
+            f"orbits are ellipses with the ratio {math.cos(tilt[0]):.2f} of their axes, the short one at "
+            f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. Which side of it is "
+            "nearer is not visible; the sense of rotation is that seen."
+        )
+    repeated = int(film.selected.sum()) - len(usable)
     if repeated:
-        warnings.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
+        warnings.append(
+            f"{repeated} of {film.selected.sum()} frames repeat the previous frame and are omitted."
+        )
     lost = int((~kept).sum())
     if lost:
         warnings.append(

@@ -326,6 +326,7 @@ class Film:
         release_memory()
         self.changes = np.array(changes)
         self.count = len(changes)
+        self.selected = np.ones(self.count, dtype=np.bool_)  # frames that are tracked
 
     def __len__(self) -> int:
         return self.count
@@ -448,6 +449,19 @@ def _interlacing(path: Path) -> int | None:
     return first_field(frames)
 
 
+_COLOUR, _FEWEST_COLOURED = 24.0, 12  # chroma of a coloured pixel, and their smallest number in a frame
+
+
+def is_coloured(path: Path, frames: int = 12) -> bool:
+    """Return whether one of the first frames of a film has coloured pixels."""
+    with Reader(path) as reader:
+        for frame in islice(reader, frames):
+            chroma = np.hypot(frame.u.astype(np.float32) - 128.0, frame.v.astype(np.float32) - 128.0)
+            if np.count_nonzero(chroma > _COLOUR) >= _FEWEST_COLOURED:
+                return True
+    return False
+
+
 _DARK, _BRIGHT = 32, 235  # grey levels between which brightness is proportional to a power of the light
 _FEWEST_PIXELS, _SAMPLED = 50, 8000  # smallest and typical number of pixels for the gain of a frame
 # factor by which the standard deviation of the typical pixel in time must fall for a gain to be applied: the flicker
@@ -518,17 +532,17 @@ _REPEATED = 0.1  # largest change of a repeated frame, relative to the typical o
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
-    """Return the numbers of the frames that do not repeat the previous frame.
+    """Return the numbers of the selected frames that do not repeat the previous frame.
 
     A frame is compared with its neighbours and with those of its run: where an oscillation reverses, all differ little.
     """
     change = film.changes
     fresh = np.ones(len(change), dtype=np.bool_)
     if len(change) < 2:
-        return np.arange(len(change))
+        return np.flatnonzero(film.selected).astype(np.int64)
     usual = running_quantile(change[1:], _NEIGHBOURS, _MOVING)
     alike = 1 + np.flatnonzero(change[1:] < _REPEATED * usual)
     for run in np.split(alike, np.flatnonzero(np.diff(alike) > 1) + 1) if len(alike) else ():
         around = [change[k] for k in (run[0] - 1, run[-1] + 1) if 0 < k < len(change)]
         fresh[run] = change[run].max() >= _REPEATED * max(around, default=0.0)
-    return np.flatnonzero(fresh).astype(np.int64)
+    return np.flatnonzero(fresh & film.selected).astype(np.int64)

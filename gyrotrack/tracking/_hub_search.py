@@ -98,12 +98,15 @@ class Proposal:
 
     hub: tuple[float, float]
     way: str
+    stretch: tuple[float, float] = (0.0, 0.0)  # of the circles by a tilted axis (see `Ring`)
 
 
-def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | None:
+def ring_for(
+    hub: tuple[float, float], motion: Motion, finest: float, stretch: tuple[float, float] = (0.0, 0.0)
+) -> Ring | None:
     """Return the ring about a hub in which the picture moves; an arc if the hub is outside the picture."""
     height, width = motion.mean.shape
-    distance = distance_from(hub, motion.moving.shape)
+    distance = distance_from(hub, motion.moving.shape, stretch)
     bins = distance.astype(np.int32)
     count = np.bincount(bins.ravel())
     share = np.bincount(bins[motion.moving], minlength=len(count)) / np.maximum(count, 1)
@@ -119,7 +122,7 @@ def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | 
     inside = 0 <= hub[0] < width and 0 <= hub[1] < height
     if inside:
         inner = max(3.0, 0.06 * outer, float(good[0]) - 2.0)
-        return Ring.about(hub, inner, outer, finest=finest) if outer > inner + 5 else None
+        return Ring.about(hub, inner, outer, finest=finest, stretch=stretch) if outer > inner + 5 else None
     inner = max(float(good[0]) - 2.0, float(distance.min()))
     towards = math.atan2(height / 2 - hub[1], width / 2 - hub[0])
     y, x = np.nonzero(motion.moving & (distance > inner) & (distance < outer))
@@ -130,10 +133,50 @@ def ring_for(hub: tuple[float, float], motion: Motion, finest: float) -> Ring | 
     return Ring.about(hub, inner, outer, finest=finest, start=towards + low - margin, span=span)
 
 
-def distance_from(place: tuple[float, float], shape: tuple[int, ...]) -> Picture:
-    """Return the distance of every pixel of a picture from a place (x, y) [px]."""
+def distance_from(
+    place: tuple[float, float], shape: tuple[int, ...], stretch: tuple[float, float] = (0.0, 0.0)
+) -> Picture:
+    """Return the radius [px] of the circle about a place (x, y) to which every pixel of a picture belongs.
+
+    With a `stretch` (see `Ring`) the circles are seen as ellipses.
+    """
     y, x = np.ogrid[0 : shape[0], 0 : shape[1]]
-    return np.hypot((x - place[0]).astype(np.float32), (y - place[1]).astype(np.float32))
+    right, down = (x - place[0]).astype(np.float32), (y - place[1]).astype(np.float32)
+    p, q = stretch
+    if p == q == 0.0:
+        return np.hypot(right, down)
+    size = np.float32(1.0 - p * p - q * q)
+    return np.asarray(
+        np.hypot((1.0 - p) * right - q * down, (1.0 + p) * down - q * right) / size, dtype=np.float32
+    )
+
+
+# ratio of the axes of a moving area from which on it may be a circle, and down to which a tilt is tried
+_ROUND, _FLATTEST = 0.95, 0.25
+
+
+def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Proposal | None:
+    """Return hub and stretch of the largest part of the picture that moves, as the ellipse with its second moments.
+
+    A body that turns at least half a turn about a tilted axis sweeps an ellipse. None for a circle or a flat area. A
+    `hub` that is given takes the place of the centroid.
+    """
+    closed = cv2.morphologyEx(motion.moving.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, label, stats, middle = cv2.connectedComponentsWithStats(closed)
+    if len(stats) < 2:
+        return None
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    y, x = np.nonzero(label == largest)
+    if len(x) < 50:
+        return None
+    values, axes = np.linalg.eigh(np.cov(x, y))
+    ratio = math.sqrt(max(float(values[0]), 0.0) / max(float(values[1]), 1e-9))
+    if not _FLATTEST < ratio < _ROUND:
+        return None
+    size, twice = (1.0 - ratio) / (1.0 + ratio), 2.0 * math.atan2(axes[1, 1], axes[0, 1])
+    place = hub or (float(middle[largest][0]), float(middle[largest][1]))
+    way = "outline of what moves" if hub is None else "given"
+    return Proposal(place, way, (size * math.cos(twice), size * math.sin(twice)))
 
 
 def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:

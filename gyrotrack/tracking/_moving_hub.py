@@ -125,7 +125,7 @@ def track_by_features(
     for first in np.unique(followed):
         apart[followed == first] -= apart[followed == first].mean()
     correlated = float(apart.std())
-    repeated = len(film) - len(usable)
+    repeated = int(film.selected.sum()) - len(usable)
     notes = [
         (
             f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
@@ -133,7 +133,7 @@ def track_by_features(
         )
     ]
     if repeated:
-        notes.append(f"{repeated} of {len(film)} frames repeat the previous frame and are omitted.")
+        notes.append(f"{repeated} of {film.selected.sum()} frames repeat the previous frame and are omitted.")
     return _completed(film, tracked, correlated, "features", notes)
 
 
@@ -177,10 +177,14 @@ def track_free_body(
         ]
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
-            notes.append(f"Another body moves as well; track it with --hub {x:.0f},{y:.0f}.")
+            notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
         return _completed(film, tracked, correlated, "outline", notes)
-    what = f"No body that turns while it moves across the picture is found in {film.path.name}."
-    raise TrackingError(what, "Give the centre of rotation, or a point that the body passes, with --hub X,Y.")
+    where = "" if near is None else f" and passes ({near[0]:.0f}, {near[1]:.0f}) px"
+    what = f"No body that turns while it moves across the picture{where} is found in {film.path.name}."
+    hint = "--point X,Y follows a point of it."
+    raise TrackingError(
+        what, f"--hub X,Y selects a body by a point on its path; {hint}" if near is None else hint
+    )
 
 
 @dataclass(frozen=True)

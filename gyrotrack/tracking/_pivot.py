@@ -17,6 +17,95 @@ from scipy.optimize import least_squares
 
 Floats = npt.NDArray[np.float64]
 
+
+@dataclass(frozen=True)
+class Orbit:
+    """The ellipse as which the circle of a point is seen about a tilted axis.
+
+    With the centre h, the long semi-axis r, and the stretch (p, q) = s (cos 2 beta, sin 2 beta), beta the direction of
+    the long axis in the picture (y down), positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q, 1 - p]] and a
+    unit vector u at the angle in the plane of the body. The ratio of the axes is (1 - s) / (1 + s) = cos(tilt).
+
+    Attributes
+    ----------
+    value : ndarray, shape (5,)
+        Centre x, y [px], mean radius r / (1 + s) [px], p and q.
+    covariance : ndarray, shape (5, 5)
+        Its covariance, with errors that repeat with the place.
+    """
+
+    value: Floats
+    covariance: Floats
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """The tilt and the direction of the short axis, counter-clockwise [rad]."""
+        p, q = self.value[3:]
+        size = math.hypot(p, q)
+        short = 0.5 * math.atan2(q, p) + 0.5 * math.pi
+        return math.acos((1.0 - size) / (1.0 + size)), -short % math.pi
+
+    @property
+    def tilt_u(self) -> float:
+        """Standard uncertainty of the tilt [rad]."""
+        size = math.hypot(*self.value[3:])
+        along = self.value[3:] / max(size, 1e-12)
+        u = math.sqrt(float(along @ self.covariance[3:, 3:] @ along))
+        ratio = (1.0 - size) / (1.0 + size)
+        return 2.0 / (1.0 + size) ** 2 * u / math.sqrt(max(1.0 - ratio**2, 1e-12))
+
+    @property
+    def flattened(self) -> bool:
+        """Whether the orbit differs from a circle beyond its uncertainty."""
+        c = self.value[3:]
+        return float(c @ np.linalg.solve(self.covariance[3:, 3:], c)) > STRAIGHT**2
+
+    def plane(self, place: Floats) -> Floats:
+        """Return positions (n, 2) in the plane of the body, about the hub [px]."""
+        return _in_plane(self.value, place)
+
+
+def _in_plane(value: Floats, place: Floats) -> Floats:
+    x, y, _, p, q = value
+    back = np.array([[1.0 - p, -q], [-q, 1.0 + p]]) / (1.0 - p * p - q * q)
+    return np.asarray((place - [x, y]) @ back.T)
+
+
+def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
+    """Fit the ellipse of positions (n, 2) with standard uncertainties (n,) [px] that cover most of it.
+
+    The residual is the deviation of the radius in the plane of the body, times the local scale of the picture, so that
+    it has the standard uncertainty of a position. The covariance is that of `fit_arc`.
+    """
+    middle, size = place.mean(axis=0), float(np.hypot(*(place - place.mean(axis=0)).T).mean())
+    values, axes = np.linalg.eigh(np.cov(place.T))
+    ratio = math.sqrt(max(float(values[0]), 1e-12) / float(values[1]))
+    s, twice = (1.0 - ratio) / (1.0 + ratio), 2.0 * math.atan2(axes[1, 1], axes[0, 1])
+    start = np.array([*middle, size, s * math.cos(twice), s * math.sin(twice)])
+
+    def distance(value: Floats) -> Floats:
+        away = _in_plane(value, place)
+        radius = np.hypot(*away.T)
+        p, q = value[3:]
+        back = np.array([[1.0 - p, -q], [-q, 1.0 + p]]) / (1.0 - p * p - q * q)
+        # gradient of the radius by the position
+        slope = np.hypot(*((away / np.maximum(radius, 1e-9)[:, None]) @ back).T)
+        return np.asarray((radius - value[2]) / np.maximum(slope, 1e-9))
+
+    def normalised(value: Floats) -> Floats:
+        return distance(value) / sigma
+
+    scale = np.array([size, size, size, 1.0, 1.0])
+    rough = least_squares(normalised, start, loss="soft_l1", f_scale=3.0, x_scale=scale)
+    fit = least_squares(normalised, rough.x, x_scale=scale)
+    away = _in_plane(fit.x, place)
+    along = np.arctan2(away[:, 1], away[:, 0])
+    cell = np.minimum((CELLS * (along + math.pi) / (2.0 * math.pi)).astype(np.int64), CELLS - 1)
+    jacobian = np.asarray(fit.jac) * sigma[:, None]
+    _, _, covariance = _covariance(jacobian, distance(fit.x), sigma, cell, least)
+    return Orbit(np.asarray(fit.x), covariance)
+
+
 CELLS = 12  # parts of an arc, of which each has one error by place
 _FEWEST_IN_CELL = 3
 # smallest curvature of a path that determines a hub, in standard uncertainties

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._hub_search import FARTHEST
-from gyrotrack.tracking._pivot import Arc, angles_about, fit_arc
+from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._tracked import white_noise
@@ -76,9 +76,35 @@ class TrackedPoint:
     arc: Arc
     warnings: tuple[str, ...]
     ambiguous: bool = False
+    orbit: Orbit | None = None  # of a tilted axis; the angles are those in the plane of the body
+
+    def error_by_place(self, width: float) -> float:
+        """Return the standard deviation of the angles that repeats with the place on a part of an orbit [rad].
+
+        Beside what the residuals of the circle show, this is the third order of the perspective of a camera at a
+        distance of about one `width` of the picture [px]: a^3 phi^2 / width^2 for a path of half length a and a tilt
+        phi. The first order is the scale, which `view` contains. It imitates a restoring torque that is not linear.
+        """
+        if self.view == 0.0:
+            return 0.0
+        half = 0.5 * float(np.hypot(*np.ptp(self.place, axis=0)))
+        perspective = half**3 * TILT**2 / width**2
+        return math.hypot(perspective, self.arc.by_place) / float(
+            np.median(np.hypot(*(self.place - self.hub).T))
+        )
 
     def displaced(self) -> list[Floats]:
-        """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis."""
+        """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis.
+
+        About a tilted axis, they are those of orbits displaced along each of the five axes of their covariance.
+        """
+        if self.orbit is not None:
+            size, axes = np.linalg.eigh(self.orbit.covariance)
+            moved = [
+                replace(self.orbit, value=self.orbit.value + math.sqrt(max(float(v), 0.0)) * a)
+                for v, a in zip(size, axes.T, strict=True)
+            ]
+            return [angles_about(np.zeros(2), o.plane(self.place)) for o in moved]
         values, axes = np.linalg.eigh(self.hub_covariance)
         shifts = [math.sqrt(max(float(v), 0.0)) * a for v, a in zip(values, axes.T, strict=True)]
         return [angles_about(self.hub + s, self.place) for s in shifts]
@@ -127,6 +153,63 @@ def follow_path(
         noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
         scale = max(*noise, 1.0)
         return replace(path, covariance=scale**2 * path.covariance)
+
+
+@dataclass(frozen=True)
+class SecondLink:
+    """The direction of the second link of a double pendulum, from the joint to a point of it.
+
+    Attributes
+    ----------
+    frame : ndarray of int64, shape (m,)
+        Frames in which both are measured.
+    angle, sigma : ndarray, shape (m,)
+        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
+        contains that of the distance of both points from the places on the links that they stand for.
+    path : PointPath
+        The path of the point.
+    """
+
+    frame: npt.NDArray[np.int64]
+    angle: Floats
+    sigma: Floats
+    path: PointPath
+
+
+# relative scatter of the distance of two points of one rigid link; standard uncertainty of the distance of a point that
+# is followed from the axis of a joint, and from its place on a link that turns [px]
+_RIGID, _OFF_AXIS = 0.05, 0.5
+
+
+def follow_second_link(
+    film: Film, joint: TrackedPoint, start: tuple[float, float], progress: Progress | None = None
+) -> SecondLink:
+    """Follow a point of the link that turns about a joint, which is followed already.
+
+    A TrackingError is raised if their distance varies: a circle that is seen about a tilted axis, or other bodies.
+    """
+    path = track_point(film, start, lambda _: None, progress)
+    frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
+    if len(frame) < _FEWEST_ORBIT:
+        raise TrackingError(
+            f"Joint and second link of {film.path.name} are seen together in {len(frame)} frames only.",
+            "Give more distinct points.",
+        )
+    away = path.place[two] - joint.place[one]
+    length = np.hypot(*away.T)
+    if float(np.std(length)) > _RIGID * float(np.mean(length)):
+        raise TrackingError(
+            f"The points of the second link in {film.path.name} are {np.mean(length):.0f} +- {np.std(length):.1f} px "
+            "apart: they belong to no rigid body that is seen along its axis.",
+            "Give the joint and a point of the second link, in this order.",
+        )
+    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / length[:, None]
+    variance = np.einsum("ni,nij,nj->n", across, path.covariance[two], across)
+    variance += np.sum((across * joint.place_sigma[one]) ** 2, axis=1)
+    angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+    sigma = np.sqrt(variance) / length
+    sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
+    return SecondLink(frame, angle, np.hypot(sigma, math.sqrt(2.0) * _OFF_AXIS / length), path)
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
@@ -180,6 +263,9 @@ def about_pivot(
         of_radius = 2.0 * of_angle
     formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
     least = math.hypot(_BY_PLACE, _LEARNT * float(np.median(formal)))
+    orbit = None if tilt is not None else _tilted_orbit(path.place, formal, least)
+    if orbit is not None:
+        return _about_tilted_axis(path, orbit, formal, least, hub)
     arc = fit_arc(path.place, formal, least)
     if arc.determined:  # frames in which something else was matched
         off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
@@ -282,6 +368,91 @@ def about_pivot(
     )
 
 
+# largest gap of an orbit that shows a tilt [rad], largest rms deviation of its points from the ellipse over its radius,
+# and the part of that of the circle
+_GAP, _ELLIPSE, _BETTER = 0.25 * TURN, 0.03, 0.5
+
+
+def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
+    """Return the ellipse of a path that covers most of it and is not a circle; None for any other path."""
+    if len(place) < 4 * _FEWEST_ORBIT:
+        return None
+    try:
+        orbit = fit_orbit(place, sigma, least)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    if not (np.isfinite(orbit.value).all() and math.hypot(*orbit.value[3:]) < _FLATTEST):
+        return None
+    away = orbit.plane(place)
+    direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    off = float(np.std(np.hypot(*away.T))) / orbit.value[2]
+    circle = fit_arc(place, sigma, least)
+    of_circle = float(np.std(np.hypot(*(place - circle.hub).T))) / circle.radius
+    if gap > _GAP or off > _ELLIPSE or off > _BETTER * of_circle or not orbit.flattened:
+        return None
+    return orbit
+
+
+_FEWEST_ORBIT = 6  # a quarter of the positions of an orbit at least
+_FLATTEST = 0.6  # largest stretch: a tilt of 75 degrees
+
+
+def _about_tilted_axis(
+    path: PointPath, orbit: Orbit, formal: Floats, least: float, hub: tuple[float, float] | None
+) -> TrackedPoint:
+    """Return the motion of a path about a tilted axis: its angles in the plane of the body."""
+    arc = fit_arc(path.place, formal, least)
+    away = orbit.plane(path.place)
+    radius = np.hypot(*away.T)
+    rest = radius - np.median(radius)
+    on = np.abs(rest) < max(_OFF * 1.4826 * float(np.median(np.abs(rest))), _OFF_LEAST)
+    path = replace(path, frame=path.frame[on], place=path.place[on], covariance=path.covariance[on])
+    away, radius = away[on], radius[on]
+    angle = angles_about(np.zeros(2), away)
+    p, q = orbit.value[3:]
+    back = np.array([[1.0 - p, -q], [-q, 1.0 + p]]) / (1.0 - p * p - q * q)
+    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / radius[:, None]
+    plane = np.einsum("ij,njk,lk->nil", back, path.covariance, back)
+    along = np.sqrt(np.einsum("ni,nij,nj->n", across, plane, across)) / radius
+    along = along * max(white_noise(angle, path.frame) / float(np.median(along)), 1.0)
+    centre, covariance = orbit.value[:2], orbit.covariance[:2, :2]
+    tilt, short = (math.degrees(v) for v in orbit.tilt)
+    text = (
+        f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees against the line of "
+        f"sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the plane of "
+        "the body. Which side of it is nearer is not visible; the sense of rotation is that seen."
+    )
+    warnings = [text]
+    ambiguous = False
+    if hub is not None:
+        off = np.array(hub) - centre
+        if float(off @ np.linalg.solve(covariance + HUB_U**2 * np.eye(2), off)) > _CONTRADICTS**2:
+            ambiguous = True
+            warnings.append(
+                f"The centre of the orbit, ({centre[0]:.1f}, {centre[1]:.1f}) px, is used; the given hub is "
+                f"{math.hypot(*off):.1f} px away from it."
+            )
+    scale = max(float(np.std(rest[on])) / float(np.sqrt(np.mean(formal**2))), 1.0)
+    sigma = scale * np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
+    return TrackedPoint(
+        frame=path.frame,
+        place=path.place,
+        place_sigma=sigma,
+        angle=angle,
+        sigma=along,
+        hub=centre,
+        hub_covariance=covariance,
+        view=0.0,
+        way="ellipse of a point",
+        path=path,
+        arc=arc,
+        warnings=tuple(warnings),
+        ambiguous=ambiguous,
+        orbit=orbit,
+    )
+
+
 def _combined(a: Floats, a_cov: Floats, b: Floats, b_cov: Floats) -> tuple[Floats, Floats]:
     """Return the weighted mean of two estimates and its covariance."""
     covariance = np.linalg.inv(np.linalg.inv(a_cov) + np.linalg.inv(b_cov))
@@ -342,6 +513,7 @@ def point_details(found: TrackedPoint) -> dict[str, Any]:
             "noise": found.arc.noise,
             "by_place": found.arc.by_place,
         },
+        "tilt_rad": None if found.orbit is None else [*found.orbit.tilt, found.orbit.tilt_u],
         "patch_px": found.path.radius,
         "patch_turns": found.path.turns,
     }

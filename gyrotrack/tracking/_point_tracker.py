@@ -22,8 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
+from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
+from gyrotrack.tracking._pivot import fit_arc
 
 Floats = npt.NDArray[np.float64]
 Frames = npt.NDArray[np.int64]
@@ -39,6 +41,7 @@ _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from
 _FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
 _SMALLEST = 1.5  # smallest radius of a spot [px]
 _OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
+_CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
 _REACH = 12.0  # largest distance of a spot from the point that was given [px]
 _AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
@@ -59,6 +62,8 @@ _BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
 _ROBUST = 4.0  # residual in standard deviations from which a pixel is rejected in part (P. Huber, 1964)
 _TURNS_WITH = 0.95  # residual of a patch that turns about the hub over that of one that does not
 _UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
+# standard uncertainty of a rough position [px], and largest radial scatter of a rough path over its extent
+_ROUGH, _ROUGHLY_ROUND = 0.5, 0.06
 HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the patch
 
 
@@ -120,6 +125,7 @@ def track_point(
             f"{film.path.name} has only {len(usable)} different frames; {_FEWEST} are required to track a motion.",
             "Give a longer film.",
         )
+    refuse_cut(film, usable)
     sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
     noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
     background = _median(sample)
@@ -137,6 +143,8 @@ def track_point(
     else:
         spot = _only_spot(first, background, noise, film.path.name)
     rough, found = _follow(film, usable, spot, background)
+    if start is None and found.mean() >= _FOUND:
+        _retraced(rough[found], film.path.name)
     if found.mean() < _FOUND or found.sum() < _FEWEST:
         raise TrackingError(
             f"The point at ({spot.place[0]:.0f}, {spot.place[1]:.0f}) px in {film.path.name} is followed through "
@@ -153,6 +161,18 @@ def track_point(
         if turn is None or not layers.turns:
             break
     return _measured(film, frame, place, turn, layers, len(usable), progress)
+
+
+def _retraced(place: Floats, name: str) -> None:
+    """Raise a TrackingError unless rough positions of an unselected point are near a circle."""
+    arc = fit_arc(place, np.full(len(place), _ROUGH))
+    extent = float(np.hypot(*np.ptp(place, axis=0)))
+    if math.hypot(arc.noise, arc.by_place) > max(_ROUGHLY_ROUND * extent, 2.0 * _ROUGH):
+        raise TrackingError(
+            f"No point that moves about a pivot is found in {name}: the path of the largest compact body deviates from "
+            f"a circle by {math.hypot(arc.noise, arc.by_place):.1f} px rms over {extent:.0f} px.",
+            "Give a point to follow with --point X,Y, and its pivot with --hub X,Y.",
+        )
 
 
 def _median(sample: Sequence[Plane]) -> Picture:
@@ -209,15 +229,30 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
         row, column = np.unravel_index(int(np.argmax(near)), near.shape)
         best = (left + int(column), top + int(row))
         if depth[best[1], best[0]] <= depth[at[1], at[0]]:
-            return _spot_of(region, at)
+            break
         at = best
+    spot, inner = _spot_of(region, at), float(depth[at[1], at[0]])
+    if spot is None or math.dist(spot.place, place) <= max(inner, _REACH):
+        return spot
+    # rods join the part that was pointed at to others: the inscribed disc about its middle
+    v, u = np.ogrid[0 : depth.shape[0], 0 : depth.shape[1]]
+    core = (depth > _CORE * inner) & (np.hypot(u - at[0], v - at[1]) < inner)
+    y, x = np.nonzero(core)
+    weight = depth[core] - _CORE * inner
+    half = math.ceil(inner)
+    v, u = np.ogrid[-half : half + 1, -half : half + 1]
+    middle = (float(np.average(x, weights=weight)), float(np.average(y, weights=weight)))
+    return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
 def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Spot:
     """Return the largest compact body that moves; a TrackingError if there is none, or another one as large."""
     region = _differs(frame, background, noise)
-    count, label = cv2.connectedComponents(region)
     depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    # bodies that rods or strings join are apart in the region that a slightly smaller disc covers
+    size = max(int(_AS_LARGE * float(depth.max())), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
+    count, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))
     tops = []
     for number in range(1, count):
         inside = np.where(label == number, depth, 0.0)
@@ -237,9 +272,17 @@ def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Sp
         )
     if len(spots) > 1:
         (x, y), (u, v) = spots[0].place, spots[1].place
-        raise TrackingError(
-            f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame.",
-            "Select one with --point X,Y.",
+        _, parts = cv2.connectedComponents(region)
+        joined = parts[round(y), round(x)] == parts[round(v), round(u)] != 0
+        raise RefusedFilmError(
+            f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
+            f"{', which are joined' if joined else ''}.",
+            FOLLOW_LINKS
+            if joined
+            else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
+            kind="two links" if joined else "two bodies",
+            evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
+            frames=(frame,),
         )
     return spots[0]
 

@@ -13,6 +13,7 @@ the learnt picture, scaled by the measured scatter of the angles.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -76,7 +77,18 @@ class Ring:
         step = (self.outer - self.inner) / self.rows
         inner = max(self.inner + step * (good[0] - 1), 2.0)
         outer = self.inner + step * (good[-1] + 2)
-        return Ring.about(self.hub, inner, outer, finest=finest, start=self.start, span=self.span)
+        return Ring.about(
+            self.hub, inner, outer, finest=finest, start=self.start, span=self.span, stretch=self.stretch
+        )
+
+    @property
+    def tilt(self) -> tuple[float, float] | None:
+        """Tilt of the axis by the stretch, direction of the short axis (counter-clockwise) [rad]; None for an arc."""
+        size = math.hypot(*self.stretch)
+        if self.span < TURN or size >= 1.0:
+            return None
+        short = 0.5 * math.atan2(self.stretch[1], self.stretch[0]) + 0.5 * math.pi
+        return math.acos((1.0 - size) / (1.0 + size)), -short % math.pi
 
     @property
     def radius(self) -> Floats:

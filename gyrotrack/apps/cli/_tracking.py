@@ -214,6 +214,14 @@ def extract_command(
             "several positions in quotes.",
         ),
     ] = None,
+    links: Annotated[
+        bool,
+        option(
+            "--links",
+            "The two --points are the joint of two links (double pendulum) and a point of the second one: measure the "
+            "angles of both.",
+        ),
+    ] = False,
     colour: shared.PointColour = None,
     hub: shared.Hub = None,
     scale: shared.PixelScale = None,
@@ -278,8 +286,11 @@ def extract_command(
             _position(hub),
             capture_fps,
             shared.checked_scale(scale),
+            links=links,
             force=force,
         )
+    if links:
+        raise UsageError("--links applies to points.", "Give the two points with --points X,Y --points X,Y.")
     if hub is not None or scale is not None:
         raise UsageError("--hub and --scale apply to points.", "Select a point with --point X,Y or --colour.")
     chosen = load(profile) if profile is not None else PAPER
@@ -334,13 +345,14 @@ def _extract_points(
     capture_fps: float | None,
     scale: float | None,
     *,
+    links: bool,
     force: bool,
 ) -> int:
     """Follow points of a film and write their paths and angles."""
     import numpy as np
 
     from gyrotrack.apps._points import read_point
-    from gyrotrack.apps._spindown import SpindownOptions, points_recording
+    from gyrotrack.apps._spindown import SpindownOptions, links_recording, points_recording
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_recording
     from gyrotrack.io._records import doubts_of
@@ -351,7 +363,11 @@ def _extract_points(
     name = None if colour is None else colour.value
     options = SpindownOptions(hub=hub, capture_fps=capture_fps, colour=name, scale=scale)
     with out.progress(f"following points in {video.name}", "frames") as progress:
-        recording = points_recording(Film(video, colour=name), starts or [None], options, progress)
+        film = Film(video, colour=name)
+        if links:
+            recording = links_recording(film, starts, options, progress)
+        else:
+            recording = points_recording(film, starts or [None], options, progress)
     settings = {"video": video, "points": starts, "colour": name, "hub": hub, "capture_fps": capture_fps}
     write_recording(target, recording, command=command_line(), settings=settings, force=force)
     for warning in recording.warnings:
@@ -560,6 +576,7 @@ def spindown_command(
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
     """
     from gyrotrack.apps._points import read_point, read_tilt
+    from gyrotrack.apps._refusal import pictured_refusal
     from gyrotrack.apps._spindown import SpindownOptions, picture_path, spindown
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -592,7 +609,7 @@ def spindown_command(
         tilt=None if tilt is None else read_tilt(tilt),
     )
     outputs = new_outputs(target, page, picture_path(source, target), force=force, reads=[source, profile])
-    with outputs, out.progress(f"tracking {source.name}", "frames") as progress:
+    with pictured_refusal(target), outputs, out.progress(f"tracking {source.name}", "frames") as progress:
         document = spindown(
             source, target, page, options, command=command_line(), force=force, progress=progress
         )

@@ -18,7 +18,8 @@ from gyrotrack.apps._motion import Value, motion_of, start_of_motion
 from gyrotrack.apps._spindown import _with_view_errors
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
-from gyrotrack.tracking._any_body import Film, SeveralBodiesError
+from gyrotrack.tracking._diagnosis import RefusedFilmError
+from gyrotrack.tracking._film import Film
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 
@@ -411,7 +412,7 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
     """Markers of equal colour on two bodies are no markers of one: the user selects a body."""
 
     def two(*_):
-        raise SeveralBodiesError("Two bodies turn.", "Give --hub X,Y.")
+        raise RefusedFilmError("Two bodies turn.", "Give --hub X,Y.", kind="two bodies", evidence={})
 
     def never(*_, **__):
         pytest.fail("the film is tracked by its markers")
@@ -420,7 +421,7 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
     monkeypatch.setattr(_spindown, "Film", lambda _: film)
     monkeypatch.setattr(_spindown, "film_recording", two)
     monkeypatch.setattr(_spindown, "extract", never)
-    with pytest.raises(SeveralBodiesError):
+    with pytest.raises(RefusedFilmError):
         _spindown._film(Path("two.mp4"), _spindown.SpindownOptions(), None)
 
 

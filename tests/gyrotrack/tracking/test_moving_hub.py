@@ -28,6 +28,7 @@ class Rendered:
         self.path = Path("rendered.mp4")
         self.warnings = ()
         self.changes = np.array([255.0] + [np.abs(b - a + 0.0).mean() for a, b in itertools.pairwise(frames)])
+        self.selected = np.ones(len(frames), dtype=np.bool_)
 
     def __len__(self):
         return len(self._frames)

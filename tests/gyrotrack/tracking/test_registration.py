@@ -26,6 +26,7 @@ class Rendered:
         self.warnings = ()
         small = [f[::4, ::4].astype(float) for f in frames]
         self.changes = np.array([255.0] + [np.abs(b - a).mean() for a, b in itertools.pairwise(small)])
+        self.selected = np.ones(len(frames), dtype=np.bool_)
 
     def __len__(self):
         return len(self._frames)

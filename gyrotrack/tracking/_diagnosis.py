@@ -1,0 +1,382 @@
+"""Why a film cannot be tracked: it is cut, the camera moves, nothing moves, two bodies turn, or all is blurred.
+
+Few frames decide. Motion between neighbouring frames is that of features (B. Lucas, T. Kanade, IJCAI 1981), which rigid
+motions of the picture explain in turn (random sample consensus).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._film import Film, Plane, features_of, tracked
+from gyrotrack.tracking._registration import Ring
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Frames = npt.NDArray[np.int64]
+Complexes = npt.NDArray[np.complex128]
+
+_PAIRS = 16  # pairs of frames that are compared
+_LAGS = (1, 2, 4, 8)  # frames between the two of a pair: the first in which the features move measurably
+_STEP = 1.0  # displacement of a feature that counts as motion [px]
+_FEWEST = 12  # features of a pair, and of one motion
+_NEAR = 0.8  # largest distance of a feature from its rigid motion [px]
+_MOST = 0.75  # share of the pairs that must agree
+# share of all features that move with the camera, and of the picture within them
+_WITH_CAMERA, _WHOLE = 0.7, 0.4
+# rms residual of the displacements of the picture from those about one hub, relative to their rms, from which the
+# picture does not turn about a hub
+_NO_HUB = 0.3
+# share of the features that move which the first motion leaves, and share of these that the second one explains
+_SECOND, _EXPLAINED = 0.25, 0.5
+_OTHER_TURN, _LEAST_TURN = (
+    0.3,
+    2e-3,
+)  # relative difference of the rotations of two bodies, and the smallest [rad]
+# spread of a fixed point from pair to pair, and distance of two of them, relative to the reach of the features
+_LINKED, _COAXIAL = 0.25, 0.15
+# a cut: the change of a frame over the largest other one within this number of frames, its least size in grey levels,
+# and the share of it by which the mean pictures of the frames before and after differ
+_CUT, _CUT_REACH, _CUT_LEAST, _REMAINS = 2.5, 12, 6.0, 0.5
+_SHOT = 12  # frames of the shortest shot
+# detail along the circles of a ring over that across them, below which the picture is smeared, in noise-free gradients
+_SMEARED = 0.12
+FOLLOW_LINKS = (
+    "Follow the joint and a point of the second link, in this order, by their positions in the first frame: "
+    "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
+)
+_FAINT = 3.0  # rms change of the picture in a ring, in standard deviations of the noise, below which it shows no detail
+
+
+class RefusedFilmError(TrackingError):
+    """A film of a named kind that cannot be tracked as it is.
+
+    Attributes
+    ----------
+    kind : str
+        "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation".
+    evidence : dict of float
+        The numbers that show it.
+    frames : tuple of ndarray
+        Pictures that show it.
+    hub : tuple of float or None
+        The best candidate for the hub (x, y) [px].
+    """
+
+    def __init__(
+        self,
+        message: str,
+        hint: str,
+        *,
+        kind: str,
+        evidence: dict[str, float],
+        frames: Sequence[Plane] = (),
+        hub: tuple[float, float] | None = None,
+    ) -> None:
+        super().__init__(message, hint)
+        self.kind, self.evidence, self.frames, self.hub = kind, evidence, tuple(frames), hub
+
+    def add_hint(self, text: str) -> None:
+        """Append a sentence to the hint."""
+        self.hint = f"{self.hint} {text}".lstrip()
+        self.args = (f"{self.message} {self.hint}",)
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """The motion z -> a z + b of some features between two frames; |a| is 1."""
+
+    a: complex
+    b: complex
+    members: Bools  # which of the features of the pair move with it
+
+    @property
+    def turn(self) -> float:
+        """Angle by which it turns, clockwise in the picture [rad]."""
+        return math.atan2(self.a.imag, self.a.real)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The features of a frame and their displacements to a later one."""
+
+    lag: int  # frames between the two
+    place: Complexes  # x + i y [px]
+    step: Complexes  # [px]
+
+    def motion(self, among: Bools) -> RigidMotion | None:
+        """Return the rigid motion of most of some features; None for fewer than `_FEWEST`."""
+        if among.sum() < _FEWEST:
+            return None
+        z0, z1 = self.place[among], (self.place + self.step)[among]
+        found, _ = cv2.estimateAffinePartial2D(
+            _xy(z0), _xy(z1), method=cv2.RANSAC, ransacReprojThreshold=_NEAR, maxIters=500
+        )
+        if found is None:
+            return None
+        a, b = complex(found[0, 0], found[1, 0]), complex(found[0, 2], found[1, 2])
+        for _ in range(3):
+            size = max(abs(a), 1e-9)
+            if not 0.9 < size < 1.1:
+                return None
+            members = among & (np.abs(self.place * (a - 1.0) + b - self.step) < _NEAR)
+            if members.sum() < _FEWEST:
+                return None
+            z0, z1 = self.place[members], (self.place + self.step)[members]
+            m0, m1 = z0.mean(), z1.mean()
+            a = complex(np.vdot(z0 - m0, z1 - m1))
+            a /= max(abs(a), 1e-12)
+            b = complex(m1 - a * m0)
+        return RigidMotion(a, b, members)
+
+
+def _xy(z: Complexes) -> npt.NDArray[np.float32]:
+    return np.stack([z.real, z.imag], axis=1).astype(np.float32)
+
+
+def pairs_of(film: Film, usable: Frames) -> list[Pair]:
+    """Return the motion of the features in pairs of near frames from the whole film."""
+    starts = np.unique(np.linspace(0, len(usable) - 1 - max(_LAGS), _PAIRS).astype(int))
+    starts = starts[starts >= 0]
+    needed = np.unique(np.concatenate([starts + lag for lag in (0, *_LAGS)])) if len(starts) else starts
+    if not len(needed):
+        return []
+    pictures = dict(zip(needed.tolist(), film.some(usable[needed]), strict=True))
+    found = []
+    for start in starts.tolist():
+        first = np.asarray(pictures[start])
+        places = features_of(first)
+        if len(places) < _FEWEST:
+            continue
+        for lag in _LAGS:
+            moved = tracked(first, places, np.asarray(pictures[start + lag]))
+            known = np.isfinite(moved).all(axis=1)
+            step = np.hypot(*moved[known].T)
+            if known.sum() >= _FEWEST and (np.count_nonzero(step > _STEP) >= _FEWEST or lag == _LAGS[-1]):
+                z, d = (v[known].astype(np.float64) @ np.array([1.0, 1j]) for v in (places, moved))
+                found.append(Pair(lag, z, d))
+                break
+    return found
+
+
+def refuse_cut(film: Film, usable: Frames) -> None:
+    """Raise a RefusedFilmError for a film of several shots."""
+    if (at := cut_at(film, usable)) is not None:
+        frame, change, other = at
+        time = film.stamps - film.stamps[0]
+        before, after = film.some([frame - 1, frame])
+        longer = "--to" if frame > len(film) - frame else "--from"
+        raise RefusedFilmError(
+            f"{film.path.name} is cut at frame {frame} ({time[frame]:.3g} s): the picture changes by {change:.0f} grey "
+            f"levels there, and by at most {other:.1f} in the frames around.",
+            f"Select one shot; for the longest one, give {longer} {time[frame - (longer == '--to')]:.3f}.",
+            kind="cut",
+            evidence={"frame": float(frame), "change": change, "other": other},
+            frames=(before, after),
+        )
+
+
+def refuse_moving_camera(film: Film, usable: Frames, pairs: Sequence[Pair], shape: tuple[int, ...]) -> None:
+    """Raise a RefusedFilmError if the picture moves as a whole, and not about a hub."""
+    if (camera := camera_motion(pairs, shape)) is not None:
+        step, share, off = camera
+        some = film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])
+        raise RefusedFilmError(
+            f"The camera moves in {film.path.name}: {100 * share:.0f} % of the features move together by {step:.1f} px "
+            f"per frame, and a rotation about a hub does not explain it (residual {100 * off:.0f} %).",
+            "Film with the camera on a stand, or give the centre of rotation of a body that fills the picture with "
+            "--hub X,Y.",
+            kind="moving camera",
+            evidence={"step_px": step, "share": share, "no_hub": off},
+            frames=tuple(some),
+        )
+
+
+def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
+    """Return the frame at which another shot begins, its change, and the largest one around it [grey levels].
+
+    A flash of light ends in the picture before it, a cut does not. Shots of fewer than `_SHOT` frames (a still at the
+    beginning) are left to the tracker.
+    """
+    change = film.changes[usable]
+    if len(change) < 2 * _SHOT:
+        return None
+    for k in np.argsort(-change[_SHOT : len(change) - _SHOT + 1])[:3] + _SHOT:
+        near = np.abs(np.arange(len(change)) - k) <= _CUT_REACH
+        near[[0, k]] = False
+        other = float(change[near].max())
+        if change[k] < max(_CUT * other, _CUT_LEAST):
+            continue
+        # a fast body changes every frame, but not the mean of several
+        some = [np.asarray(f, dtype=np.float32) for f in film.some(usable[k - _SHOT : k + _SHOT])]
+        apart = np.mean(some[_SHOT:], axis=0) - np.mean(some[:_SHOT], axis=0)
+        if float(np.abs(apart).mean()) > _REMAINS * change[k]:
+            return int(usable[k]), float(change[k]), other
+    return None
+
+
+def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float, float, float] | None:
+    """Return how the whole picture moves unless it turns about a hub, else None.
+
+    Returned are the median displacement of the features per frame [px], the share of the features that move together,
+    and the rms residual of their displacements from those about the best hub, relative to their rms.
+    """
+    steps, shares, left, right = [], [], [], []
+    for pair in pairs:
+        every = np.ones(len(pair.place), dtype=np.bool_)
+        motion = pair.motion(every)
+        if motion is None:
+            continue
+        size = float(np.median(np.abs(pair.step[motion.members])))
+        hull = cv2.contourArea(cv2.convexHull(_xy(pair.place[motion.members])))
+        share = float(motion.members.mean())
+        if size < _STEP or share < _WITH_CAMERA or hull < _WHOLE * shape[0] * shape[1]:
+            continue
+        steps.append(size / pair.lag)
+        shares.append(share)
+        middle = complex(np.mean(pair.place[motion.members]))
+        # displacement of the middle of the features, and what a rotation about a hub h would make of it
+        left.append(1.0 - motion.a)
+        right.append(motion.b - (1.0 - motion.a) * middle)
+    if len(steps) < max(_MOST * len(pairs), 3):
+        return None
+    one, moved = np.array(left), np.array(right)
+    hub = np.vdot(one, moved) / max(float(np.vdot(one, one).real), 1e-12)
+    # a picture that turns about its middle hardly displaces it: the displacement at its edge is what counts
+    reach = 0.25 * float(sum(shape[:2]))
+    size = math.sqrt(float(np.mean(np.abs(moved) ** 2 + (np.abs(one) * reach) ** 2)))
+    off = math.sqrt(float(np.mean(np.abs(moved - one * hub) ** 2))) / max(size, 1e-9)
+    return None if off < _NO_HUB else (float(np.median(steps)), float(np.median(shares)), off)
+
+
+@dataclass(frozen=True)
+class TwoMotions:
+    """Two bodies that turn differently: medians over the pairs of frames."""
+
+    hubs: tuple[complex, complex]  # fixed points of both motions, x + i y [px]
+    spread: tuple[float, float]  # their median distance from these medians [px]
+    places: tuple[complex, complex]  # centroids of the features [px]
+    shares: tuple[float, float]  # of the features that move
+    ratio: float  # rotation of the second over that of the first
+
+    @property
+    def linked(self) -> bool:
+        """Whether the second body turns about a point that moves, as the lower link of a double pendulum."""
+        reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
+        return max(self.spread) > _LINKED * max(reach, 1.0)
+
+    @property
+    def coaxial(self) -> bool:
+        """Whether both turn about one hub, as rotor and casing of a gyroscope."""
+        reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
+        return abs(self.hubs[0] - self.hubs[1]) < _COAXIAL * max(reach, 1.0)
+
+
+def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
+    """Return the motions of two bodies that turn differently; None unless most pairs of frames show both."""
+    found, turns = [], []
+    moving = 0
+    for pair in pairs:
+        moves = np.abs(pair.step) > _STEP
+        moving += int(moves.sum() >= _FEWEST)
+        first = pair.motion(moves)
+        if first is None:
+            continue
+        rest = moves & ~first.members
+        second = pair.motion(rest) if rest.sum() >= _SECOND * moves.sum() else None
+        if second is None or second.members.sum() < _EXPLAINED * rest.sum():
+            continue
+        one, two = first.turn, second.turn
+        if abs(one - two) < _OTHER_TURN * max(abs(one), abs(two)) or min(abs(one), abs(two)) < _LEAST_TURN:
+            continue
+        hubs = [m.b / (1.0 - m.a) for m in (first, second)]
+        places = [complex(np.mean(pair.place[m.members])) for m in (first, second)]
+        shares = [float(m.members.sum() / moves.sum()) for m in (first, second)]
+        found.append((*hubs, *places, *shares))
+        turns.append(two / one)
+    if len(found) < max(_MOST * moving, 3):
+        return None
+    columns = np.array(found, dtype=np.complex128).T
+    middle = np.median(columns.real, axis=1) + 1j * np.median(columns.imag, axis=1)
+    spread = np.median(np.abs(columns - middle[:, None]), axis=1)
+    return TwoMotions(
+        (complex(middle[0]), complex(middle[1])),
+        (float(spread[0]), float(spread[1])),
+        (complex(middle[2]), complex(middle[3])),
+        (float(middle[4].real), float(middle[5].real)),
+        float(np.median(turns)),
+    )
+
+
+def refuse_two_motions(film: Film, usable: Frames, pairs: Sequence[Pair]) -> None:
+    """Raise a RefusedFilmError if two bodies turn differently about different hubs."""
+    two = two_motions(pairs)
+    if two is None or two.coaxial:
+        return
+    (p, q), (h, _), (s, t) = two.places, two.hubs, two.shares
+    measured = (
+        f"{100 * s:.0f} % of the features that move, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
+        f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, by {two.ratio:.2g} times as much"
+    )
+    kind, what = "two bodies", f"Two bodies turn in {film.path.name}"
+    one, other = (f"--hub {z.real:.0f},{z.imag:.0f}" for z in two.hubs)
+    hint = f"Give the centre of the body to track: {one} or {other}."
+    if two.linked:
+        kind, what, hint = "two links", f"Two linked bodies turn in {film.path.name}", FOLLOW_LINKS
+    raise RefusedFilmError(
+        f"{what}: {measured}.",
+        hint,
+        kind=kind,
+        evidence={"share": s, "other_share": t, "ratio": two.ratio},
+        frames=tuple(film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])),
+        hub=(h.real, h.imag),
+    )
+
+
+def refuse_blurred(film: Film, frames: Sequence[Plane], ring: Ring, noise: float) -> None:
+    """Raise a RefusedFilmError if the frames show no detail of a body in the ring about its best hub."""
+    change, share = detail(ring, frames, noise)
+    if change > _FAINT and share > _SMEARED:
+        return
+    x, y = ring.hub
+    why = (
+        f"its detail along the circles about ({x:.0f}, {y:.0f}) px is {100 * share:.0f} % of that across them"
+        if share <= _SMEARED
+        else f"its picture changes by {change:.1f} standard deviations of the noise ({noise:.1f} grey levels) only"
+    )
+    raise RefusedFilmError(
+        f"The body that moves in {film.path.name} is blurred beyond use: {why}.",
+        "Film with a shorter exposure and a higher frame rate, or put a marker of high contrast on the body.",
+        kind="blurred",
+        evidence={"change_sigma": change, "detail": share},
+        frames=tuple(frames[k] for k in np.linspace(0, len(frames) - 1, 4).astype(int)),
+        hub=ring.hub,
+    )
+
+
+def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, float]:
+    """Return the rms change of the picture in a ring over the noise, and its detail along the circles over that across.
+
+    The detail is the rms gradient in px of each direction, less that of the noise; that of a body that turns by several
+    of its details during an exposure is smeared along the circles.
+    """
+    polars = np.stack([ring.unwrap(frame) for frame in frames]).astype(np.float64)
+    inside = np.broadcast_to(np.isfinite(polars), polars.shape)
+    change = float(np.sqrt(np.mean((polars - polars.mean(axis=0))[inside] ** 2))) / noise
+    step = (ring.outer - ring.inner) / ring.rows
+    along = np.diff(polars, axis=2) / (ring.radius[:, None] * ring.step)
+    across = np.diff(polars, axis=1) / step
+    # the noise of a difference of two samples, of which interpolation has averaged some
+    floor = noise**2
+    sizes = [
+        math.sqrt(max(float(np.mean(g**2)) - floor / d**2, 0.0))
+        for g, d in ((along, float(np.mean(ring.radius)) * ring.step), (across, step))
+    ]
+    return change, sizes[0] / max(sizes[1], 1e-9)

@@ -1,0 +1,134 @@
+"""A tilted axis, found by the ellipse of an orbit or of what moves, against analytic projections."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking._hub_search import distance_from, tilted_outline
+from gyrotrack.tracking._pivot import fit_orbit
+from gyrotrack.tracking._point_motion import SecondLink, about_pivot
+from gyrotrack.tracking._point_tracker import PointPath
+from gyrotrack.tracking._registration import Ring
+
+TURNS = np.linspace(0.3, 0.3 + 4 * math.pi, 160)
+
+
+def _seen(theta, tilt, short, radius=80.0, hub=(160.0, 120.0)):
+    """The circle of a point (counter-clockwise, y down), short by cos(tilt) along the direction `short`."""
+    x, y = radius * np.cos(theta), -radius * np.sin(theta)
+    a = np.array([math.cos(short), -math.sin(short)])
+    along, across = (x * a[0] + y * a[1]) * math.cos(tilt), -x * a[1] + y * a[0]
+    return np.stack([along * a[0] - across * a[1], along * a[1] + across * a[0]], axis=1) + hub
+
+
+def _path(place, sigma=0.05, seed=0):
+    noise = np.random.default_rng(seed).normal(0, sigma, place.shape)
+    covariance = np.tile(sigma**2 * np.eye(2), (len(place), 1, 1))
+    return PointPath(
+        np.arange(len(place)), place + noise, covariance, 5.0, len(place), False, np.zeros((3, 3))
+    )
+
+
+@pytest.mark.parametrize(("degrees", "short"), [(20.0, 0.4), (40.0, 1.5), (60.0, 2.6)])
+def test_the_angles_are_those_in_the_plane_of_the_body(degrees, short):
+    tilt, z, of_tilt = math.radians(degrees), [], []
+    for seed in range(4):
+        found = about_pivot(_path(_seen(TURNS, tilt, short), seed=seed), "film.mp4")
+        assert found.orbit is not None
+        assert found.orbit.tilt[1] == pytest.approx(short, abs=0.01)
+        of_tilt.append((found.orbit.tilt[0] - tilt) / found.orbit.tilt_u)
+        error = found.angle - TURNS[found.frame]
+        z.append((error - error.mean()) / found.sigma)
+        # the bound of a position error of 0.05 px, which the projection enlarges by up to 1 / cos(tilt)
+        assert np.std(error) < 1.5 * 0.05 / 80.0 / math.sqrt(math.cos(tilt))
+        assert f"tilted by {degrees:.0f}." in found.warnings[0]
+        assert "nearer is not visible" in found.warnings[0]
+    assert 0.8 < np.std(z) < 1.25
+    assert np.sqrt(np.mean(np.square(of_tilt))) < 2.0
+
+
+def test_a_circle_and_a_short_arc_show_no_tilt():
+    assert about_pivot(_path(_seen(TURNS, 0.0, 0.0)), "film.mp4").orbit is None
+    swing = 1.3 + 0.4 * np.sin(TURNS)
+    assert about_pivot(_path(_seen(swing, 0.7, 1.5)), "film.mp4").orbit is None
+
+
+def test_angles_of_displaced_orbits_differ_by_the_uncertainty_of_the_tilt():
+    found = about_pivot(_path(_seen(TURNS, 0.8, 1.0), sigma=0.5), "film.mp4")
+    apart = [np.std(other - found.angle) for other in found.displaced()]
+    assert len(apart) == 5
+    # a tilt that is wrong by u changes the angles by u tan(tilt) / 2 sin(2 theta)
+    expected = 0.5 * math.tan(0.8) * found.orbit.tilt_u / math.sqrt(2.0)
+    assert max(apart) == pytest.approx(expected, rel=0.6)
+
+
+def test_the_covariance_of_an_orbit_is_that_of_its_scatter():
+    place = _seen(TURNS, 0.9, 1.0)
+    many = [fit_orbit(place + np.random.default_rng(k).normal(0, 0.3, place.shape), np.full(len(place), 0.3))
+            for k in range(40)]  # fmt: skip
+    scatter = np.std([o.value for o in many], axis=0)
+    stated = np.mean([np.sqrt(np.diag(o.covariance)) for o in many], axis=0)
+    np.testing.assert_allclose(stated, scatter, rtol=0.5)
+
+
+def test_a_given_hub_beside_the_centre_of_the_orbit_is_doubted():
+    path = _path(_seen(TURNS, 0.8, 1.0))
+    near = about_pivot(path, "film.mp4", (160.5, 120.0))
+    assert not near.ambiguous
+    far = about_pivot(path, "film.mp4", (170.0, 120.0))
+    assert far.ambiguous
+    assert "10.0 px away" in far.warnings[-1]
+
+
+@pytest.mark.parametrize(("tilt", "short"), [(0.5, 0.6), (1.0, 2.4)])
+def test_what_moves_shows_the_stretch_of_the_rings(tilt, short):
+    y, x = np.mgrid[0:240, 0:320].astype(float)
+    a = np.array([math.cos(short), -math.sin(short)])
+    along, across = (x - 160) * a[0] + (y - 120) * a[1], -(x - 160) * a[1] + (y - 120) * a[0]
+    moving = np.hypot(along / math.cos(tilt), across) < 80
+    found = tilted_outline(SimpleNamespace(moving=moving))
+    assert found.hub == pytest.approx((160.0, 120.0), abs=0.2)
+    ring = Ring.about(found.hub, 10.0, 80.0, stretch=found.stretch)
+    assert ring.tilt[0] == pytest.approx(tilt, abs=0.01)
+    assert ring.tilt[1] == pytest.approx(short, abs=0.01)
+    # the ring's circles are those of the outline, up to their common scale
+    radius = distance_from(found.hub, moving.shape, found.stretch)
+    size = math.hypot(*found.stretch)
+    np.testing.assert_array_equal(radius < 80 / (1 + size) - 1, (radius < 80 / (1 + size) - 1) & moving)
+    assert not (moving & (radius > 80 / (1 + size) + 1)).any()
+    assert tilted_outline(SimpleNamespace(moving=moving), (150.0, 120.0)).hub == (150.0, 120.0)
+
+
+def test_a_round_outline_shows_no_tilt_and_an_arc_of_a_ring_has_none():
+    y, x = np.mgrid[0:240, 0:320]
+    assert tilted_outline(SimpleNamespace(moving=np.hypot(x - 160, y - 120) < 80)) is None
+    assert tilted_outline(SimpleNamespace(moving=np.zeros((240, 320), bool))) is None
+    assert Ring.about((0.0, 0.0), 10.0, 80.0, span=1.0).tilt is None
+
+
+def test_a_trimmed_ring_keeps_its_stretch():
+    ring = Ring.about((160.0, 120.0), 10.0, 80.0, stretch=(0.2, 0.1))
+    assert ring.trimmed(np.linspace(0, 1, ring.rows), finest=100.0).stretch == (0.2, 0.1)
+
+
+def test_the_direction_of_a_second_link(monkeypatch):
+    from gyrotrack.tracking import _point_motion
+
+    first, second = 0.5 * np.sin(TURNS) - 1.4, 0.9 * np.sin(1.3 * TURNS) - 1.2
+    joint = _seen(first, 0.0, 0.0, 90.0)
+    end = joint + 70.0 * np.stack([np.cos(second), -np.sin(second)], axis=1)
+    about = about_pivot(_path(joint), "film.mp4")
+    film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"))
+    path = _path(end, seed=1)
+    monkeypatch.setattr(_point_motion, "track_point", lambda *_: path)
+    found = _point_motion.follow_second_link(film, about, (0.0, 0.0))
+    assert isinstance(found, SecondLink)
+    assert found.angle == pytest.approx(second[found.frame], abs=6 * 0.05 * math.sqrt(2) / 70)
+    # both points are within 0.5 px of the places that they stand for
+    assert np.median(found.sigma) == pytest.approx(math.sqrt(0.5) / 70, rel=0.02)
+    elastic = joint + (70.0 + 8.0 * np.sin(3 * TURNS))[:, None] * (end - joint) / 70.0
+    path = _path(elastic, seed=1)
+    with pytest.raises(_point_motion.TrackingError, match="no rigid body"):
+        _point_motion.follow_second_link(film, about, (0.0, 0.0))
