@@ -489,7 +489,7 @@ def _where(e: Effect) -> str:
 
 
 def _effect_text(e: Effect) -> str:
-    lines = [*filter(None, [e.words]), f"{e.name} ({e.kind})", f"  {_where(e)}: {e.law}"]
+    lines = [f"{e.name} ({e.kind})", *([f"  {e.words}"] if e.words else []), f"  {_where(e)}: {e.law}"]
     if e.state is not None:
         lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")
     lines += [f"  {p.symbol:<7}[{p.unit}]  {p.meaning}" for p in e.parameters]

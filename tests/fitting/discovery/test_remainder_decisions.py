@@ -9,7 +9,7 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
-from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError
+from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effect_name
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
@@ -19,7 +19,6 @@ from fitting.discovery._remainder import Torques, better_law, grade, nuisance_pa
 from fitting.discovery._residuals import ResidualTorque
 from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._words import effect_name
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"

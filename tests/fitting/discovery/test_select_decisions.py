@@ -7,7 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import LIBRARY, Candidate, Criteria, Estimate, EstimationError, SimulationError, improve
+from fitting import (
+    LIBRARY,
+    Candidate,
+    Criteria,
+    Estimate,
+    EstimationError,
+    SimulationError,
+    effect_name,
+    improve,
+)
 from fitting._criteria import DEFAULT
 from fitting.discovery import _select as module
 from fitting.discovery._score import Score
@@ -26,7 +35,6 @@ from fitting.discovery._select import (
     separate_values,
 )
 from fitting.effects._library import START
-from fitting.effects._words import effect_name
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]

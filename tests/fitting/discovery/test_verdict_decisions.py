@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose
+from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose, effect_name
 from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery import _verdict as module
@@ -23,7 +23,6 @@ from fitting.discovery._remainder import Grade, Nuisance, Remainder
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import slipped
 from fitting.effects._library import SLIP, START
-from fitting.effects._words import effect_name
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
 NAMED = f"quadratic air drag of the casing ({DRAG})"
@@ -473,7 +472,7 @@ class TestWords:
         unknown = (UNKNOWN_IN_TIME, next(iter(UNKNOWN_LAWS.values())))
         text = self.missing(candidate(alike=unknown))
         assert text.startswith(f"Missing: {NAMED}, or {unknown[0]}, or {unknown[1]};")
-        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("One of")
+        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("Missing: one of these effects")
 
     def test_the_remainder_the_noise_or_the_test_is_stated(self, monkeypatch):
         monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
