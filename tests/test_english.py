@@ -64,7 +64,6 @@ PATTERN = re.compile(rf"\b(?:{'|'.join(PATTERNS)})\b", re.IGNORECASE)
 
 # file: {text: reason}
 EXCEPTIONS: dict[str, dict[str, str]] = {
-    "gyrotrack/apps/_spindown.py": {"asked for": "a value in stored files"},
     "gyrotrack/apps/cli/_tracking.py": {"asked for": "the same value, replaced on the screen"},
     "gyrotrack/video/_time_base.py": {"asked for": "the same value"},
     "docs/tutorial/walkthrough.md": {"(asked for)": "output of a command, from the stored value"},

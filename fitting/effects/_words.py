@@ -132,7 +132,7 @@ def _known(key: str, effects: Iterable[Effect]) -> Effect | None:
     )
 
 
-# the variables of the laws; those of a state of its own with their equation
+# the variables of the laws; state variables with their equation
 _VARIABLES = {
     "t": "time from the start of the recording",
     "omega_r": "angular velocity of the rotor",

@@ -592,7 +592,7 @@ def write_ghost_film(
 ) -> Path:
     """Write the ghosts in slow motion around stretches of time: consecutive frames, at 25 frames per second.
 
-    Of a long stretch the frames around the largest difference are shown. A name that ends in ``.webp`` gets the
+    For a long stretch, the frames around the largest difference are shown. A name that ends in ``.webp`` gets the
     animated picture of the first stretch.
 
     Parameters
