@@ -31,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import FittingError
+from fitting._numbers import on_screen, rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
 from fitting.discovery._difference import (
@@ -77,7 +79,8 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -110,7 +113,11 @@ class Difference:
     omega_r: tuple[float, float]
 
 
-@dataclass(frozen=True)
+# lines of a repr: laws, and columns of a sentence
+_SHOWN, _WIDTH = 6, 100
+
+
+@dataclass(frozen=True, repr=False)
 class Law:
     """A law that explains the unmodelled torque, and the evidence for it."""
 
@@ -128,6 +135,13 @@ class Law:
     differences: tuple[Difference, ...]  # where it differs from the others
     fit: Fit = field(repr=False)  # the refit of base and law
 
+    def __repr__(self) -> str:
+        values = ", ".join(
+            f"{k.rpartition('.')[2]} = {rounded(e.value, e.stderr, e.unit)}"
+            for k, e in self.estimates.items()
+        )
+        return f"{self.formula}: score {self.score:.4g}; {values}"
+
     @property
     def body(self) -> str:
         """The body or joint on which it acts."""
@@ -139,7 +153,7 @@ class Law:
         return self.fit.bic + self.description_length
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Laws:
     """The answer of `laws`.
 
@@ -157,6 +171,11 @@ class Laws:
     trials: int  # how many columns were scored
     diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if made
     differs: DifferentParameter | None = None  # its difference describes the data as well as the laws do
+
+    def __repr__(self) -> str:
+        shown = [f"  {law!r}" for law in self.laws[:_SHOWN]]
+        more = [f"  ... {len(self.laws) - _SHOWN} more"] if len(self.laws) > _SHOWN else []
+        return on_screen([f"laws: {self.verdict}", *wrap(self.sentence, _WIDTH)[:_SHOWN], *shown, *more])
 
     @property
     def answer(self) -> tuple[Law, ...]:

@@ -47,7 +47,8 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fitting._arguments import NUMBERS, TEXT, Kind, require
 from fitting._errors import EffectError
+from fitting._numbers import on_screen
 from fitting.dynamics._inputs import Input
 from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
 from fitting.effects._expression import (
@@ -50,7 +52,14 @@ Array = NDArray[np.float64]
 NAMED = {"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}
 
 
-@dataclass(frozen=True)
+_EFFECTS = Kind(
+    "a list of effects",
+    lambda x: all(hasattr(e, "name") for e in x),
+    'use Model.of(["air.linear"]) for names',
+)
+
+
+@dataclass(frozen=True, repr=False)
 class Model:
     """A set of effects.
 
@@ -63,6 +72,7 @@ class Model:
     effects: tuple[Effect, ...]
 
     def __post_init__(self) -> None:
+        require("effects", self.effects, _EFFECTS)
         names = [e.name for e in self.effects]
         if len(set(names)) != len(names):
             twice = next(n for n in names if names.count(n) > 1)
@@ -86,6 +96,7 @@ class Model:
             if names not in NAMED:
                 raise EffectError(f"there is no model named {names[:60]!r}", "models: " + ", ".join(NAMED))
             names = NAMED[names]
+        require("names", names, TEXT.several)
         return cls(tuple(find(n) for n in names))
 
     def __add__(self, effect: Effect | str) -> Model:
@@ -98,6 +109,9 @@ class Model:
 
     def __str__(self) -> str:
         return " + ".join(self.names)
+
+    def __repr__(self) -> str:
+        return on_screen(["Model", *(f"  {e!r}" for e in self.effects)])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,6 +141,7 @@ class Model:
         EffectError
             If it is not in the model.
         """
+        require("name", name, TEXT)
         if name not in self.names:
             raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
         return Model(tuple(e for e in self.effects if e.name != name))
@@ -144,6 +159,7 @@ class Model:
         EffectError
             If a name is no parameter of the model, names several, or its value is not finite.
         """
+        require("values", values, NUMBERS)
         held: dict[str, float] = {}
         for name, value in values.items():
             keys = [k for k in self.free if k == name or k.rpartition(".")[2] == name]

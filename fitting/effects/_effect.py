@@ -223,7 +223,7 @@ class State:
     start: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Effect:
     """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
@@ -292,6 +292,11 @@ class Effect:
     searched: bool = True
     rigid: bool = False
     inputs: tuple[tuple[str, str], ...] = ()
+
+    def __repr__(self) -> str:
+        units = ", ".join(f"{p.symbol} [{p.unit}]" for p in self.parameters)
+        law = "" if self.law in self.name else f": {self.law}"
+        return f"Effect {self.name}{law}; {units}"
 
     @cached_property
     def expression(self) -> Expr:

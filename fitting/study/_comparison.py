@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
-from fitting._numbers import probability, rounded
+from fitting._numbers import on_screen, probability, rounded
 from fitting.dynamics._model import Model
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class ParameterComparison:
         return math.hypot(repeat.stderr, self.spread)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """What several runs have in common: the parameters that at least two of them determine."""
 
@@ -85,6 +85,9 @@ class Comparison:
     parameters: tuple[ParameterComparison, ...]  # the most significant difference first
     effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
     bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
+
+    def __repr__(self) -> str:
+        return on_screen([f"comparison of {len(self.runs)} runs", *self.sentences])
 
     @property
     def sentences(self) -> list[str]:

@@ -20,6 +20,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from fitting._arguments import PATH, require
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
@@ -191,10 +192,14 @@ class Ledger:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        require("path", path, PATH)
+        self.path = path = Path(path)
         self.entries: list[Entry] = []
         if path.exists():
             self.entries = _read(path)
+
+    def __repr__(self) -> str:
+        return f"Ledger {self.path}: {len(self.entries)} fits"
 
     @classmethod
     def default_for(cls, case: Path) -> Ledger:

@@ -19,8 +19,8 @@ from fitting.discovery._verdict import diagnose
 from fitting.dynamics._model import Model
 from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
+from fitting.inference._params import Estimate
 from fitting.inference._record import make_record
-from fitting.inference._result import Estimate
 from fitting.inference._simulation import Experiment, simulate
 
 

@@ -20,7 +20,7 @@ from fitting.discovery._select import Selection
 from fitting.discovery._verdict import _undetermined, diagnose
 from fitting.effects._library import LIBRARY
 from fitting.inference._noise import TorqueNoise, TorqueResponse
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 
 ROWS = 500
 

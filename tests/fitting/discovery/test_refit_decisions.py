@@ -27,7 +27,7 @@ from fitting.discovery._refine import (
 )
 from fitting.discovery._score import Score
 from fitting.effects._library import LIBRARY
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 
 STEP, DRAG = LIBRARY["touchpoint.step"], LIBRARY["casing.air.quadratic"]
 PERIODIC = LIBRARY["casing.precession"]

@@ -20,8 +20,8 @@ from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve as effect
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
+from fitting.inference._params import Estimate
 from fitting.inference._record import make_record
-from fitting.inference._result import Estimate
 from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 

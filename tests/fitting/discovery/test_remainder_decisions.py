@@ -20,7 +20,7 @@ from fitting.discovery._residuals import ResidualTorque
 from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import LIBRARY, LINEAR
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"

@@ -29,7 +29,7 @@ from fitting.discovery._select import (
     separate_values,
 )
 from fitting.effects._library import LIBRARY
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]

@@ -23,7 +23,7 @@ from fitting.discovery._remainder import Grade, Nuisance, Remainder
 from fitting.discovery._select import Candidate, Selection
 from fitting.discovery._verdict import diagnose, slipped
 from fitting.effects._library import LIBRARY
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
 LEFT = Remainder(1e-6, 0.03, 1e-5, "Remainder 1 uN m rms.")

@@ -8,7 +8,7 @@ import pytest
 
 from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
-from fitting.inference._result import Estimate
+from fitting.inference._params import Estimate
 from fitting.study._comparison import compare
 
 KEY = "casing.air.linear.b2"
