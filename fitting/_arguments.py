@@ -138,9 +138,8 @@ _COMMON = {"extra": EFFECTS, "criteria": CRITERIA, "progress": CALLABLE, "size":
 PUBLIC: dict[str, dict[str, Kind]] = {
     "budget": {"fit": FIT, "clock_rate_u": NOT_NEGATIVE, "speed_scale_u": NOT_NEGATIVE},
     "certify": {"found": DIAGNOSIS, "n": COUNT, "seed": SEED},
-    "compare": {"fits": FITTED},
+    "compare": {"fits": FITTED, "times": NUMBERS, "time_unit": TEXT},
     "diagnose": {"fit": FIT},
-    "effect": {"text": TEXT},
     "first_order": {"fit": FIT},
     "improve": {"base": FIT},
     "laws": {"base": FIT, "diagnosis": DIAGNOSIS, "beyond_library": BOOLEAN},

@@ -96,6 +96,7 @@ class Model:
             if names not in NAMED:
                 raise EffectError(f"there is no model named {names[:60]!r}", "models: " + ", ".join(NAMED))
             names = NAMED[names]
+        names = tuple(names) if isinstance(names, Iterable) else names
         require("names", names, TEXT.several)
         return cls(tuple(find(n) for n in names))
 

@@ -154,6 +154,11 @@ class FitSummary:
         return {name: e.value for name, e in self.estimates.items()}
 
     @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables of `covariance`."""
+        return self._origin()[0]
+
+    @property
     def body_name(self) -> str:
         """Name of a body alone; empty for a gyroscope, and where it has none."""
         return ""
@@ -179,7 +184,7 @@ class FitSummary:
 
     def correlations(self) -> list[tuple[str, str, float]]:
         """Return the correlation of each pair of fitted parameters, by the names of `params`, largest first."""
-        names = self._origin()[0]
+        names = self.variables
         size = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         used = [
             i for i, n in enumerate(names) if n in self.estimates and np.isfinite(size[i]) and size[i] > 0

@@ -119,6 +119,16 @@ class Entry:
         return Model(effects_of(self.stored.model, self.stored.own_effects))
 
     @property
+    def variables(self) -> list[str]:
+        """Names of the variables of `covariance`; empty if it was stored without one."""
+        return list(self.stored.variables)
+
+    @property
+    def covariance(self) -> list[list[float]]:
+        """Covariance of the variables."""
+        return [list(row) for row in self.stored.covariance]
+
+    @property
     def estimates(self) -> dict[str, EstimateDocument]:
         """The parameters with their standard uncertainties."""
         return self.stored.parameters
