@@ -317,7 +317,7 @@ class Dynamics:
             e.inputs[0][0]: f"{e.name}.{e.parameters[0].symbol}" for e in physical if e.joint == "input"
         }
         self._delays = {i.symbol: delays[i.name] for i in self.inputs if i.name in delays}
-        own = [(e, e.state) for e in physical if e.state is not None]
+        own = [(e, s) for e in physical for s in e.states]
         restoring = any(e.restoring for e in physical)
         self.free_starts = 3 if restoring else 2
         self.states = (
@@ -396,11 +396,11 @@ class Dynamics:
         for factor in laws["factor"]:
             tau = mul(tau, factor)
         for e in physical:
-            if e.rate is not None:
+            if e.rates:
                 rename = (
                     {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
                 )
-                own.append(substitute(e.rate, rename))
+                own += [substitute(rate, rename) for rate in e.rates]
         rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
         casing = mul(total([tau, *laws["casing"]]), inverse_casing)
         for n, inertia, law in contacts:
