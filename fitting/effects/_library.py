@@ -189,7 +189,7 @@ TOUCHPOINT = (
     Effect("casing.friction.gms", "casing", "-k*(a*element_a + (1 - a)*element_b)",
         (
             Parameter("k", "N m", meaning="Coulomb friction of both elements together"),
-            Parameter("a", "1", "shape", 0.02, 0.98, 0.5, (0.5,), meaning="share of the first element"),
+            Parameter("a", "1", "shape", 0.02, 0.98, 0.5, (0.5, 0.98), meaning="share of the first element"),
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03),
                 meaning="angle through which the first element yields before it slides [rad]"),
             Parameter("q", "1", "shape", 1.5, 1e3, 10.0, (3.0, 10.0, 30.0),

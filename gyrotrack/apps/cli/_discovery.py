@@ -208,6 +208,7 @@ def plan_command(
     ] = None,
     picture: shared.Picture = None,
     effects: shared.EffectsFile = None,
+    friction: shared.Friction = False,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     force: shared.Force = False,
@@ -216,10 +217,12 @@ def plan_command(
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
-    A description of recordings is a TOML file; see the guide "Plan an experiment".
+    A description of recordings is a TOML file; see the guide "Plan an experiment". With --friction the command also
+    shows which friction laws of a contact the recording separates, and which ones reversals or a slow ramp would.
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
+    from fitting.discovery._friction import friction_plan
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan, read_planned
     from fitting.study._serialisation import plan_document
@@ -238,7 +241,7 @@ def plan_command(
     changes = _bounds(bound or ())
     check_picture(picture, force=force, reads=with_ledgers(recordings, ledger, effects))
     out = Output(as_json=as_json, quiet=quiet)
-    own = shared.own_effects(effects)
+    own = shared.own_effects(effects, friction=friction)
     with out.progress("planning") as progress:
         progress(0, None)
         if described:
@@ -250,9 +253,14 @@ def plan_command(
             usual, subject = (Bounds.of(fit) if changes else None), fit
         bounds = replace(usual, **changes) if usual is not None else None
         found = plan(subject, own, size=size, bounds=bounds, progress=progress)
+        laws = friction_plan(found.fit) if friction else None
     written = drawn(found, picture, force=force)
-    out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
-    out.show(_plan_table(found), *written)
+    more = {} if laws is None else {"friction": laws.document()}
+    out.result(plan_document(found) | more | ({"picture": picture} if picture is not None else {}))
+    lines = [] if laws is None else ["", "friction laws of a contact:"]
+    for sentence in [] if laws is None else laws.sentences:
+        lines += textwrap.wrap(sentence, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+    out.show(_plan_table(found), *lines, *written)
     return DONE if found.fit.converged else NOT_TRUSTED
 
 

@@ -442,6 +442,9 @@ TlsKey = Annotated[
     Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
 ]
 EffectsFile = Annotated[Path | None, option("--effects FILE", "Your own effects, in TOML.")]
+Friction = Annotated[
+    bool, option("--friction", "Also consider the friction laws of LuGre, Maxwell slip (GMS) and starvation.")
+]
 DataKind = Annotated[
     str | None, option("--data D", "Fitted quantity: angle, or velocity (smoothed as in the paper).")
 ]
@@ -453,8 +456,12 @@ RotorKind = Annotated[
 ]
 
 
-def own_effects(path: Path | None) -> list[Effect]:
-    """Read user-defined effects, if a file is given."""
+def own_effects(path: Path | None, *, friction: bool = False) -> list[Effect]:
+    """Read user-defined effects, if a file is given; with `friction` add the laws that a search leaves out."""
+    if friction:
+        from fitting.effects._library import FRICTION, find
+
+        return [*own_effects(path), *(e for e in map(find, FRICTION) if not e.searched)]
     if path is None:
         return []
     from fitting.effects._user import read_effects
