@@ -21,7 +21,7 @@ contacts. A *factor* multiplies the whole bearing torque. The law of a camera is
 angle, a function of the angle `psi` and the angular velocity `omega` of the filmed body; it does not act on the motion.
 
 `gyrotrack fit --add` and `gyrotrack diagnose` use the names in the first column. User-defined laws may contain t,
-omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter. Times of events, such as t0
+omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter. Times of events, for example t0
 in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
 """
 

@@ -1,7 +1,7 @@
 """Run the commands of docs/tutorial/walkthrough.md and insert their output: `python docs/make_walkthrough.py`.
 
 The words are kept; in each ``console`` block, what follows a line ``$ gyrotrack ...`` is replaced by what the command
-prints today, on stdout and stderr. The commands run in a folder of their own, beside the sample clips.
+prints today, on stdout and stderr. The commands run in a separate folder, beside the sample clips.
 """
 
 from __future__ import annotations

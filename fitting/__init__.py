@@ -196,6 +196,7 @@ def fit(
     per_case: Iterable[str] = (),
     start: Mapping[str, float] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    criteria: Criteria | None = None,
 ) -> Fit:
     """Fit a model to one case, or to several together.
 
@@ -220,6 +221,8 @@ def fit(
         Initial values [SI]; by default they are computed from the data.
     ranges : mapping of str to (float, float), optional
         Bounds by name [SI], within the declared ones.
+    criteria : Criteria, optional
+        What counts as noise in the recordings, and the thresholds of the verdict and of a search from this fit.
 
     Returns
     -------
@@ -231,7 +234,7 @@ def fit(
     FittingError
         If an argument is wrong, or the model cannot be fitted to these data.
     """
-    from fitting._arguments import NUMBERS, TEXT, require
+    from fitting._arguments import CRITERIA, NUMBERS, TEXT, require
     from fitting._errors import EstimationError
     from fitting._workers import single_blas_thread
     from fitting.inference._case_data import CaseData
@@ -239,6 +242,7 @@ def fit(
     from fitting.inference._params import Names, Settings, settings_of
 
     require("loss", loss, TEXT)
+    require("criteria", criteria, CRITERIA.optional)
     several = _cases(cases)
     records = [c.record if isinstance(c, CaseData) else c for c in several]
     chosen = _model(model, records)
@@ -260,13 +264,16 @@ def fit(
         {names(k): (float(a), float(b)) for k, (a, b) in (ranges or {}).items()},
     )
     asked = settings_of(params, chosen, records).joined(asked)
-    options = {
+    options: dict[str, Any] = {
         "share": _names(share),
         "per_case": _names(per_case),
         "start": asked.start or None,
         "ranges": asked.ranges or None,
         "ties": {k: names.tie(text) for k, text in asked.ties.items()} or None,
     }
+    if criteria is not None:
+        several = [c.with_criteria(criteria) if isinstance(c, CaseData) else c for c in several]
+        options["criteria"] = criteria
     with single_blas_thread():
         return robust_fit(chosen.with_fixed(asked.fixed), several, loss, **options)
 

@@ -1,6 +1,7 @@
 """Every threshold that determines a result, in one record.
 
-`diagnose` and `improve` take a `Criteria`; a fit's own verdict and the noise of a recording use the default.
+`fit`, `diagnose`, `improve`, `laws`, `certify` and `plan` take a `Criteria`. A fit keeps its own, with which the noise
+of its recordings was measured; a search with other criteria of the noise repeats the fit with them (`NOISE`).
 
 >>> from dataclasses import replace
 >>> strict = replace(Criteria(), significance=0.001)
@@ -74,7 +75,7 @@ class Criteria:
     shape_share: float = _criterion(0.1, "share of the best score from which shapes are refined")
     refit_share: float = _criterion(0.1, "share of the best score from which candidates are refitted")
     refit_p: float = _criterion(0.5, "family-wise p-value above which candidates are not refitted")
-    refit_least: int = _criterion(4, "candidates that are refitted at any score")
+    refit_least: int = _criterion(4, "candidates that are always refitted")
     refit_most: int = _criterion(14, "candidates that are refitted at most")
     rival_share: float = _criterion(0.5, "share of the best score from which a poor refit is repeated")
     refit_shortfall: float = _criterion(10.0, "deviance by which a refit may fall short of its score", _KASS)
@@ -87,9 +88,9 @@ class Criteria:
     gross_misfit: float = _criterion(0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]")
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
     angle_noise_ratio: float = _criterion(
-        30.0, "correlated over white angle noise above which it is no noise")
+        30.0, "correlated over white angle noise above which it is not noise")
     random_torque: float = _criterion(0.01,
-        "random torque above which it is no noise, as a share of the mean torque")
+        "random torque above which it is not noise, as a share of the mean torque")
     random_torque_evidence: float = _criterion(10.0, "deviance that a random torque above the noise needs", _KASS)
     random_torque_shortest: float = _criterion(0.05, "shortest correlation time of a random torque [s]")
     random_torque_longest: float = _criterion(10.0, "longest correlation time of a random torque [s]")
@@ -100,7 +101,7 @@ class Criteria:
     # fmt: on
 
     def refits_through(self, reversals: int) -> int:
-        """Return the number of candidates that are refitted at any score for an oscillation of so many reversals.
+        """Return the number of candidates that are always refitted, given the number of reversals of an oscillation.
 
         A search through one reversal takes some 0.03 s of a core.
         """
@@ -142,3 +143,9 @@ _AT_MOST_ONE = frozenset({
 })  # fmt: skip
 
 DEFAULT = Criteria()
+
+NOISE = (
+    "correlated_noise", "spectral_line", "periodic_torque", "angle_noise_ratio", "slip_tolerance", "slip_sigma",
+    "gross_misfit",
+)  # fmt: skip
+"""Criteria that determine what is noise in a recording: where they differ, a fit has other weights."""

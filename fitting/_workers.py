@@ -85,7 +85,7 @@ class WorkerPool:
         executor, self._executor = self._executor, None
         if executor is None:
             return
-        if fault is not None:  # an interrupt does not wait for work that nobody needs
+        if fault is not None:  # an interrupt does not wait for work that is not needed
             for process in list((getattr(executor, "_processes", None) or {}).values()):
                 process.terminate()
         executor.shutdown(cancel_futures=True)
@@ -168,7 +168,7 @@ _ATTEMPTS = 20
 def _packed(work: Callable[..., object], *args: object) -> bytes:
     """Return a pickled call.
 
-    The executor would pickle it in a thread of its own, at a time at which the calling thread may add a cached property
+    The executor would pickle it in a separate thread, at a time at which the calling thread may add a cached property
     to one of the arguments; this ends in a RuntimeError, also where the next call is submitted by such a thread.
     """
     for _ in range(_ATTEMPTS - 1):

@@ -249,8 +249,8 @@ def angular_velocity(
 def smoothing_width(angle: npt.ArrayLike, sigma: npt.ArrayLike, most: int = WIDTH) -> int:
     """Return the odd number of points, 3 to `most`, of the medians that leave the motion of a body as it is.
 
-    Of a body that turns in one sense this is `most`. Of one that turns back, such as a pendulum, a median over a good
-    part of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 % of
+    For a body that turns in one sense this is `most`. For one that turns back, for example a pendulum, a median over
+    much of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 % of
     the motion, rms, or less than two standard uncertainties.
     """
     x, s = np.asarray(angle, dtype=float), np.asarray(sigma, dtype=float)

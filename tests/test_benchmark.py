@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.dynamics._model import Model
+from fitting import REDUCED, Model, make_record
 from fitting.effects._expression import Tape
-from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
-from fitting.inference._record import make_record
 
 HERE = Path(__file__).parents[1] / "benchmarks" / "discovery"
 if not HERE.is_dir():
@@ -203,7 +201,7 @@ def test_known_answers_give_known_rates(tmp_path):
     assert "1, 1, 1; 100 %; 50" in text
 
 
-def test_what_is_done_is_not_done_again_and_a_torn_line_is(tmp_path):
+def test_what_is_done_is_not_done_again_and_an_incomplete_line_is(tmp_path):
     path = tmp_path / "lines.jsonl"
     for r in LIBRARY_RUNS[:3]:
         lines.append(path, known(r))
@@ -281,10 +279,7 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
     """Whole size in sigma: angles with the effect minus angles without, over the noise, sample by sample."""
     from oracle import Oracle
 
-    from fitting.dynamics._model import Model
-    from fitting.effects._library import REDUCED
-    from fitting.inference._fit import fit
-    from fitting.inference._record import make_record
+    from fitting import REDUCED, Model, fit, make_record
 
     case, rng = experiment.CASES[0], np.random.default_rng
     drawn = hidden.Draw.of(case["span"], rng(1), rng(2))

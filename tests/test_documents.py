@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from fitting.effects._library import LIBRARY
+from fitting import LIBRARY
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers import _format_names as names
 

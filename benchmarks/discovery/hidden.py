@@ -211,4 +211,4 @@ FAULTS: dict[str, Maker] = {
     "camera.tilt": lambda x, z: Hidden(tilt=(3e-3, z.phi), truth={"eps": 3e-3, "phi": z.phi}),
     "camera.shutter": lambda x, z: Hidden(shutter=(2e-5, z.phi), truth={"k": 2e-5, "phi": z.phi}),
 }
-TAKEN_OUT = frozenset({"camera.centre", "camera.tilt", "camera.shutter"})
+TAKEN_OUT = frozenset({"camera.centre", "camera.tilt", "camera.shutter", "camera.blur"})

@@ -27,7 +27,7 @@ from fitting.inference._result import Fit
 
 # rivals at no more shapes than these: enough for the nearest one to a tenth of a sigma or so
 _MOST_SHAPES = 50
-_NEVER = ("camera.centre", "camera.tilt", "camera.shutter")
+_NEVER = ("camera.centre", "camera.tilt", "camera.shutter", "camera.blur")
 
 
 @dataclass(frozen=True)

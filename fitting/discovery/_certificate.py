@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, Self
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting._criteria import Criteria
 from fitting._display import block, headline, table
 from fitting._errors import EstimationError, FittingError
 from fitting._workers import WorkerPool, single_blas_thread
@@ -350,7 +350,7 @@ def certify(
     *,
     seed: int = 0,
     extra: Sequence[Effect] = (),
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     known: Sequence[Outcome] = (),
     workers: WorkerPool | None = None,
     keep: Callable[[Sequence[Outcome], int], None] | None = None,
@@ -367,8 +367,8 @@ def certify(
         Seed of all random errors. The result does not depend on the number of workers.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds of the analysis.
+    criteria : Criteria, optional
+        Thresholds of the analysis; those of the fit by default.
     known : sequence of Outcome
         Outcomes of an earlier run with the same answer and seed, which are not repeated.
     workers : WorkerPool, optional
@@ -386,7 +386,7 @@ def certify(
         The cases are curves made from measured values (see `replica`).
     """
     workers = workers or WorkerPool(0)
-    work = _Work.of(found, extra, criteria, seed)
+    work = _Work.of(found, extra, criteria or found.fit.criteria, seed)
     wanted = _planned(work.hypotheses.values(), n)
     done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
     missing = [item for item in wanted if item not in done]
@@ -408,7 +408,7 @@ def outcomes_of(
     *,
     seed: int = 0,
     extra: Sequence[Effect] = (),
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
 ) -> list[Outcome]:
     """Return the answers to some of the `planned` recordings.
 
@@ -424,7 +424,7 @@ def outcomes_of(
     EstimationError
         No such recording is planned.
     """
-    work = _Work.of(found, extra, criteria, seed)
+    work = _Work.of(found, extra, criteria or found.fit.criteria, seed)
     if not {item[:2] for item in items} <= work.hypotheses.keys():
         raise EstimationError("the answer has changed since its test began", "begin the test again")
     return [_outcome(work, item) for item in items]
@@ -447,9 +447,9 @@ def outcome_of_records(
     records: Sequence[Record],
     *,
     extra: Sequence[Effect] = (),
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
 ) -> Outcome:
-    """Return the answer to recordings that were simulated elsewhere, such as from rendered films.
+    """Return the answer to recordings that were simulated elsewhere, for example from rendered films.
 
     Parameters
     ----------
@@ -460,7 +460,7 @@ def outcome_of_records(
     records : sequence of Record
         One for each case; none if their measurement failed.
     """
-    work = _Work.of(found, extra, criteria, 0)
+    work = _Work.of(found, extra, criteria or found.fit.criteria, 0)
     return _analysed(work, item, records) if records else Outcome(*item, _FAILED, (), math.nan, {})
 
 
@@ -468,7 +468,7 @@ def _analysed(work: _Work, item: Item, records: Sequence[Record]) -> Outcome:
     hypothesis, layout = work.hypotheses[item[:2]], work.base.problem.layout
     share, per_case = ([k for k in keys if k in work.base.model.free] for keys in layout.choices)
     try:
-        data = [CaseData.of(r) for r in records]
+        data = [CaseData.of(r, work.criteria) for r in records]
         again = fit_model(work.base.model, data, share=share, per_case=per_case, ranges=layout.ranges)
         found = diagnose(again, work.extra, criteria=work.criteria, brief=True)
     except FittingError:

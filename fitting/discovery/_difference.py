@@ -3,7 +3,7 @@
 Grease that has warmed up, another point on the table or a screw that has come loose changes a parameter between two
 recordings. Fitted with one value, they show a lack of fit that an effect of the library may imitate. The hypothesis is
 
-    theta_k, k = 1...K, in place of one theta for K recordings:    K - 1 additional parameters,
+    theta_k, k = 1...K, instead of one theta for K recordings:    K - 1 additional parameters,
 
 scored like an effect (`_score`) and refitted for the parameters with the largest scores.
 """
@@ -11,7 +11,6 @@ scored like an effect (`_score`) and refitted for the parameters with the larges
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting._numbers import rounded
 from fitting.discovery._grammar import description_length
 from fitting.discovery._refine import refitted_at
@@ -28,6 +26,7 @@ from fitting.effects._effect import Effect
 from fitting.inference._fit import fit
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
+from fitting.inference._trace import attempt
 
 # shared parameters with the largest scores that are fitted with a value for each recording
 _REFITTED = 2
@@ -101,7 +100,7 @@ def different_parameter(
             continue
         values = base.values
         start = values | {f"{key}@{r.label}": values[key] for r in layout.records}
-        with suppress(FittingError):
+        with attempt(f"{key} per recording"):
             trials[key] = fit(
                 base.model, base.problem.data, share=[k for k in usual if k != key], per_case=[*own, key],
                 start={k: v for k, v in start.items() if k != key}, noise=noise,

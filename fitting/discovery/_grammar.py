@@ -76,7 +76,7 @@ class LawForm:
 
 
 def description_length(symbols: int) -> float:
-    """Return the penalty of a formula of so many symbols, added to BIC."""
+    """Return the penalty of a formula with this number of symbols, added to BIC."""
     return 2 * math.log(2) * _BITS * symbols
 
 
@@ -124,7 +124,7 @@ _OF_TIME = (
         (("w", "few frequencies"), ("u", "time few")), 6, phase=True,
     ),
 )  # fmt: skip
-# with a time of its own in each recording
+# with a separate time in each recording
 _EVENTS = (
     _Form("step in time", "heaviside(t - t0)", (("t0", "moment"),), 3),
     _Form("ramp in time", "heaviside(t - t0)*(t - t0)", (("t0", "moment"),), 4),

@@ -1,6 +1,6 @@
 """Fisher information of recordings, made or planned, about parameters and candidate effects.
 
-A run that is planned is simulated without noise, and its rows and their derivatives are computed as those of a
+A planned run is simulated without noise. Its rows and their derivatives are computed in the same way as for a
 recording, with the measurement noise and the process noise of the present recordings. With J the derivatives by the
 free parameters, s_k the responses to the candidate effects, and the parameters of one run alone (its initial angular
 rates, touch point, casing drag, phases of the films) projected out,
@@ -193,6 +193,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         compress(casing, degree=CASING_DEGREE, blocks=_BLOCKS, noisy=False),
         tuple(compress(w, degree=ROTOR_DEGREE, blocks=1, noisy=False) for w in windows),
         noiseless=True,
+        criteria=fit.criteria,
     )
     problem = Problem.of(ParameterLayout.of(fit.model.smooth, [record]), [data])
     values = numbers | {START_ROTOR: run.omega_rotor, START_CASING: run.omega_casing}

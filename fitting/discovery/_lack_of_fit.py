@@ -27,7 +27,6 @@ the subject of the test against slow torques.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -35,7 +34,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting._numbers import TORQUE
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._residuals import format_torque
@@ -53,6 +51,7 @@ from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Projection
 from fitting.inference._result import Fit
 from fitting.inference._spectral_lines import false_alarm_probability
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -367,7 +366,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
             start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}
     if found.p_value >= criteria.doubt_adequate:
         return found
-    with suppress(FittingError):
+    with attempt(f"harmonic {found.order} of the angle"):
         model = fit.model.with_effect(_harmonic_law(found.order))
         fitted = fit_model(model, fit, start=fit.values | start, noise=fit.noise, quick=True)
         k = fitted.estimates[_HARMONIC_AMPLITUDE]
@@ -380,7 +379,7 @@ def _harmonic_law(order: int) -> Effect:
     return Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
 
 
-# rivals that are no effects of the library
+# rivals that are not effects of the library
 _SPEEDS: tuple[tuple[Joint, str], ...] = (("casing", "omega_c"), ("rotor", "omega_r"), ("bearing", "delta"))
 UNKNOWN_LAWS = {speed: f"a law of {speed} that the library does not have" for _, speed in _SPEEDS}
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"

@@ -22,14 +22,13 @@
    each of them can be written.
 4. Where one law is not enough, a second one is sought in the same way about the best fit.
 
-An effect of the library that describes the data as well as a law is named before it. So is a parameter of the base that
-the recordings share, if with a value of its own in each recording the base describes the data better than any law.
+An effect of the library that describes the data as well as a law is named before it. So is a shared parameter of the
+base, if freeing it per recording describes the data better than any law.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from textwrap import wrap
 from typing import Any, NamedTuple
@@ -38,7 +37,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import FittingError
 from fitting._numbers import on_screen, rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
@@ -76,11 +74,12 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
+from fitting.inference._fit import fit, measured_with
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
+from fitting.inference._trace import Refit, attempt, recorded_map, recording
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -171,6 +170,9 @@ class Laws:
     trials: int  # how many columns were scored
     diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if made
     differs: DifferentParameter | None = None  # its difference describes the data as well as the laws do
+    trace: tuple[Refit, ...] = field(
+        default=(), repr=False
+    )  # every fit of the search, also those that failed
 
     def __repr__(self) -> str:
         shown = [f"  {law!r}" for law in self.laws[:_SHOWN]]
@@ -205,7 +207,7 @@ def laws(
     *,
     diagnosis: Diagnosis | None = None,
     beyond_library: bool = False,
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     workers: WorkerPool | None = None,
     progress: Progress | None = None,
 ) -> Laws:
@@ -222,8 +224,9 @@ def laws(
         the search stops there. Without it, `diagnose` runs only where an effect of the library leaves no lack of fit.
     beyond_library : bool
         Search in this case as well.
-    criteria : Criteria
-        Thresholds of every decision.
+    criteria : Criteria, optional
+        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
+        first, and `diagnosis` is not used.
     workers : WorkerPool, optional
         Processes that share the refits.
     progress : callable, optional
@@ -238,8 +241,26 @@ def laws(
     FittingError
         If the fit cannot be evaluated.
     """
+    criteria = criteria or base.criteria
+    with recording() as trace:
+        measured = measured_with(base, criteria)
+        known = diagnosis if measured is base else None
+        pool = workers or WorkerPool(0)
+        found = _laws(measured, extra, known, criteria, pool, progress, beyond_library=beyond_library)
+    return replace(found, trace=tuple(trace.refits))
+
+
+def _laws(
+    base: Fit,
+    extra: Sequence[Effect],
+    diagnosis: Diagnosis | None,
+    criteria: Criteria,
+    workers: WorkerPool,
+    progress: Progress | None,
+    *,
+    beyond_library: bool,
+) -> Laws:
     steps = _Steps(progress)
-    workers = workers or WorkerPool(0)
     search = _Search(base, criteria, workers, steps)
     separate = different_parameter(base, criteria)
     if (
@@ -528,7 +549,7 @@ class _Search:
         for t in replaced:
             model = model.without(t.effect.name)
         trials = [_Trial(c.law, c.score, c.scored.start(about, c.score), model) for c in chosen]
-        found = self.workers.map(_refit, _Common(self.base, tuple(noise)), trials, _shared_data)
+        found = recorded_map(self.workers, _refit, _Common(self.base, tuple(noise)), trials, _shared_data)
         return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
@@ -623,7 +644,7 @@ def _shared_data(common: _Common) -> Sequence[CaseData]:
 def _refit(common: _Common, trial: _Trial) -> Fit | None:
     """Refit base and law together; None if the search fails."""
     base = common.base
-    with suppress(FittingError):
+    with attempt("a law"):
         found = fit(
             trial.model.with_effect(trial.law.effect),
             base,
@@ -759,7 +780,7 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
     for c in candidates:
         if c.fit is None or not c.physical or not c.significant or c.score < _COMPARABLE_SHARE * best.score:
             continue
-        with suppress(FittingError):
+        with attempt("an effect of the library at the noise of a law"):
             refitted = refitted_at(c.fit, best.fit.noise)
             if refitted.bic < best.penalised + criteria.equivalence_width:
                 return replace(c, fit=refitted)

@@ -16,13 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting.discovery._score import Score, ScoreContext
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._case_data import CaseData
@@ -34,6 +32,7 @@ from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem, recording_noise, refine_level
 from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -116,7 +115,7 @@ class StartErrors:
 
     def refit(self) -> Fit | None:
         """Return the fit with starts of this uncertainty; None if it fails."""
-        with suppress(FittingError):
+        with attempt("errors of the starts of the rotor windows"):
             return with_start_u(self.base, self.u)
         return None
 

@@ -32,14 +32,12 @@ with the ratio free, and the best ones are refitted with it.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting._numbers import rounded
 from fitting.discovery._refine import refit
 from fitting.discovery._score import CaseColumns
@@ -57,6 +55,7 @@ from fitting.inference._linear_algebra import (
 from fitting.inference._metrics import FewRows
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -136,7 +135,7 @@ def _variable(effect: Effect) -> str:
 
 
 def _has_time_constant(effect: Effect) -> bool:
-    """Return whether a law has a time constant or a frequency of its own, and no changepoint."""
+    """Return whether a law has a time constant or a separate frequency, and no changepoint."""
     names = symbols(effect.expression)
     in_time = effect.state is not None or "t" in names
     return in_time and not effect.breakpoint and any(p.role == "shape" for p in effect.parameters)
@@ -261,7 +260,7 @@ def with_free_inertia(
         return None
     if INERTIA in selection.final.model.names:
         return None
-    with suppress(FittingError):
+    with attempt("free ratio of the moments of inertia"):
         model = base.model.with_effect(LIBRARY[INERTIA])
         freed = fit(model, base, start=base.values, noise=base.noise)
         ranked = rank(freed, extra, criteria=criteria, refitting=False)

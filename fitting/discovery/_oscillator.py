@@ -106,7 +106,7 @@ class OscillatorLaws:
         return replace(self, restoring=exact[0], damping=damping, parameters=chosen), ""
 
 
-def oscillator_laws(data: CaseData) -> OscillatorLaws | None:
+def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
     """Return the laws of an oscillator from the recording of a single body.
 
     None if the body does not oscillate through enough periods, or if no set of laws describes its phase. The data
@@ -125,7 +125,7 @@ def oscillator_laws(data: CaseData) -> OscillatorLaws | None:
     if not found:
         return None
     found.sort(key=lambda f: f[0])
-    close = [f for f in found if f[0] - found[0][0] < DEFAULT.equivalence_width]
+    close = [f for f in found if f[0] - found[0][0] < criteria.equivalence_width]
     _, restoring, damping, best = min(close, key=lambda f: len(f[1]) + len(f[2]))
     return OscillatorLaws(
         restoring,

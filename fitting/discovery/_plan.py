@@ -58,6 +58,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
+from fitting.inference._fit import measured_with
 from fitting.inference._process_noise import ProcessNoise
 from fitting.inference._record import Record
 from fitting.inference._result import Fit
@@ -130,15 +131,15 @@ class PlannedRecordings:
     experiments: tuple[Experiment, ...]  # the runs
     given: dict[str, Any]  # bounds of the next run that the file states
 
-    def fit(self, simulation: int = 0) -> Fit:
+    def fit(self, simulation: int = 0, criteria: Criteria = DEFAULT) -> Fit:
         """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""
         records = self._records(simulation)
         start = {k: self.numbers[k] for k in self.model.free} if len(records) == 1 else {}
-        return fit_model(self.model, records, start=start)
+        return fit_model(self.model, records, start=start, criteria=criteria)
 
-    def process_noise(self, simulation: int) -> tuple[ProcessNoise, ...]:
+    def process_noise(self, simulation: int, criteria: Criteria = DEFAULT) -> tuple[ProcessNoise, ...]:
         """Simulate the recordings, and return the estimate of the process noise of each."""
-        return tuple(CaseData.of(r).process_noise for r in self._records(simulation))
+        return tuple(CaseData.of(r, criteria).process_noise for r in self._records(simulation))
 
     def _records(self, simulation: int) -> list[Record]:
         return [
@@ -316,7 +317,7 @@ def plan(
     *,
     size: float | None = None,
     bounds: Bounds | None = None,
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     progress: Progress | None = None,
 ) -> Plan:
     """Return detection limit, upper limit and power for every effect, and the most informative next run.
@@ -332,8 +333,8 @@ def plan(
         (for a single body, of the net torque).
     bounds : Bounds, optional
         Possible runs; by default those of the file, or according to the recordings.
-    criteria : Criteria
-        Thresholds of the search whose power is computed.
+    criteria : Criteria, optional
+        Thresholds of the search whose power is computed; those of the fit by default.
     progress : callable, optional
         Called with (steps done, all).
 
@@ -362,12 +363,15 @@ def plan(
                 "a plan needs independent initial speeds, but these bodies roll on each other",
                 "plan the run of each body alone, from its own study",
             )
-        fit, fits = recordings, [recordings]
+        criteria = criteria or recordings.criteria
+        fit = measured_with(recordings, criteria)
+        fits = [fit]
     else:
+        criteria = criteria or DEFAULT
         described = read_planned(recordings)
-        fits = [described.fit(i) for i in range(_SIMULATIONS)]
+        fits = [described.fit(i, criteria) for i in range(_SIMULATIONS)]
         fit, bounds, truth = fits[0], bounds or described.bounds, described.numbers
-        process = [described.process_noise(_SIMULATIONS + i) for i in range(_ESTIMATES)]
+        process = [described.process_noise(_SIMULATIONS + i, criteria) for i in range(_ESTIMATES)]
     report = progress or (lambda done, total: None)  # noqa: ARG005
     search, *others = (Search(f, extra, criteria, truth=truth, process=process) for f in fits)
     total = len(search.effects) + _EVALUATIONS

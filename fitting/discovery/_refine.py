@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import FittingError, SimulationError
+from fitting._errors import SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
@@ -29,6 +28,7 @@ from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._result import Fit
+from fitting.inference._trace import attempt, with_purpose
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,9 @@ _RANK = 1e-7
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
     """Return a quick fit continued to full convergence."""
-    return at_lowest_noise(refitted_at(found, found.noise), criteria)
+    with with_purpose("to full convergence"):
+        converged = refitted_at(found, found.noise)
+    return at_lowest_noise(converged, criteria)
 
 
 def has_less_process_noise(fit: Fit, than: Fit, criteria: Criteria) -> bool:
@@ -64,7 +66,7 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
     if not has_model_noise(found) or any(d.oscillation is not None for d in found.problem.data):
         return found
     # with so little noise a search may diverge
-    with suppress(FittingError):
+    with attempt("a refit at the lowest process noise"):
         least = [n.at(n.least) for n in found.noise]
         other = fit(found.model, found, start=found.values, noise=least)
         return other if other.deviance < found.deviance - criteria.evidence else found
@@ -80,7 +82,7 @@ def refitted_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] 
 
 def restarted_from(found: Fit, other: Fit) -> Fit:
     """Return a fit, or the one that starts at the values of another model if that describes the data better."""
-    with suppress(FittingError):
+    with attempt("a refit from the values of another model"):
         return _better(found, refitted_at(found, found.noise, other.values))
     return found
 
@@ -157,7 +159,7 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     the law that describes the data.
     """
     if score.effect.restoring and not base.model.restoring:
-        # the motion of the base does not oscillate: its optimum is no initial value for a model that does
+        # the motion of the base does not oscillate: its optimum is not an initial value for a model that does
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
         # the parameters of a model without the drive of a body describe the drive
@@ -190,7 +192,7 @@ def fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
     At the noise level of a base without a restoring torque, a search converges before phase and frequency are
     determined.
     """
-    with suppress(FittingError):
+    with attempt("a candidate from scratch"):
         found = fit(base.model.with_effect(effect), base.problem.data, quick=True)
         return found if np.isfinite(found.deviance) else None
     return None
@@ -214,7 +216,8 @@ def fit_together(
     converged.
     """
     begin = base.values | initial_values_of(base, score)
-    try:
+    how = "" if start is None else " from other initial values"
+    with attempt(f"a candidate{' with its strength held at first' if hold_strength else how}"):
         found = fit(
             base.model.with_effect(score.effect),
             base,
@@ -225,9 +228,8 @@ def fit_together(
             steady=_steady(score.effect, begin, strength=hold_strength) if start is None else (),
             quick=True,
         )
-    except FittingError:
-        return None
-    return found if np.isfinite(found.deviance) else None
+        return found if np.isfinite(found.deviance) else None
+    return None
 
 
 def _keys_per_case(score: Score) -> list[str]:
@@ -330,7 +332,7 @@ def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | Non
     symbol = general.parameters[-1].symbol
     best: Fit | None = None
     for start in general.parameters[-1].grid or (general.parameters[-1].start,):
-        with suppress(FittingError):
+        with attempt(f"{effect.name} with its {symbol} free"):
             other = fit(
                 model,
                 found,
@@ -342,7 +344,7 @@ def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | Non
             best = other if best is None else _better(best, other)
     if best is None:
         return None
-    with suppress(FittingError):
+    with attempt(f"{effect.name} with its {symbol} free, to full convergence"):
         best = refined(best, criteria)
         return best if best.bic < found.bic - criteria.shape_evidence else None
     return None

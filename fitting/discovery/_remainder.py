@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._errors import FittingError
 from fitting._numbers import percentage, rounded
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -53,6 +51,7 @@ from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
 from fitting.inference._problem import fails_grossly
 from fitting.inference._result import Fit
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -184,7 +183,7 @@ class Torques:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
-        # the deflection belongs to the motion; states of effects, such as a temperature, are those of the fit
+        # the deflection belongs to the motion; states of effects, for example a temperature, are those of the fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < 2:
                 y[:, i] = motion[:, i]
@@ -293,9 +292,9 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
 
 
 def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
-    """Yield the fits with a smooth law of each speed in place of an effect that is not a law of this speed alone.
+    """Yield the fits with a smooth law of each speed instead of an effect that is not a law of this speed alone.
 
-    None is in place of a restoring torque: with a law of the speed alone a body does not oscillate.
+    A restoring torque is not replaced: with a law of the speed alone a body does not oscillate.
     """
     if effect.restoring and not base.model.restoring:
         return
@@ -307,8 +306,11 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
             continue
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
-        with suppress(FittingError):
-            yield fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True), speed
+        found = None
+        with attempt(f"a smooth law of {speed} instead of {effect.name}"):
+            found = fit(base.model.with_effect(law), base, start=start, noise=noise, quick=True)
+        if found is not None:
+            yield found, speed
 
 
 def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
@@ -380,7 +382,7 @@ def grade(
         parts.append(
             f"it {found.words}" if found.p_value < criteria.doubt_named else "a lack of fit of unknown form"
         )
-    # a contradicting test alone, such as a sinusoid, states its own size
+    # a contradicting test alone, for example a sinusoid, states its own size
     size = (
         f" {format_torque(rms, unit=base.torque_unit)} rms, {percentage(share)} of the mean square {whole}"
         if share > _NO_TORQUE and sized
@@ -462,6 +464,9 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
     return f"{what} {rounded(e.value, e.stderr, '' if e.unit == '1' else e.unit)}"
 
 
+_POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
+
+
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the amplitudes of the camera effects that are fitted always, case by case.
 
@@ -492,7 +497,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
             direction = pair / max(amplitude, 1e-300)
             stderr = float(np.sqrt(max(direction @ cov @ direction, 0.0)))
             chi2 = float(pair @ np.linalg.pinv(cov, hermitian=True) @ pair)
-            scale = speed if name == "camera.shutter" else 1.0
+            scale = speed ** _POWER_OF_SPEED.get(name, 0)
             unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
             found.append(
                 Nuisance(

@@ -6,8 +6,9 @@ standard deviation are those of a Gaussian process (C. Rasmussen, C. Williams, G
 2.2); start angles and phases are free.
 
 Harmonics of the angle. With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2,
-and the residual, both orthogonal to the free columns (parameters, phases, centre offset, tilt, rolling shutter) and to
-slow torques of any shape, because another lack of fit has harmonics in the few turns in which the casing is slow,
+and the residual, both orthogonal to the free columns (parameters, phases, the camera's centre offset, tilt, rolling
+shutter and blur) and to slow torques of any shape, because another lack of fit has harmonics in the few turns in which
+the casing is slow,
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """

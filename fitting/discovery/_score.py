@@ -65,8 +65,8 @@ class ScoreContext:
     """Whitened residuals, free columns and null data of a fit at several levels of process noise.
 
     The parameters of the effects `without` are not free: their torque, to which the rows respond by `torque_rows`
-    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. Of the parameter `shared`
-    each case has its own value in the fit, and it counts as one parameter here.
+    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. The parameter `shared`
+    has a value for each case in the fit, and counts as one parameter here.
     """
 
     def __init__(

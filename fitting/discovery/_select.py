@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
@@ -44,11 +43,12 @@ from fitting.effects._expression import substitute, sym
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import deviance_at_noise_of, fit
+from fitting.inference._fit import deviance_at_noise_of, fit, measured_with
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
+from fitting.inference._trace import Refit, attempt, recorded_map, recording, with_purpose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -185,7 +185,7 @@ def rank(
             for c, w in zip(found, chosen, strict=True)
             if w
         ]
-        refits = iter((workers or WorkerPool(0)).map(_refit_candidate, base, promising, shared_data))
+        refits = iter(recorded_map(workers or WorkerPool(0), _refit_candidate, base, promising, shared_data))
         found = [next(refits) if w else c for c, w in zip(found, chosen, strict=True)]
         if starts_are_unknown(data):
             found.append(_start_candidate(base, family, criteria))
@@ -453,9 +453,10 @@ def ranked_at_noise(
 
     `noise` was measured about the refined fit of `chosen`.
     """
-    try:
+    without = None
+    with attempt("the base at the noise of the best candidate"):
         without = refitted_at(base, noise)
-    except FittingError:
+    if without is None:
         return list(candidates)
     members = {chosen.effect.name, *chosen.indistinguishable_from}
     found = []
@@ -463,9 +464,10 @@ def ranked_at_noise(
         if c.effect.name not in members or c.fit is None:
             found.append(c)
             continue
-        try:
+        end = None
+        with attempt("a candidate at the noise of the best one"):
             end = refitted_at(c.fit, noise)
-        except FittingError:
+        if end is None:
             # the search diverges at this noise
             found.append(replace(c, delta_bic=float("nan"), fit=None))
             continue
@@ -497,9 +499,11 @@ class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
     `stopped` is the reason of an early end: the message of a fit that failed, or what is not stated about the data.
+    `trace` lists every fit of the search, also those that failed.
     """
 
     stopped: str = ""
+    trace: tuple[Refit, ...] = ()
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
@@ -611,7 +615,7 @@ def select(
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:
     """Return a fit to full convergence, or as it is if the model cannot be computed on the way."""
-    with suppress(FittingError):
+    with attempt("to full convergence"):
         return refined(found, criteria)
     return found
 
@@ -654,7 +658,7 @@ def improve(
     base: Fit,
     extra: Sequence[Effect] = (),
     *,
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     max_steps: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
     first: Sequence[Candidate] | None = None,
@@ -669,10 +673,11 @@ def improve(
         The initial model, fitted.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds of every decision.
+    criteria : Criteria, optional
+        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
+        first, and `first` is not used.
     max_steps : int, optional
-        At most so many effects are added; `Criteria.max_steps` if not given.
+        Maximum number of added effects; `Criteria.max_steps` if not given.
     progress : callable, optional
         Called with (steps done, None).
     first : sequence of Candidate, optional
@@ -680,13 +685,34 @@ def improve(
     workers : WorkerPool, optional
         Processes that share the work.
     keep : callable, optional
-        Called with each step after the base as soon as it is complete, so that a search that is ended loses none.
+        Called with each step after the base as soon as it is complete, so that an interrupted search loses no step.
 
     Returns
     -------
     History
         A list of steps, the base first, the final model last. A fit that fails ends it; the steps before it remain.
     """
+    criteria = criteria or base.criteria
+    with recording() as trace:
+        measured = measured_with(base, criteria)
+        history = _improved(
+            measured, extra, criteria, criteria.max_steps if max_steps is None else max_steps, progress,
+            first if measured is base else None, workers, keep,
+        )  # fmt: skip
+    history.trace = tuple(trace.refits)
+    return history
+
+
+def _improved(
+    base: Fit,
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    most: int,
+    progress: Callable[[int, int | None], None] | None,
+    first: Sequence[Candidate] | None,
+    workers: WorkerPool | None,
+    keep: Callable[[Step], object] | None,
+) -> History:
     known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
     separate = separate_values(base, known, extra, criteria)
@@ -695,7 +721,7 @@ def improve(
         history.append(Step(f"+{separate.parameter.name} per recording", separate.fit, tuple(freed)))
         if keep is not None:
             keep(history[-1])
-    for step in range(criteria.max_steps if max_steps is None else max_steps):
+    for step in range(most):
         chosen = best(history[-1].candidates, criteria)
         if chosen is None or chosen.fit is None:
             break
@@ -782,7 +808,8 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit:
-    return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
+    with with_purpose("without an effect that may be unnecessary"):
+        return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
 
 
 # null data sets of a score that is used as an initial value only
@@ -802,14 +829,14 @@ def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     values: dict[str, float] = {}
-    for s in score(base, effects, cases, DEFAULT, draws=_DRAWS):
+    for s in score(base, effects, cases, base.criteria, draws=_DRAWS):
         if s.absorbed:
             continue
         if s.own_phase:
             # whether strength and phase are common to all cases is decided by the fit
             values |= initial_values_of(base, with_common_phase(s)) | initial_values_of(base, s)
             continue
-        found = refit(base, s, DEFAULT) if s.effect.breakpoint else None
+        found = refit(base, s, base.criteria) if s.effect.breakpoint else None
         values |= (
             initial_values_of(base, s)
             if found is None

@@ -2,7 +2,8 @@
 
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
-Each step takes the result of the one before; there is no iteration.
+Each step takes the result of the one before. Two of them repeat the search once: `select` ranks the candidates again at
+the noise of the best one, and `with_free_inertia` with the ratio of the moments of inertia free.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting._criteria import Criteria
 from fitting._display import (
     block,
     draw_candidates,
@@ -76,9 +77,11 @@ from fitting.discovery._select import (
 )
 from fitting.effects._effect import Effect
 from fitting.inference._budget import combined_uncertainties
+from fitting.inference._fit import measured_with
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
+from fitting.inference._trace import Refit, recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -133,8 +136,11 @@ class Diagnosis:
         Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
         where the form was not tested.
     differs : DifferentParameter or None
-        The shared parameter whose different values in the recordings explain the lack of fit without another effect;
-        the verdict is then "unexplained".
+        The shared parameter whose per-recording values explain the lack of fit without another effect; the verdict is
+        then "unexplained".
+    trace : tuple of Refit
+        Every fit that the search made, in order: its purpose, its model, and its result or the reason of its failure.
+        Empty for a diagnosis that was read from a file.
     """
 
     fit: Fit
@@ -153,6 +159,7 @@ class Diagnosis:
     upper_limits: tuple[UpperLimit, ...] = ()
     form_limit: float | None = None
     differs: DifferentParameter | None = None
+    trace: tuple[Refit, ...] = ()
 
     def __repr__(self) -> str:
         shown = [f"  {c!r}"[:_WIDTH] for c in self.candidates[:_IN_REPR]]
@@ -261,7 +268,7 @@ def diagnose(
     fit: Fit,
     extra: Sequence[Effect] = (),
     *,
-    criteria: Criteria = DEFAULT,
+    criteria: Criteria | None = None,
     candidates: Sequence[Candidate] | None = None,
     history: Sequence[Step] = (),
     workers: WorkerPool | None = None,
@@ -275,8 +282,9 @@ def diagnose(
         The fit in question.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
-    criteria : Criteria
-        Thresholds of every decision.
+    criteria : Criteria, optional
+        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
+        first, and `candidates` and `history` are not used.
     candidates : sequence of Candidate, optional
         The ranking of the fit, if it is known already.
     history : sequence of Step
@@ -295,7 +303,13 @@ def diagnose(
     FittingError
         If the fit cannot be evaluated.
     """
-    return _with_findings(_diagnosis(fit, extra, criteria, candidates, history, workers, brief=brief))
+    criteria = criteria or fit.criteria
+    with recording() as trace:
+        measured = measured_with(fit, criteria)
+        if measured is not fit:
+            candidates, history = None, ()
+        found = _diagnosis(measured, extra, criteria, candidates, history, workers, brief=brief)
+    return replace(_with_findings(found), trace=tuple(trace.refits))
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
@@ -373,7 +387,7 @@ def _diagnosis(
     doubt = _contradiction(fit, selection, criteria, misfit=misfit)
     size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
     if size.form is None and isinstance(doubt, PeriodogramPeak):
-        # an effect that does not explain the sinusoid is no part of the answer
+        # an effect that does not explain the sinusoid is not part of the answer
         peak = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
@@ -386,7 +400,7 @@ def _diagnosis(
     noisy = verdict == "adequate" and not within_uncertainty and fit.needs_random_torque(criteria)
     if noisy:
         random = with_random_torque(fit, criteria)
-        # above its ceiling it is no noise
+        # above its ceiling it is not noise
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
@@ -445,7 +459,7 @@ def _random_alternative(
 ) -> RandomTorque | None:
     """Return the slow random torque that describes the data as well as the answer; None if none does."""
     oscillates = any(d.oscillation is not None for d in fit.problem.data)
-    # the sinusoids of an angle or of time are no random torque
+    # the sinusoids of an angle or of time are not a random torque
     periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
     if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
         return None
@@ -517,7 +531,7 @@ def _graded(
     """Return the grade of the chosen effect, with what moments of inertia and random torque leave of its form."""
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
-        # an error of inertia within its uncertainty is no remainder
+        # an error of inertia within its uncertainty is not a remainder
         allowed_error = rival.is_allowed(criteria) and not misfit and doubt is None
         size = (
             replace(size, form="exact", explained=1.0, remainder=None)
@@ -549,10 +563,12 @@ def _with_unknown_laws(
 
 
 def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significant: bool) -> str:
-    """Return "adequate", "missing_effect" or "unexplained": a matter of size, not of significance alone."""
+    """Return "adequate", "missing_effect" or "unexplained", decided by effect size as well as significance."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
-    if any(k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined):
+    if any(
+        k.startswith(f"{selection.chosen.effect.name}.") for k in selection.named.undetermined_at(criteria)
+    ):
         return "unexplained"
     if size.form is not None or (size.remainder is None and not significant):
         return "missing_effect"
@@ -767,7 +783,11 @@ _NUISANCE = {
     "camera.centre": "Camera centre offset",
     "camera.tilt": "Camera tilt",
     "camera.shutter": "Rolling shutter",
+    "camera.blur": "Motion blur",
 }
+
+
+_PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
@@ -775,7 +795,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_NUISANCE[n.effect]} {1e3 * n.value:.2g} m{n.unit} (nuisance parameter, fitted)."
+        f"{_NUISANCE[n.effect]} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

@@ -49,7 +49,7 @@ _CASING = 1
 _SMALL = 1e-9
 # largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten
 _LARGEST_ERROR = 1e-13
-# steps below this size contain rounding and are no measure of the convergence
+# steps below this size contain rounding and do not measure the convergence
 _MEASURED = 1e-6
 # truncation error below which an interval of twice the length is resolved as well (the error grows by 2^9 and more)
 _RESOLVED = 1e-14

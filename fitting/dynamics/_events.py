@@ -314,8 +314,8 @@ class Segments:
     ) -> Path:
         """Return the path from a time until the casing comes to rest, or to the end of the record (both in `span`).
 
-        The rest is sought within `horizon` [s] first: with dry friction of one sense, the rest of an oscillation would
-        be solved in vain for each of its reversals.
+        The stop is searched for within `horizon` [s] first: under dry friction, the stop of an oscillation would
+        otherwise be solved for needlessly at each of its reversals.
         """
         time, end = span
         while True:

@@ -141,7 +141,7 @@ class Input:
         return self._interpolated(np.zeros(len(self.time)) if self.u is None else self.u, times)
 
     def _interpolated(self, values: Array, times: Array | float, late: float = 0.0) -> Array:
-        # the times of the samples are shifted, and not those that are asked for: a change is then exactly at its time
+        # the times of the samples are shifted, not the requested ones: a change is then exactly at its time
         t, at = np.asarray(times, dtype=np.float64), self._acting + late
         if self.interpolation == "linear":
             return np.asarray(np.interp(t, at, values))

@@ -158,7 +158,7 @@ class Model:
         Raises
         ------
         EffectError
-            If a name is no parameter of the model, names several, or its value is not finite.
+            If a name is not a parameter of the model, names several, or its value is not finite.
         """
         require("values", values, NUMBERS)
         held: dict[str, float] = {}

@@ -1,7 +1,7 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
-and pixels count as 1. The volt is a base of its own: the constant of a motor is proposed in N m A-1 or N m V-1.
+and pixels count as 1. The volt is a base unit here: the constant of a motor is proposed in N m A-1 or N m V-1.
 Exponents that are parameters (the g of a power law) take the value that is given for them.
 
 A law may depend on recorded inputs. They have symbols of their own (`input_symbol`), so that no name of an input meets
@@ -32,7 +32,7 @@ _TOLERANCE = 1e-9
 
 
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
-    """Return the dimension of a unit such as ``N m s2``, ``K-1`` or ``N m s^g``.
+    """Return the dimension of a unit like ``N m s2``, ``K-1`` or ``N m s^g``.
 
     An ExpressionError names a part that is not one of kg, m, s, K, A, V, N, J, rad, px, 1 with an exponent.
     """
@@ -53,7 +53,7 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
 
 
 def format_unit(dimension: Dimension) -> str:
-    """Return a dimension as a unit with N m factored out where that is shorter, such as ``N m s2``."""
+    """Return a dimension as a unit with N m factored out where that is shorter, for example ``N m s2``."""
     kg, m, s, *others = dimension
     parts = []
     if abs(kg - 1) < _TOLERANCE and abs(m - 2) < _TOLERANCE:
@@ -167,7 +167,9 @@ def refuse_input_name(name: str) -> None:
     if not isinstance(name, str) or not _INPUT_NAME.fullmatch(name):
         raise RecordError(what, "use letters, digits and underscores, beginning with a letter")
     if name in {*FUNCTIONS, "pi", *(set(VARIABLES) - NOT_FOR_USERS)}:
-        raise RecordError(f"{what}: it has another meaning in laws", "choose another name, such as current")
+        raise RecordError(
+            f"{what}: it has another meaning in laws", "choose another name, for example current"
+        )
 
 
 # trial changepoints, as shares of the length of the recording
@@ -188,7 +190,7 @@ class Parameter:
     symbol : str
         The paper's symbol where there is one.
     unit : str
-        SI unit in the style of CF, such as ``N m s2``.
+        SI unit in the style of CF, for example ``N m s2``.
     role : {"amplitude", "shape", "phase", "fixed"}
         The law is linear in its amplitude, whose initial value comes from a linear regression. The initial
         value of a shape constant (a time, a speed, an exponent) is the best point of `grid`. A phase has sine

@@ -179,7 +179,7 @@ _ALLOWED = "numbers, the names listed, + - * / ** and " + ", ".join(FUNCTIONS)
 
 
 def parse(text: str) -> Expr:
-    """Parse a formula such as ``-k*omega_c*abs(omega_c)``; every name but ``pi`` and functions becomes a symbol.
+    """Parse a formula like ``-k*omega_c*abs(omega_c)``; every name but ``pi`` and functions becomes a symbol.
 
     An ExpressionError names the part of the text that is not allowed.
     """

@@ -293,6 +293,12 @@ CAMERA = (
         kind="measurement", signature="a first harmonic that grows with the speed",
         confused_with=("camera.centre",),
         source="rolling shutter: the delay depends on the position of the marker", nuisance=True),
+    Effect("camera.blur", "camera.casing", "k*omega**2*sin(psi - phi)",
+        (Parameter("k", "s2", meaning="increase of the first harmonic per square of the speed"), _PHASE),
+        kind="measurement", signature="a first harmonic that changes with the square of the speed",
+        confused_with=("camera.centre", "casing.unbalance"),
+        source="second order of motion blur, whose smear is proportional to the speed; fitted to films only",
+        nuisance=True),
 )
 
 SETUP = (

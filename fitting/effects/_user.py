@@ -362,8 +362,8 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
     Parameters
     ----------
     text : str
-        Such as ``casing.air.quadratic``, ``casing: -k*omega_c**3`` or, with an input, ``casing: k*current`` and
-        ``casing.input.current``. Names in the law that are no variables are parameters; those in which the law is
+        For example ``casing.air.quadratic``, ``casing: -k*omega_c**3`` or, with an input, ``casing: k*current`` and
+        ``casing.input.current``. Names in the law that are not variables are parameters; those in which the law is
         linear start from a regression.
     inputs : mapping of str to str, or sequence of Input, optional
         The recorded inputs that the law may contain: their units by name, or ``record.inputs``.

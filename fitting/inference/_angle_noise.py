@@ -44,7 +44,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, Criteria
 from fitting.inference._compression import NOISE_ROWS, Compressed
 from fitting.inference._linear_algebra import block_diagonal, cubic_spline
 from fitting.inference._process_noise import (
@@ -56,8 +56,8 @@ from fitting.inference._process_noise import (
 
 Array = NDArray[np.float64]
 
-_SIGNIFICANT = DEFAULT.correlated_noise
-# share of it that a coarse search, or the sum of two kinds alone, does not reach where there is no such noise
+# share of `Criteria.correlated_noise` that a coarse search, or the sum of two kinds alone, does not reach where there
+# is none
 _UNLIKELY = 0.25
 # correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
@@ -91,6 +91,7 @@ class AngleNoise:
     turn_sigma_u: float = 0.0
     turn_time: float = 0.0  # correlation time of the amplitude of this part [s]
     gain: float = 0.0  # twice the logarithm of the likelihood ratio of this noise against white noise
+    needed: float = DEFAULT.correlated_noise  # the gain from which it is significant
     # shape (rows, rows); C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise
     root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -98,7 +99,7 @@ class AngleNoise:
     @property
     def is_significant(self) -> bool:
         """Whether the data show this noise, and do not merely allow it."""
-        return self.gain >= _SIGNIFICANT and not self.is_white
+        return self.gain >= self.needed and not self.is_white
 
     @property
     def is_white(self) -> bool:
@@ -145,12 +146,13 @@ def _roots(covariance: Array) -> tuple[Array, Array]:
     return (vectors * np.sqrt(values)) @ vectors.T, (vectors / np.sqrt(values)) @ vectors.T
 
 
-def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
+def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = DEFAULT) -> AngleNoise:
     """Estimate the correlated angle noise of a run; white (`sigma` = 0) if none is significant.
 
     `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
     prior.
     """
+    needed = criteria.correlated_noise
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
     block = span / len(run.lift)
@@ -170,16 +172,16 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     covariances = [_row_covariance_beyond_white(run, t) for t in times]
     first = max(gain((_unit(k) * _LEVELS[j]) ** 2 * k) for k in covariances for j in _FIRST_LEVELS)
     few_turns = abs(float(np.ptp(run.samples.value))) / (2 * np.pi * len(run.lift)) < TURNS_PER_BLOCK
-    if first < _UNLIKELY * _SIGNIFICANT and not few_turns:
+    if first < _UNLIKELY * needed and not few_turns:
         return AngleNoise(gain=float(first))
-    least = max(_SIGNIFICANT, 0.0 if credible else 2 * (with_torque - white) - _SIGNIFICANT)
+    least = max(needed, 0.0 if credible else 2 * (with_torque - white) - needed)
     exponential = _Kind.of(times, covariances, gain)
     if few_turns:
         slow = np.geomspace(block, 2 * span, _PERIODIC_TIMES)
         periodic = _Kind.of(slow, _periodic_covariances(run, slow), gain)
-        if max(exponential.gain, 0) + max(periodic.gain, 0) < _UNLIKELY * _SIGNIFICANT:
+        if max(exponential.gain, 0) + max(periodic.gain, 0) < _UNLIKELY * needed:
             return AngleNoise(gain=max(exponential.gain, periodic.gain))
-        found = _with_periodic_part(exponential, periodic, gain)
+        found = _with_periodic_part(exponential, periodic, gain, needed)
         if found is not None:
             return found if found.gain >= least else AngleNoise(gain=found.gain)
     if exponential.gain < least:
@@ -194,7 +196,10 @@ def estimate_angle_noise(run: Compressed, nuisance: Array) -> AngleNoise:
     # two levels for each, one standard deviation below and above
     change = np.exp(relative_u)
     both = np.concatenate([levels / change, levels * change])
-    return AngleNoise.of_posterior(np.tile(fine, 2), both, np.tile(weights / 2, 2), exponential.gain, [total])
+    found = AngleNoise.of_posterior(
+        np.tile(fine, 2), both, np.tile(weights / 2, 2), exponential.gain, [total]
+    )
+    return replace(found, needed=needed)
 
 
 class _Peak(NamedTuple):
@@ -316,11 +321,11 @@ def _unit(covariance: Array) -> float:
 
 
 def _with_periodic_part(
-    exponential: _Kind, periodic: _Kind, gain: Callable[[Array], float]
+    exponential: _Kind, periodic: _Kind, gain: Callable[[Array], float], needed: float
 ) -> AngleNoise | None:
     """Return the angle noise with a part periodic in the angle; None where the other kind alone is as likely.
 
-    A second kind needs a likelihood ratio of its own.
+    A second kind must raise the gain by at least `needed`.
     """
     near = periodic.points(_NEAR_LEVELS, CONSISTENT)
     alone = [(exponential.times[0], 0.0, exponential.covariances[0], *p) for p in near]
@@ -328,7 +333,7 @@ def _with_periodic_part(
     points = alone + both
     log = 0.5 * np.array([gain(a**2 * k + b**2 * r) for _, a, k, _, b, r in points])
     best = 2 * float(log.max())
-    if best - _SIGNIFICANT * (int(np.argmax(log)) >= len(alone)) <= exponential.gain:
+    if best - needed * (int(np.argmax(log)) >= len(alone)) <= exponential.gain:
         return None
     # the prior probability of two kinds is that of one
     weights = np.exp(log - log.max()) / np.repeat([len(alone), len(both)], [len(alone), len(both)])
@@ -341,6 +346,7 @@ def _with_periodic_part(
     amplitudes = np.array(turns)
     return replace(
         found,
+        needed=needed,
         turn_sigma=float(np.sqrt(weights @ amplitudes**2)),
         turn_sigma_u=_moments(amplitudes, weights)[1],
         turn_time=float(np.exp(weights @ np.log(slow))),

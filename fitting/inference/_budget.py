@@ -99,7 +99,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
         Relative standard uncertainty of the time base that all recordings share.
     speed_scale_u : float
         Relative standard uncertainty of the scale of the sensor that measured the angular velocities of all recordings,
-        such as the gyroscope of a phone.
+        like the gyroscope of a phone.
 
     Returns
     -------

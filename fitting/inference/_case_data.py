@@ -9,8 +9,8 @@ Its symmetric inverse root, which whitens them, changes one direction only:
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
 harmonic rows of the casing. Nuisance parameters are fitted always: the initial angle of the casing, the phase of each
-rotor window, and a constant centre offset, tilt and rolling shutter of the camera of the casing; for an oscillation
-whose speeds were measured, the bias of the gyroscope.
+rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing; for an
+oscillation whose speeds were measured, the bias of the gyroscope.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, NOISE, Criteria
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
@@ -57,7 +57,7 @@ from fitting.inference._process_noise import (
     mean_acceleration,
 )
 from fitting.inference._record import WIDTH, PiecewiseCubics, Record, Samples, initial_speeds, speeds
-from fitting.inference._slips import Slip, without_slips
+from fitting.inference._slips import Slip, as_measured, without_slips
 from fitting.inference._spectral_lines import (
     SpectralLine,
     line_rows,
@@ -177,7 +177,7 @@ class CaseData:
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
     `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
     stated uncertainties. `slips` are whole turns that slipped in the angles as measured; the record and all rows are
-    those of the corrected angles.
+    those of the corrected angles. `criteria` determine what is noise.
     """
 
     record: Record
@@ -187,14 +187,15 @@ class CaseData:
     noiseless: bool = False
     free_inertia: bool = False
     slips: tuple[Slip, ...] = ()
+    criteria: Criteria = DEFAULT
 
     def __repr__(self) -> str:
         return f"CaseData, {len(self.casing.operators)} blocks of {self.record!r}"
 
     @classmethod
-    def of(cls, record: Record) -> CaseData:
+    def of(cls, record: Record, criteria: Criteria = DEFAULT) -> CaseData:
         """Project a record, after the correction of whole turns that slipped."""
-        record, slips = without_slips(record)
+        record, slips = without_slips(record, criteria)
         angle = record.quantity == "angle"
         driving = record.driving
         # a body that an input drives to and fro does not oscillate about an equilibrium
@@ -234,7 +235,20 @@ class CaseData:
             )
             for w in record.rotor
         )
-        return cls(record, casing, rotor, oscillation, slips=slips)
+        return cls(record, casing, rotor, oscillation, slips=slips, criteria=criteria)
+
+    def with_criteria(self, criteria: Criteria) -> CaseData:
+        """Return the same measured data with other criteria of the noise."""
+        if self.has_noise_of(criteria):
+            changed = replace(self, criteria=criteria)
+            changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in _OF_THE_SAMPLES})
+            return changed
+        made = CaseData.of(as_measured(self.record, self.slips), criteria)
+        return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
+
+    def has_noise_of(self, criteria: Criteria) -> bool:
+        """Return whether other criteria determine the same noise of this recording (`NOISE`)."""
+        return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
         """Return the same data with this standard uncertainty of every start that is not stated [s]."""
@@ -335,7 +349,7 @@ class CaseData:
         """
         camera = self.casing.at_samples(camera_columns(self.casing.samples))[1]
         p_value = p_value_of_response(self.casing, self._camera_rows, camera, responses)
-        return p_value < DEFAULT.periodic_torque
+        return p_value < self.criteria.periodic_torque
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
@@ -393,14 +407,14 @@ class CaseData:
     def _camera_prior(self) -> Array:
         """Standard deviations of the prior of the camera's nuisance functions, in units of `camera_columns`.
 
-        They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, and a shutter time up to a frame.
-        Empty where these functions are not fitted.
+        They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, a shutter time up to a frame, and,
+        on film, 5 mrad by motion blur. Empty where these functions are not fitted.
         """
         if not self.is_angle or not (self.oscillation is None or self.record.tracked):
             return np.zeros(0)
         samples = self.casing.samples
         frame = float(np.median(np.diff(samples.time)))
-        return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples)], 2)
+        return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples), _BLUR], 2)
 
     @property
     def has_camera_prior(self) -> bool:
@@ -422,7 +436,7 @@ class CaseData:
     def _correlated_noise(self) -> AngleNoise:
         if not self.is_angle or self.oscillation is not None or self.noiseless:
             return AngleNoise()
-        return estimate_angle_noise(self.casing, self._nuisance_rows)
+        return estimate_angle_noise(self.casing, self._nuisance_rows, self.criteria)
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
@@ -430,12 +444,11 @@ class CaseData:
         noise = self._correlated_rotor_noise
         return AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
 
-    @staticmethod
-    def _excess_angle_noise(noise: AngleNoise, runs: Sequence[Compressed]) -> float:
+    def _excess_angle_noise(self, noise: AngleNoise, runs: Sequence[Compressed]) -> float:
         """Return the ratio of correlated to white noise if it exceeds `Criteria.angle_noise_ratio`, else zero."""
         white = [run.scale * float(np.median(run.samples.sigma)) for run in runs]
         ratio = max(noise.sigma, noise.turn_sigma) / min(white, default=math.inf)
-        return ratio if ratio > DEFAULT.angle_noise_ratio else 0.0
+        return ratio if ratio > self.criteria.angle_noise_ratio else 0.0
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
@@ -503,7 +516,7 @@ class CaseData:
         if self.oscillation is not None:
             return ()
         least = float(np.median(self.record.casing.sigma)) if self.record.tracked else 0.0
-        found = spectral_lines(self.casing, self._camera_rows)
+        found = spectral_lines(self.casing, self._camera_rows, self.criteria)
         return tuple(line for line in found if line.amplitude > least)
 
     @cached_property
@@ -516,7 +529,7 @@ class CaseData:
 
     @cached_property
     def _driven_rows(self) -> Array:
-        """Polynomial rows of the responses to the recorded inputs, which are no noise; independent columns."""
+        """Polynomial rows of the responses to the recorded inputs, which are not noise; independent columns."""
         driving = self.record.driving
         if not driving:
             return np.zeros((len(self.casing.z), 0))
@@ -532,12 +545,12 @@ class CaseData:
 
     @cached_property
     def camera_columns(self) -> Array:
-        """The camera's nuisance functions at the samples, (samples, 6).
+        """The camera's nuisance functions at the samples, (samples, 8).
 
         For an oscillation, their part that is linear in the angle is removed: over a part of a turn they are nearly
         linear in the angle, and would absorb any motion.
         """
-        columns = camera_columns(self.casing.samples)
+        columns = camera_columns(self.casing.samples, blurred=self.record.tracked)
         if self.oscillation is None:
             return columns
         psi = self.casing.samples.value
@@ -819,19 +832,21 @@ def _gradients(speeds: Samples) -> Array:
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 _SMOOTHED = 25
 _RUN_PARTS, _PERIOD_PARTS = 50, 16
-# standard deviations of a displaced centre, of the radius, and of the second harmonic of a tilt [rad]
-_CENTRE, _TILT = 0.15, 0.05
+# standard deviations of a displaced centre, of the radius, of the second harmonic of a tilt, and of the change of the
+# first harmonic by motion blur at the largest speed [rad]; tracked films err by 0.5 to 5 mrad once a turn
+_CENTRE, _TILT, _BLUR = 0.15, 0.05, 5e-3
 # longest step of the integral of speeds from sample to sample [rad]
 _LONGEST_STEP = 1.0
 # smallest range of a harmonic of the angle that is more than rounding
 _ROUNDING = 1e-7
 
 
-def camera_columns(samples: Samples) -> Array:
-    """Return cos and sin of the angle, of twice the angle, and of the angle times the speed, (samples, 6).
+def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
+    """Return cos and sin of the angle, of twice the angle, of the angle times the speed and its square, (n, 8).
 
-    Zeros where a harmonic is the same in all samples: pulses once per turn contain no information on harmonics of the
-    angle, and the rounding errors of their sines increase with the angle.
+    The speed is in units of the largest. Zeros where a harmonic is the same in all samples: pulses once per turn
+    contain no information on harmonics of the angle, and the rounding errors of their sines increase with the angle.
+    Only frames are `blurred` by the motion; for other samples the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)
@@ -839,7 +854,8 @@ def camera_columns(samples: Samples) -> Array:
     once, twice = (np.stack([np.cos(m * psi), np.sin(m * psi)], axis=1) for m in (1, 2))
     for pair in (once, twice):
         pair *= (np.abs(pair).max(axis=0) > _ROUNDING) & (np.ptp(pair, axis=0).max() > _ROUNDING)
-    return np.concatenate([once, twice, omega[:, None] * once], axis=1)
+    blur = omega[:, None] ** 2 * once * blurred
+    return np.concatenate([once, twice, omega[:, None] * once, blur], axis=1)
 
 
 def largest_speed(samples: Samples) -> float:

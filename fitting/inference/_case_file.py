@@ -208,7 +208,7 @@ def _inputs(path: Path, file: Any) -> tuple[Input, ...]:
         return ()
     group = file["input"] if isinstance(file.get("input", getlink=True), h5py.HardLink) else None
     if not isinstance(group, h5py.Group) or len(group) > _MOST_INPUTS:
-        raise RecordError(f"{path}: /input is no group of at most {_MOST_INPUTS} inputs", "write it again")
+        raise RecordError(f"{path}: /input is not a group of at most {_MOST_INPUTS} inputs", "write it again")
     found = []
     for name in group:
         place = f"input/{name}"

@@ -356,7 +356,7 @@ def _block(
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
         responses = responses * np.repeat(varies.reshape(2, 2).any(axis=1), 2)
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
-    # a torque periodic in the angle is not noise: its response is no harmonic where the speed changes
+    # a torque periodic in the angle is not noise: its response is not a harmonic where the speed changes
     model = np.concatenate([powers[:, :k], periodic[:, chosen]], axis=1) / sigma[:, None]
     responses = responses / sigma[:, None]
     rest_of = responses - model @ np.linalg.lstsq(model, responses, rcond=None)[0]

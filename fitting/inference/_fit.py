@@ -20,14 +20,14 @@ pseudo-values, with their noise estimated as usual, has the right covariance wit
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._errors import EstimationError, FittingError
+from fitting._criteria import DEFAULT, Criteria
+from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData, with_free_inertia
@@ -47,6 +47,7 @@ from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
 from fitting.inference._sampled import predicted_samples
 from fitting.inference._ties import follow
+from fitting.inference._trace import attempt, of_model, record_result, with_purpose
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveB
     After a stop at a wrong time the response to a torque is wrong as well, and the search would not leave it.
     """
     active = None
-    with suppress(EstimationError):
+    with attempt("a search without process noise", EstimationError):
         found = search(problem.with_white_noise(), theta, quick=True, max_iterations=_MOST_STEPS)
         theta, active = found.theta, found.active
     return problem.with_noise(first_noise(problem, theta)), theta, active
@@ -130,7 +131,7 @@ def _with_less_noise(
     for levels in _lower_levels(problem, found.theta, noise):
         trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
         # with little noise a search may reach values at which the model cannot be computed
-        with suppress(FittingError):
+        with attempt("a search with less process noise"):
             other = search(trial, found.theta, quick=quick, active=active)
             active = other.active
             ends.append((other, measure_noise(trial, other.theta)))
@@ -172,7 +173,7 @@ def deviance_at_noise_of(base: Fit, other: Fit) -> float:
         return base.deviance
     noise = [n.at(min(n.level, o.level)) for n, o in zip(base.noise, other.noise, strict=True)]
     problem = base.problem.with_noise(noise)
-    with suppress(FittingError):
+    with attempt("the base at the noise of a refit"):
         return min(base.deviance, _deviance(problem, search(problem, base.theta).theta, noise))
     return base.deviance
 
@@ -203,15 +204,14 @@ def _from_separate_fits(
     cases are not biased. If it describes each case alone, their shared parameters differ. With separate levels one case
     would then lose its weight, so all cases get a common level.
     """
-    alone = []
-    for d in problem.data:
-        try:
-            alone.append(fit(problem.layout.model, [d], quick=True))
-        except FittingError:
-            return found, noise
+    alone: list[Fit] = []
+    with attempt("a case alone"):
+        alone.extend(fit(problem.layout.model, [d], quick=True) for d in problem.data)
+    if len(alone) < len(problem.data):
+        return found, noise
     start = {name: _of_separate_fits(name, alone) for name in problem.layout.names}
     ends = [(found, noise)]
-    with suppress(FittingError):
+    with attempt("a joint search from the fits of each case alone"):
         ends.append(search_with_noise(problem, initial_values(problem, start), start, quick=quick))
     found, noise = min(ends, key=lambda end: _deviance(problem, end[0].theta, end[1]))
     given_up = any(n.level > _GIVEN_UP * n.pure for n in noise)
@@ -248,22 +248,57 @@ def fit(
     ties: Mapping[str, str] | None = None,
     steady: Iterable[str] = (),
     quick: bool = False,
+    criteria: Criteria = DEFAULT,
 ) -> Fit:
     """Fit a model to one case, or to several together (see `fitting.fit`).
 
-    Of another fit in place of cases its data are fitted, with its shared and per-case parameters. `noise` is that of an
+    Given another fit instead of cases, fit its data, with its shared and per-case parameters. `noise` is that of an
     earlier fit of the same data, so that both are comparable; `ranges` are bounds tighter than the declared ones;
     `ties` are expressions of parameters that follow others, by key;
     `steady` parameters, by their names in the fit, keep their initial values until all others have converged. `quick`:
     stop where chi-square is within about 0.01 of its minimum, enough to rank candidates. EstimationError: there is
-    nothing to fit, or labels repeat.
+    nothing to fit, or labels repeat. `criteria` determine what is noise in a record that is not projected yet.
     """
+    with of_model(model):
+        found = _fitted(
+            model, cases, share=share, per_case=per_case, start=start, noise=noise, ranges=ranges, ties=ties,
+            steady=steady, quick=quick, criteria=criteria,
+        )  # fmt: skip
+        record_result(found)
+        return found
+
+
+def measured_with(found: Fit, criteria: Criteria) -> Fit:
+    """Return a fit, or the same fit repeated from the start if its recordings have other noise by these criteria."""
+    if all(d.has_noise_of(criteria) for d in found.problem.data):
+        return found
+    data = [d.with_criteria(criteria) for d in found.problem.data]
+    layout = found.problem.layout
+    share, per_case = ([k for k in keys if k in found.model.free] for keys in layout.choices)
+    with with_purpose("the fit with other criteria of the noise"):
+        return fit(found.model, data, share=share, per_case=per_case, ranges=layout.ranges, ties=layout.ties)
+
+
+def _fitted(
+    model: Model,
+    cases: Sequence[Record | CaseData] | Fit,
+    *,
+    share: Iterable[str],
+    per_case: Iterable[str],
+    start: Mapping[str, float] | None,
+    noise: Sequence[Noise] | None,
+    ranges: Mapping[str, tuple[float, float]] | None,
+    ties: Mapping[str, str] | None,
+    steady: Iterable[str],
+    quick: bool,
+    criteria: Criteria,
+) -> Fit:
     if isinstance(cases, Fit):
         shared, own = ([k for k in keys if k in model.free] for keys in cases.problem.layout.choices)
         if ties is None:
             ties = {k: text for k, text in cases.problem.layout.ties.items() if k in model.free}
         share, per_case, cases = [*shared, *share], [*own, *per_case], cases.problem.data
-    data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
+    data = [c if isinstance(c, CaseData) else CaseData.of(c, criteria) for c in cases]
     _check(model, data)
     layout = ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges, ties)
     problem = Problem.of(layout, data)
@@ -349,7 +384,7 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
             name = effect.inputs[0][0]
             raise EstimationError(
                 f"{effect.name} has no influence: no law of the model depends on {name}",
-                f"add a law such as 'casing: k*{name}'",
+                f"add a law like 'casing: k*{name}'",
             )
         for name, unit in effect.inputs:
             for record in (d.record for d in data):
@@ -424,10 +459,11 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
     if loss != "linear" and (model.angle_dependent or model.measurement):
         raise EstimationError(
-            "a robust loss goes with neither laws that follow an angle nor effects of a camera",
+            "a robust loss is not supported with laws of an angle or effects of a camera",
             "fit without them, or with --loss linear",
         )
-    known = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
+    criteria = options.get("criteria", DEFAULT)
+    known = [c if isinstance(c, CaseData) else CaseData.of(c, criteria) for c in cases]
     found = fit(model, with_free_inertia(known, model.names), **options)
     data = found.problem.data
     for psi in _LOSSES[loss]:
@@ -453,5 +489,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
         influence, slope = psi(x / scale)
         value = model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1)
         runs.append(Samples(samples.time, value, samples.sigma))
-    made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])))
-    return CaseData(data.record, made.casing, made.rotor, free_inertia=data.free_inertia)
+    made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])), data.criteria)
+    return CaseData(
+        data.record, made.casing, made.rotor, free_inertia=data.free_inertia, criteria=data.criteria
+    )

@@ -17,7 +17,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +42,7 @@ from fitting.inference._parameters import (
 )
 from fitting.inference._problem import Problem, measure_noise, reference_speed
 from fitting.inference._record import Record, Samples
+from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
@@ -145,9 +145,9 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
     longest = max((d.oscillation.periods for d in problem.data if d.oscillation is not None), default=0.0)
     count = _FIRST_PERIODS
     while count < longest:
-        data = [CaseData.of(_first_periods(d, count)) for d in problem.data]
+        data = [CaseData.of(_first_periods(d, count), d.criteria) for d in problem.data]
         part = Problem.of(replace(layout, records=tuple(d.record for d in data)), data)
-        with suppress(EstimationError):
+        with attempt(f"a search through {count:g} periods", EstimationError):
             theta = search(part, theta, quick=True, max_iterations=_MOST_STEPS).theta
         count *= 2
     return theta
@@ -402,7 +402,7 @@ def initial_shapes(
 ) -> tuple[Problem, Array]:
     """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
-    `fitted` tells that the other variables are at the optimum without these effects, `noise` is the noise without
+    `fitted` states that the other variables are at the optimum without these effects, `noise` is the noise without
     them.
     """
     layout = problem.layout
@@ -438,7 +438,7 @@ def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]
         for symbol, value in values.items():
             for case in range(len(layout.records)):
                 begin[layout.places(case, [f"{effect.name}.{symbol}"])] = value
-        with suppress(SimulationError):
+        with attempt(f"the motion for an initial value of {effect.name}", SimulationError):
             starts.append((begin, problem.predict(begin)))
     ends = []
     for share in _SHARES:

@@ -58,7 +58,7 @@ _TERMS = 21
 
 
 def as_velocities(record: Record) -> Record:
-    """Return the record with the paper's velocities in place of angles: median, gradient, median, ends dropped.
+    """Return the record with the paper's velocities instead of angles: median, gradient, median, ends dropped.
 
     Their sigma is that of independent samples with the same noise at low frequencies (`median_noise`), which alone
     matters for the fit: the noise of neighbouring samples is strongly correlated.

@@ -223,7 +223,7 @@ def search(
         limits = problem.transformed_bounds(lower, upper)
         minimum = minimise(problem, problem.transformed(theta), *limits, absolute=enough, max_iterations=most)
         theta = problem.physical(minimum.x)
-    # the bounds of d and f are no box in transformed variables: they are checked afterwards
+    # the bounds of d and f do not form a box in transformed variables: they are checked afterwards
     if not _out_of_bounds(problem.power_laws, theta, lower, upper):
         return Solution(theta, minimum)
     if not minimum.converged and minimum.cost > _FAR * problem.rows:

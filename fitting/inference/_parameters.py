@@ -71,7 +71,7 @@ class ParameterLayout:
         for name in (*share, *per_case):
             if not any(covers(name, key) for key in model.free):
                 raise EffectError(
-                    f"{name!r} is no parameter of the model", "it has: " + ", ".join(model.free)
+                    f"{name!r} is not a parameter of the model", "it has: " + ", ".join(model.free)
                 )
         default = model.per_case
         chosen = [
@@ -438,7 +438,7 @@ def _ends(w: Sinusoid, lower: Array, upper: Array) -> list[float]:
 
 
 def to_polar(u: Array, sinusoids: Sequence[Sinusoid]) -> tuple[Array, Array]:
-    """Return (k, phi) in place of (a, b), the other variables unchanged, and the derivatives of all."""
+    """Return (k, phi) instead of (a, b), the other variables unchanged, and the derivatives of all."""
     theta, slope = u.copy(), np.eye(len(u))
     for w in sinusoids:
         a, b = u[w.strength], u[w.phase]
@@ -450,7 +450,7 @@ def to_polar(u: Array, sinusoids: Sequence[Sinusoid]) -> tuple[Array, Array]:
 
 
 def from_polar(theta: Array, sinusoids: Sequence[Sinusoid]) -> Array:
-    """Return (a, b) in place of (k, phi)."""
+    """Return (a, b) instead of (k, phi)."""
     u = theta.copy()
     for w in sinusoids:
         k, phi = theta[w.strength], theta[w.phase]

@@ -10,7 +10,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._criteria import DEFAULT
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import UNBOUNDED
 from fitting.dynamics._model import Model
@@ -289,7 +288,7 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
 
     A random acceleration of the spectral density S changes the phase of an oscillation of amplitude a and frequency w
     at random, by an rms of sqrt(S t / 2) / (a w) after the time t (white noise on a tuned circuit; S = 2 s^2 tau /
-    (1 + w^2 tau^2) for an rms of s and a correlation time tau).
+    (1 + w^2 tau^2) for an rms of s and a correlation time tau); `Criteria.gross_misfit` is the limit.
     """
     oscillation = data.oscillation
     slow = None if oscillation is None else oscillation.slow_motion
@@ -301,7 +300,7 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     density = 2 * (level / data.record.I_casing) ** 2 * noise.time / (1 + (w * noise.time) ** 2)
     duration = oscillation.periods * oscillation.period
     phase = np.sqrt(density * duration / 2 / np.mean(slow.amplitude**2)) / w
-    return bool(phase > DEFAULT.gross_misfit)
+    return bool(phase > data.criteria.gross_misfit)
 
 
 def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:

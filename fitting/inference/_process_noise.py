@@ -13,7 +13,7 @@ the level is never zero, and where the data contain no process noise it is a sma
 torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean acceleration, which
 matters in records of a second or two. The prior of T is uniform in ln T from a thirty-second of a block, within which
 the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a kink or a jump is far
-noisier than the others: the likelihood of a stretch is a mixture, with a share of a twentieth for a level of its own.
+noisier than the others: the likelihood of a stretch is a mixture, with a share of a twentieth for a separate level.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _DEGREE = 11
 # number of blocks, and degree, of a stretch that holds several periods of an oscillation
 _SHORT_BLOCKS, _SHORT_DEGREE = 4, 14
 _MOST_ROWS = 170
-# up to this number of stretches none may have a level of its own
+# up to this number of stretches none may have a separate level
 _FEW_STRETCHES = 2
 _OWN_LEVEL_SHARE = 0.05
 # correlation times in lengths of a block, levels in units of the noise of the rows, finer levels per level
@@ -245,7 +245,7 @@ class StretchLikelihood:
     def marginal(self, times: Sequence[float]) -> float:
         """Return the log-likelihood with the level, and correlation times of equal prior probability, integrated out.
 
-        All stretches have the same level: a level of its own in each, at its most likely value, would describe the slow
+        All stretches have the same level: a separate level in each, at its most likely value, would describe the slow
         part of angle noise.
         """
         resolution = 2 * times[0] * self.unit(times[0]) ** 2

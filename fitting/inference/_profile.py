@@ -90,7 +90,7 @@ def profile(fit: _Fitted, name: str, level: float = LEVEL) -> Interval:
         )
     names = fit.problem.layout.names
     if name not in names:
-        raise EffectError(f"{name[:80]!r} is no free parameter of this fit", "it has: " + ", ".join(names))
+        raise EffectError(f"{name[:80]!r} is not a free parameter of this fit", "it has: " + ", ".join(names))
     held = _Held(fit, name, float(ndtri(0.5 + 0.5 * level)))
     ends = [held.end(sign) for sign in (-1.0, 1.0)]
     return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])

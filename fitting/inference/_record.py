@@ -265,17 +265,17 @@ def make_record(
 
 
 def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
-    """Raise a RecordError for arguments of `make_record` that are no arrays of time, value and sigma."""
+    """Raise a RecordError for arguments of `make_record` that are not arrays of time, value and sigma."""
     if quantity not in _FEWEST:
         raise RecordError(f"the quantity is {str(quantity)[:20]!r}", f"use {' or '.join(_FEWEST)}")
     if not isinstance(rotor, Iterable):
         raise RecordError(
-            "the rotor is no list of windows", "give a list of (time, value, sigma), empty for one body"
+            "the rotor is not a list of windows", "give a list of (time, value, sigma), empty for one body"
         )
     for what, run in (("casing", casing), *(("rotor window", r) for r in rotor)):
         if not isinstance(run, Sequence) or len(run) != len(("time", "value", "sigma")):
             raise RecordError(
-                f"the {what} is no triple of arrays",
+                f"the {what} is not a triple of arrays",
                 "give (time, value, sigma); sigma may be NaN where it is unknown",
             )
         try:
@@ -292,7 +292,7 @@ def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
 def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Samples]) -> tuple[Input, ...]:
     """Return the inputs of a record; a RecordError if a name repeats or one does not cover the record."""
     if not isinstance(inputs, Iterable) or not all(isinstance(i, Input) for i in inputs):
-        raise RecordError("an input is no Input", 'use fitting.Input("current", time, value, "A")')
+        raise RecordError("an input is not an Input", 'use fitting.Input("current", time, value, "A")')
     names = [i.name for i in inputs]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
@@ -381,7 +381,7 @@ def speeds(
 
 
 def median_width(count: int, width: int = WIDTH) -> int:
-    """Return how many points the running median of a run of so many samples takes: a tenth of them at most."""
+    """Return the width of the running median of `count` samples: at most a tenth of them."""
     return min(width, max(3, count // 10 | 1))
 
 
@@ -402,7 +402,7 @@ _LONG_WINDOW = 0.5
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
-    """Return times and speeds of rotor and casing (points, 2) from local regressions over at least so many samples."""
+    """Return times and speeds of rotor and casing (points, 2) from local regressions over at least `samples`."""
     is_angle = record.quantity == "angle"
     casing = _local(record.casing, min(points, len(record.casing) // samples), is_angle)
     windows = np.concatenate(

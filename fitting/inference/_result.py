@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._arguments import INTEGER, NOT_NEGATIVE, NUMBER, PATH, SEED, TEXT, Kind, require
-from fitting._criteria import DEFAULT, Criteria
+from fitting._criteria import Criteria
 from fitting._display import (
     block,
     draw_speed,
@@ -257,7 +257,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
     reliable = fit.verdict != "not_converged"
     for name, e in fit.estimates.items():
         note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
-        # the curvature where a search stopped is no uncertainty
+        # the curvature where a search stopped is not an uncertainty
         value = rounded(e.value, e.stderr if reliable else math.nan, e.unit)
         lines += [f"  {name}"] if len(name) >= 32 else []
         lines.append(f"  {name if len(name) < 32 else '':<32}{value}{note}")
@@ -490,30 +490,39 @@ class Fit(FitSummary):
         """Whether the body oscillates but the model has no restoring torque: then residuals have no meaning."""
         return self.problem.data[0].oscillation is not None and not self.model.restoring
 
-    def fails(self, criteria: Criteria = DEFAULT) -> bool:
+    @property
+    def criteria(self) -> Criteria:
+        """The criteria with which the noise of the recordings was measured, and of the verdict."""
+        return self.problem.data[0].criteria
+
+    def fails(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit converged and has a significant lack of fit.
 
         Parameters
         ----------
         criteria : Criteria
-            Its `lack_of_fit` bounds the p-value of slow torques, its `reduced_chi2` that of each case.
+            Its `lack_of_fit` bounds the p-value of slow torques, its `reduced_chi2` that of each case. By default those
+            of the fit.
         """
+        criteria = criteria or self.criteria
         return self.converged and (
             self.lack_of_fit.p_value < criteria.lack_of_fit
             or any(c.misfit > criteria.reduced_chi2 for c in self.cases)
         )
 
-    def has_excess_noise(self, criteria: Criteria = DEFAULT) -> bool:
+    def has_excess_noise(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit needs more process noise than the recording shows against the most flexible motion.
 
         Parameters
         ----------
         criteria : Criteria
-            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level.
+            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level. By
+            default those of the fit.
         """
+        criteria = criteria or self.criteria
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
 
-    def needs_random_torque(self, criteria: Criteria = DEFAULT) -> bool:
+    def needs_random_torque(self, criteria: Criteria | None = None) -> bool:
         """Return whether only a random torque describes the data that the recording does not show without the model.
 
         Of a joint fit, whose levels depend on what the recordings share, the lack-of-fit test alone decides.
@@ -522,8 +531,9 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level, its
-            `random_torque_evidence` the fall of the deviance by the random torque.
+            `random_torque_evidence` the fall of the deviance by the random torque. By default those of the fit.
         """
+        criteria = criteria or self.criteria
         if len(self.noise) > 1:
             return False
         (n,) = self.noise
@@ -532,13 +542,20 @@ class Fit(FitSummary):
 
     @property
     def undetermined(self) -> list[str]:
-        """Parameters, without phases and those with a prior, whose uncertainty exceeds their value a hundredfold."""
+        """Parameters that the data do not determine (`undetermined_at` the criteria of the fit)."""
+        return self.undetermined_at(self.criteria)
+
+    def undetermined_at(self, criteria: Criteria) -> list[str]:
+        """Return the parameters whose standard uncertainty exceeds `Criteria.undetermined` times their value.
+
+        Phases, and parameters with a prior, are not among them.
+        """
         known = {k for d in self.problem.data if d.prior is not None for k in d.prior.names}
         return [
             k
             for k in not_determined(self.estimates)
             if k.partition("@")[0] not in known
-            and self.estimates[k].stderr > DEFAULT.undetermined * abs(self.estimates[k].value)
+            and self.estimates[k].stderr > criteria.undetermined * abs(self.estimates[k].value)
             and self.problem.layout.parameter(k).role != "phase"
         ]
 
@@ -645,7 +662,7 @@ class Fit(FitSummary):
         case : int
             Index of the case that is drawn into `ax`.
         residual : bool
-            Draw the residual of the speed into `ax`, in place of the speed.
+            Draw the residual of the speed into `ax`, instead of the speed.
 
         Returns
         -------

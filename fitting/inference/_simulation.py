@@ -97,7 +97,7 @@ def _smooth_path(dynamics: Dynamics, numbers: Mapping[str, float], first: Array,
     try:
         return solve(dynamics, numbers, first, Mesh.uniform(0.0, duration, 12))
     except SimulationError:
-        # a state that relaxes fast at the start, such as the slip of a contact, has a boundary layer there
+        # a state that relaxes fast at the start, for example the slip of a contact, has a boundary layer there
         graded = duration * np.geomspace(_FIRST_INTERVAL, 1.0, _GRADED)
         return solve(dynamics, numbers, first, Mesh(np.concatenate([[0.0], graded])))
 

@@ -1,6 +1,6 @@
 """Whole turns that slipped in a series of angles: found as steps of 2 pi between two samples, and corrected.
 
-A tracker that confuses two alike markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
+A tracker that confuses two similar markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
 all later angles by a whole turn. With the local speed v, the median of the difference quotients of the neighbouring
 samples, the angle changes from one sample to the next by v dt plus noise, and a slip of n turns is
 
@@ -93,20 +93,29 @@ def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[
     return [(int(i) + 1, int(turns[i])) for i in found]
 
 
-def without_slips(record: Record) -> tuple[Record, tuple[Slip, ...]]:
+def without_slips(record: Record, criteria: Criteria = DEFAULT) -> tuple[Record, tuple[Slip, ...]]:
     """Return the record with slipped turns corrected, under the digest of the measured numbers, and the slips."""
     if record.quantity != "angle" or record.generated:
         return record, ()
     slips: list[Slip] = []
     runs = []
     for i, run in enumerate((record.casing, *record.rotor)):
-        found = slipped_turns(run)
+        found = slipped_turns(run, criteria)
         body, window = (record.body, None) if i == 0 else ("rotor", i)
         slips += [Slip(body, window, float(run.time[k]), n) for k, n in found]
         runs.append(_corrected(run, found))
     if not slips:
         return record, ()
     return replace(record, casing=runs[0], rotor=tuple(runs[1:])), tuple(slips)
+
+
+def as_measured(record: Record, slips: Sequence[Slip]) -> Record:
+    """Return a corrected record with its slipped turns again."""
+    runs = [record.casing, *record.rotor]
+    for slip in slips:
+        i = slip.window or 0
+        runs[i] = _corrected(runs[i], [(int(np.searchsorted(runs[i].time, slip.time)), -slip.turns)])
+    return replace(record, casing=runs[0], rotor=tuple(runs[1:])) if slips else record
 
 
 def _corrected(samples: Samples, slips: Sequence[tuple[int, int]]) -> Samples:

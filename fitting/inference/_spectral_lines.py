@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from fitting._criteria import DEFAULT
+from fitting._criteria import DEFAULT, Criteria
 from fitting.inference._compression import Compressed
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_into_stretches
@@ -67,8 +67,10 @@ class SpectralLine(NamedTuple):
     amplitude: float
 
 
-def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]:
-    """Return the lines of a run, the strongest first.
+def spectral_lines(
+    run: Compressed, nuisance: Array, criteria: Criteria = DEFAULT
+) -> tuple[SpectralLine, ...]:
+    """Return the lines of a run with a p-value below `Criteria.spectral_line`, the strongest first.
 
     `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
     prior.
@@ -78,7 +80,7 @@ def spectral_lines(run: Compressed, nuisance: Array) -> tuple[SpectralLine, ...]
         free = np.concatenate(
             [nuisance, FLAT_PRIOR_SIGMA * line_rows(run, [line.rate for line in found])], axis=1
         )
-        line = _strongest(run, split_into_stretches(run, free))
+        line = _strongest(run, split_into_stretches(run, free), criteria)
         if line is None:
             break
         found.append(line)
@@ -138,7 +140,7 @@ def _noise_times(run: Compressed) -> tuple[float, ...]:
     return 0.03 * block, 0.3 * block, block
 
 
-def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | None:
+def _strongest(run: Compressed, stretches: Sequence[Stretch], criteria: Criteria) -> SpectralLine | None:
     """Return the most significant line; None if there is none."""
     span = float(np.ptp(run.samples.time))
     lowest, highest = 2 * np.pi * _FEWEST_PERIODS / span, _FASTEST * len(run.z) / span
@@ -181,7 +183,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch]) -> SpectralLine | 
     least = gain(fine)
     top = int(np.argmax(least))
     p_value = false_alarm_probability(float(least[top]), (highest - lowest) / (2 * np.pi), span)
-    if p_value >= DEFAULT.spectral_line:
+    if p_value >= criteria.spectral_line:
         return None
     rows = line_rows(run, fine[[top]])
     white = np.concatenate(

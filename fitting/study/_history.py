@@ -198,7 +198,7 @@ class Ledger:
     Raises
     ------
     LedgerError
-        If the file exists and is no ledger.
+        If the file exists and is not a ledger.
     """
 
     def __init__(self, path: Path) -> None:

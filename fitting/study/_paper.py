@@ -28,7 +28,7 @@ _SLOPES = 0.01
 
 
 def with_generated_rotor(record: Record) -> Record:
-    """Return a record of velocities with one curve of the rotor's speed in place of its windows.
+    """Return a record of velocities with one curve of the rotor's speed instead of its windows.
 
     The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and quadratic
     friction, fitted to speed and slope of each window. Its samples have the same total weight as the measured ones. As

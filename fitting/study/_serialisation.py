@@ -409,7 +409,7 @@ def _law(x: Law) -> LawDocument:
 def check_name(name: str, path: Path, terms: int = 1) -> None:
     """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
 
-    The name is malformed, or taken by the library or in the file, or the file is no file of effects. A second term is
+    The name is malformed or taken (in the library or the file), or the file does not contain effects. A second term is
     called ``NAME.second``.
     """
     if not _NAME.fullmatch(name):
@@ -499,7 +499,7 @@ def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
     if steps[-1].fit.verdict != "no_lack_of_fit":
         return "unexplained"
-    # a parameter with a value for each recording is no effect
+    # a parameter with a value for each recording is not an effect
     return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"
 
 

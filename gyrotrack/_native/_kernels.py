@@ -1,6 +1,6 @@
 """The kernels of tracking: a dispatcher to the compiled extension, or to its NumPy reference.
 
-Each kernel has a signature such as ``"f8[n,m] f8[k] -> f8[n,5]"``: element type and dimensions of its arrays in order;
+Each kernel has a signature like ``"f8[n,m] f8[k] -> f8[n,5]"``: element type and dimensions of its arrays in order;
 a letter denotes the same length wherever it occurs. An array of another type, number of dimensions or length, or in
 non-contiguous memory, raises `ValueError` before anything is computed. Arrays after the arrow are written to.
 

@@ -131,7 +131,7 @@ def sync(
     output : str or Path, optional
         HDF5 file to write; without it nothing is written.
     inertia_rotor, inertia_casing : float or str
-        Moments of inertia [kg m2], or texts such as "5.54e-5 +- 0.06e-5" and "554 g cm2".
+        Moments of inertia [kg m2], or texts like "5.54e-5 +- 0.06e-5" and "554 g cm2".
     label, surface : str
         Name of the case, and the surface on which the casing turned.
     force : bool

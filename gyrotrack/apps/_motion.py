@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import Legendre
+from numpy.polynomial.legendre import legvander
 from scipy.optimize import least_squares
 
 from gyrotrack._correlated_noise import Estimate, correlated_least_squares
@@ -24,8 +26,9 @@ TURN = 2 * math.pi
 # camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
 _MIN_SAMPLES = 12
-_ORDERS = range(2, 7)
-_SPEED_ORDERS = range(1, 6)
+_ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
+_ORDERS = range(2, 17)
+_SPEED_ORDERS = range(1, 16)
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 # difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
@@ -41,7 +44,7 @@ _ALIKE = 4  # neighbouring deviations from a mean speed that count as one
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a motion that is no damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
+# a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
 # with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
 
@@ -86,16 +89,16 @@ class BodyMotion:
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
 
-    A rotation is fitted by a polynomial in time (of degree 2 to 6, by the Bayesian information criterion) and the first
-    three harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
+    A rotation is fitted by a polynomial in time (of degree 2 to 16, by the Bayesian information criterion) and three
+    harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
     uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is no such oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation whose
-    speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and
-    its mean is that of the angles.
+    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation
+    whose speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are
+    local, and its mean is that of the angles.
     """
     if len(time) < _MIN_SAMPLES:
         what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
@@ -130,7 +133,7 @@ def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:
 
 
 def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
-    """Return whether the speed of a rotation in one sense rises repeatedly, as that of a motor or a swimming cell.
+    """Return whether the speed of a rotation in one sense rises repeatedly, for example with a motor.
 
     Friction never makes a body faster. Harmonics of the angle, from an unbalance, a displaced hub or a tilted camera,
     do, with an amplitude that changes slowly: the speed must rise with them and without them. Two rises by more than
@@ -169,7 +172,7 @@ def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
     near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
     (slope, _), covariance = np.polyfit(t[near], angle[near], 1, cov="unscaled")
     rest = angle[near] - np.polyval(np.polyfit(t[near], angle[near], 1), t[near])
-    # the deviations from a constant speed are no noise: neighbours have the same sign
+    # the deviations from a constant speed are not noise: neighbours have the same sign
     variance = float(rest @ rest) / max(count - 2, 1) * min(count, _ALIKE)
     return Value(float(slope), math.sqrt(float(covariance[0, 0]) * variance))
 
@@ -189,7 +192,7 @@ def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]
 def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
     """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
 
-    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 5, by the Bayesian information
+    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 15, by the Bayesian information
     criterion). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
     of an oscillation.
     """
@@ -200,13 +203,18 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     half = 0.5 * float(time[-1] - time[0])
     x = (time - 0.5 * (time[0] + time[-1])) / half
     most = max(order for order in _SPEED_ORDERS if order == _SPEED_ORDERS[0] or len(time) >= 2 * (order + 2))
-    design = x[:, None] ** np.arange(most + 1)
-    models = [list(range(order + 1)) for order in range(_SPEED_ORDERS[0], most + 1)]
-    fits = correlated_least_squares(x * half, design, omega, sigma, models, np.full(most + 1, np.inf))
-    orders = [np.arange(order + 1) for order in range(_SPEED_ORDERS[0], most + 1)]
-    first, last = (_averaged(fits, [np.power(float(e), k).astype(float) for k in orders]) for e in (-1, 1))
-    mean = _averaged(fits, [np.where(k % 2 == 0, 1.0 / (k + 1), 0.0).astype(float) for k in orders])
-    alpha = _averaged(fits, [np.where(k == 1, 1.0 / half, 0.0) for k in orders])
+    orders = range(_SPEED_ORDERS[0], most + 1)
+    models = [list(range(order + 1)) for order in orders]
+    fits = correlated_least_squares(
+        x * half, legvander(x, most), omega, sigma, models, np.full(most + 1, np.inf)
+    )
+
+    def averaged(row: Floats) -> Value:
+        return _averaged(fits, [row[: order + 1] for order in orders])
+
+    first, last = (averaged(legvander(np.array([end]), most)[0]) for end in (-1.0, 1.0))
+    mean = averaged(np.eye(most + 1)[0])
+    alpha = averaged(_derivatives(most, 1, 0.0) / half)
     ends, ends_u = _ends(first, last)
     return BodyMotion(_kind(ends, mean, alpha), whole.turns, ends, mean, alpha, omega_u=ends_u)
 
@@ -237,7 +245,7 @@ def motion_of_passages(passages: Passages) -> BodyMotion:
     for values in (when, size):
         fits = correlated_least_squares(count, design, values, np.ones(len(values)), models, free)
         best = min(fits, key=lambda fit: fit.criterion)
-        slopes.append(Value(*best.of(np.eye(len(best.value))[1])))
+        slopes.append(Value(*best.of(np.eye(best.values.shape[1])[1])))
     by_time, by_size = slopes
     period = 4 * by_time.value / (count[-1] - count[0])
     relative = by_time.stderr / by_time.value
@@ -268,33 +276,40 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     psi = angle - angle[len(angle) // 2]
     # harmonics of the smooth angle: those of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
-    harmonics = np.stack([f(k * smooth) for k in range(1, len(VIEW) + 1) for f in (np.cos, np.sin)], axis=1)
+    # pulses at whole multiples of a period of a harmonic contain no information on it
+    orders = [
+        k
+        for k in range(1, len(VIEW) + 1)
+        if max(np.ptp(np.cos(k * psi)), np.ptp(np.sin(k * psi))) > _ROUNDING
+    ]
+    harmonics = [f(k * smooth) for k in orders for f in (np.cos, np.sin)]
     most = max(order for order in _ORDERS if order == _ORDERS[0] or len(t) >= 2 * (order + 1))
-    view = harmonics.shape[1]
-    design = np.concatenate([harmonics, x[:, None] ** np.arange(most + 1)], axis=1)
-    prior = np.concatenate([np.repeat(VIEW, 2), np.full(most + 1, np.inf)])
-    models = [list(range(view + order + 1)) for order in range(_ORDERS[0], most + 1)]
-    fits = correlated_least_squares(t, design, psi, sigma, models, prior, smooth)
+    view = len(harmonics)
+    design = np.concatenate([np.reshape(harmonics, (view, len(t))).T, legvander(x, most)], axis=1)
+    prior = np.array([s for k in orders for s in (VIEW[k - 1], VIEW[k - 1])] + [np.inf] * (most + 1))
+    degrees = range(_ORDERS[0], most + 1)
+    fits = correlated_least_squares(
+        t, design, psi, sigma, [list(range(view + degree + 1)) for degree in degrees], prior, smooth
+    )
 
-    def averaged(row: Callable[[int], list[float]]) -> Value:
-        return _averaged(
-            fits, [np.concatenate([np.zeros(view), row(o)]) for o in range(_ORDERS[0], most + 1)]
-        )
+    def averaged(row: Floats) -> Value:
+        return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
 
-    def speed(place: float) -> Value:
-        return averaged(lambda order: [k * place ** max(k - 1, 0) / half for k in range(order + 1)])
-
-    ends = [speed(x[0]), speed(x[-1])]
+    ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     for i, place in enumerate((0, -1)):
-        local = _speed_at(t, angle, place)
-        # a polynomial through the whole record may swing at its ends
+        local = _speed_at(t, angle, sigma, place)
+        # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
-    length = t[-1] - t[0]
-    mean = averaged(lambda order: [(x[-1] ** k - x[0] ** k) / length for k in range(order + 1)])
-    alpha = averaged(lambda order: [0.0, 0.0, 2 / half**2, *[0.0] * (order - 2)])
+    mean = averaged((legvander(x[-1:], most)[0] - legvander(x[:1], most)[0]) / (t[-1] - t[0]))
+    alpha = averaged(_derivatives(most, 2, 0.0) / half**2)
     return *ends, mean, alpha  # type: ignore[return-value]  # two ends
+
+
+def _derivatives(most: int, order: int, place: float) -> Floats:
+    """Return a derivative of the Legendre polynomials of degree 0 to `most` at a place, (most + 1,)."""
+    return np.asarray([float(Legendre.basis(k).deriv(order)(place)) for k in range(most + 1)])
 
 
 def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
@@ -311,28 +326,26 @@ def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
     return Value(mean, math.sqrt(float(weight @ (u**2 + (value - mean) ** 2))))
 
 
-def _speed_at(t: Floats, angle: Floats, place: int) -> Value:
+def _speed_at(t: Floats, angle: Floats, sigma: Floats, place: int) -> Value:
     """Return the angular velocity at the first (0) or last (-1) sample.
 
-    From a cubic through that end of the record, which is shortened while a quartic describes it better.
+    From a cubic through that end of the record, which is shortened while a quartic describes it better. The noise may
+    be correlated.
     """
     count = int((np.abs(t - t[place]) < _END * (t[-1] - t[0])).sum())
+    cubic, quartic = list(range(4)), list(range(5))
     while True:
         count = max(count, min(_MIN_SAMPLES, len(t)))
         near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
-        x = t[near] - t[place]
-        design = x[:, None] ** np.arange(5)
-        scale = np.abs(design).max(axis=0)
-        values, errors = [], []
-        for order in (3, 4):
-            inverse = np.linalg.pinv(design[:, : order + 1] / scale[: order + 1])
-            found = inverse @ angle[near]
-            rest = angle[near] - design[:, : order + 1] / scale[: order + 1] @ found
-            variance = float(rest @ rest) / max(count - order - 1, 1)
-            values.append(found / scale[: order + 1])
-            errors.append(np.sqrt(variance * (inverse**2).sum(axis=1)) / scale[: order + 1])
-        if abs(values[1][4]) < 3 * errors[1][4] or count < 2 * _MIN_SAMPLES:
-            return Value(float(values[0][1]), float(errors[0][1]))
+        half = 0.5 * float(np.ptp(t[near]))
+        x = (t[near] - 0.5 * (t[near][0] + t[near][-1])) / half
+        free = np.full(5, np.inf)
+        fits = correlated_least_squares(
+            x * half, legvander(x, 4), angle[near] - angle[near][0], sigma[near], [cubic, quartic], free
+        )
+        bend, u = fits[1].of(np.eye(5)[4])
+        if abs(bend) < 3 * u or count < 2 * _MIN_SAMPLES:
+            return Value(*fits[0].of(_derivatives(3, 1, x[place]) / half))
         count //= 2
 
 
@@ -550,7 +563,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
     A rotation is driven up to the maximum of its speed (means over 1/50 of the record, at least 5 samples) if it is in
     the first half and exceeds the initial speed by more than 5 % and 5 standard errors, and if the speed does not rise
-    by half as much again later, as that of a motor does. The end of the drive is then found to the sample. An
+    by half as much again later, which a motor causes. The end of the drive is then found to the sample. An
     oscillation is free where its periods and amplitudes are those of a free one.
     """
     windows = _speeds(time, angle, sigma)
@@ -600,7 +613,7 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
 # windows from which a free motion is extrapolated; speed before a stop over the largest one
 _FREE, _ABRUPT = 3, 0.1
-_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is no drive by hand
+_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is not a drive by hand
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
@@ -630,12 +643,12 @@ def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    # an uncertainty that all angles share, such as that of the hub, is no error of a difference
+    # an uncertainty that all angles share, for example that of the hub, is not an error of a difference
     noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
     return edges, speed, float(noise) * math.sqrt(12 / width) / duration
 
 
 def _turns_back(speed: Floats, error: float) -> bool:
-    """Tell whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
+    """Return whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))

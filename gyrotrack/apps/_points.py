@@ -118,12 +118,12 @@ def write_point_picture(path: Path, film: Film, point: TrackedPoint, *, force: b
 
 
 def read_tilt(text: str) -> Tilt:
-    """Read a tilt such as "30" or "30,90": its angle, and the direction of the short axis of the ellipse [degrees]."""
+    """Read a tilt like "30" or "30,90": its angle, and the direction of the short axis of the ellipse [degrees]."""
     try:
         angle, azimuth = (float(part) for part in (*text.split(","), "90")[:2])
     except ValueError as error:
         what = f"--tilt {text[:40]!r} is not a tilt."
-        raise UsageError(what, "Give one or two angles in degrees, such as 30 or 30,90.") from error
+        raise UsageError(what, "Give one or two angles in degrees, for example 30 or 30,90.") from error
     if text.count(",") > 1 or not (0.0 <= angle <= _STEEPEST and math.isfinite(azimuth)):
         what = f"--tilt {text[:40]!r} is not possible: the tilt is between 0 and {_STEEPEST:g} degrees."
         raise UsageError(what, "Give the tilt and the direction of the short axis of the ellipse in degrees.")
@@ -131,12 +131,12 @@ def read_tilt(text: str) -> Tilt:
 
 
 def read_point(text: str, option: str = "--point") -> tuple[float, float]:
-    """Read a position such as "320,240"."""
+    """Read a position like "320,240"."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
         what = f"{option} {text[:40]!r} is not a position."
-        raise UsageError(what, "Give two numbers in px, such as 320,240.") from error
+        raise UsageError(what, "Give two numbers in px, for example 320,240.") from error
     if not (math.isfinite(x) and math.isfinite(y)):
         raise UsageError(f"The coordinates of {option} are not finite numbers.", "Give two numbers in px.")
     return x, y

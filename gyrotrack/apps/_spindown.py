@@ -70,7 +70,7 @@ class SpindownOptions:
     scale: float | None = None
     tilt: Tilt | None = None  # of the axis of rotation against the line of sight
     capture_fps: float | None = None  # frames per second of the camera
-    # moment of inertia [kg m2], such as "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
+    # moment of inertia [kg m2], for example "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
     # number of pulses per turn; the table is one column of times of pulses
     pulses_per_turn: float | None = None
@@ -80,7 +80,7 @@ class SpindownOptions:
     # markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers
     profile: Path | None = None
     body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
-    columns: tuple[str, ...] = ()  # meaning of columns of a table, such as "t=1" and "angle=2"
+    columns: tuple[str, ...] = ()  # meaning of columns of a table, for example "t=1" and "angle=2"
     # point to follow and centre of rotation, in a table or project of points
     marker: str | None = None
     centre: str | None = None
@@ -227,7 +227,7 @@ def _film(
         ), None
     if options.point is not None or options.colour is not None:
         film = Film(source, colour=options.colour, tilt=options.tilt)
-        _rate(film, options.capture_fps)  # an unknown rate is told before the film is tracked
+        _rate(film, options.capture_fps)  # an unknown rate is reported before the film is tracked
         recording, point = point_recording(film, options, progress)
         return recording, (film, point)
     film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
@@ -267,7 +267,7 @@ def _papers_markers(
     with suppress(GyrotrackError):
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)
         tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-        # coloured things at rest or in a hand are no markers
+        # coloured things at rest or in a hand are not markers
         if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
             note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
             return replace(found, warnings=(*warnings, note, *found.warnings))
@@ -530,7 +530,7 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
-    # the uncertainty that all angles share, such as that of the distance of the hub, scales the range as well
+    # the uncertainty that all angles share, for example that of the distance of the hub, scales the range as well
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"

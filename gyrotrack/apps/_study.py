@@ -368,7 +368,7 @@ class FitRequest:
         reduced, general, linear, or the name of a TOML file. Without it the request modifies an earlier fit, or else
         the reduced model.
     add, drop : tuple of str
-        Effects by name, and for `add` also laws such as ``casing: -k*omega_c**3``.
+        Effects by name, and for `add` also laws like ``casing: -k*omega_c**3``.
     own : sequence of Effect
         User-defined effects, which `add` may contain.
     share, per_case : tuple of str

@@ -325,7 +325,7 @@ class GeneratedCurve:
 
 @dataclass(frozen=True)
 class Input:
-    """A recorded input of the motion, such as a current or a commanded torque; arrays have shape (n,).
+    """A recorded input of the motion, for example a current or a commanded torque; arrays have shape (n,).
 
     Attributes
     ----------
@@ -595,6 +595,6 @@ class Inertia:
         if text is None:
             raise UsageError(
                 f"The moment of inertia of the {body} is not given; torques follow from it.",
-                f'Give --inertia-{body} "VALUE +- UNCERTAINTY" in kg m2, such as "5.54e-5 +- 0.06e-5".',
+                f'Give --inertia-{body} "VALUE +- UNCERTAINTY" in kg m2, for example "5.54e-5 +- 0.06e-5".',
             )
         return cls.of(text, body)

@@ -429,7 +429,7 @@ def _solve(
 
 
 def _are_two_clocks(free: Solution) -> bool:
-    """Tell whether separate rates of clips differ by more than those of one clock and their uncertainties allow."""
+    """Return whether separate rates of clips differ by more than those of one clock and their uncertainties allow."""
     rate = np.array([s.eps for s in free.starts])
     sigma = np.array([free.sigma(k)[1] for k in range(len(rate))])
     best = int(np.argmin(sigma))
@@ -534,7 +534,7 @@ def synchronise(
     show both bodies; a UsageError that a moment of inertia is not positive, or there is no clip.
     """
     if not (I_rotor > 0 and I_casing > 0):
-        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     if not rotors:
         raise UsageError("There is no rotor clip.", "Give the rotor recordings after the casing recording.")
     _check_distinct_films([casing, *rotors], names)

@@ -161,7 +161,7 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
     The background is the median over the samples at every pixel. If the marker is at one angle in more than
     `LONGEST_DWELL` of the samples, it is the median along each row; so it is where the patch has not the size of a
-    marker, such as the residue of a marker at rest that a codec leaves.
+    marker, for example the residue of a marker at rest that a codec leaves.
     """
     seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL or not is_marker_sized(seen.marker):
@@ -380,7 +380,7 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 # angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured
 LEAST_COVERED = 4.0
-LEAST_TURNED = 0.5  # angle [rad] that the samples of a marker must cover to tell which markers turn with it
+LEAST_TURNED = 0.5  # angle [rad] that the samples of a marker must cover to decide which markers turn with it
 LEAST_OFFSET = 1.0  # offset [px] below which rings about the hub are used
 
 
@@ -449,7 +449,7 @@ def search_ring(
 
 
 def is_marker_sized(marker: Marker) -> bool:
-    """Tell whether a patch is at least `LEAST_SIZE` large and not wider than `WIDEST`."""
+    """Return whether a patch is at least `LEAST_SIZE` large and not wider than `WIDEST`."""
     width = 2.0 * np.tan(min(marker.half_width, 1.4)) * marker.radius
     return bool(marker.half_width <= WIDEST and min(width, marker.outer - marker.inner) >= LEAST_SIZE)
 
@@ -480,7 +480,8 @@ def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
     """Return the markers of one body that turn with those of the other one; a TrackingError if this is undecided.
 
     Where the colours of a film are not those of the profile, a marker of the rotor may have the colour that is nearest
-    to that of the casing. Of two markers that turn together, that one is wrong with which fewer of its body turn.
+    to that of the casing. If two markers turn together, the one with fewer co-rotating markers of its
+    body is wrong.
     """
     turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
 

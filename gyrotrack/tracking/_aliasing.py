@@ -54,8 +54,8 @@ def unaliased(
 ) -> Alias:
     """Return the rotation to take of those that a film allows.
 
-    The one that explains more (`explained`) of the changes of brightness is taken. Of two that explain as much it is
-    the one that slows down, as a body does that turns freely; of two steady ones the slower one, with a warning.
+    The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
+    one that slows down, as a free body does; if both are steady, the slower one, with a warning.
     `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
     picture `template` was learnt.
     """
@@ -137,7 +137,11 @@ def _warning(
         first, last = (math.degrees(x) for x in _ends(angle, frame))
         return f"{first:+.0f} to {last:+.0f} degrees per frame"
 
-    alike = "" if period == TURN else f"The body looks alike after {math.degrees(period):.0f} degrees. "
+    alike = (
+        ""
+        if period == TURN
+        else f"The body looks the same when rotated by {math.degrees(period):.0f} degrees. "
+    )
     return (
         f"{alike}The film shows a rotation of {words(taken)} as well as one of {words(other)}; the one "
         f"{chosen} is taken. {remedy}"

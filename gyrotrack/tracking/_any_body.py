@@ -75,7 +75,7 @@ _WHOLE = 0.9
 # refused. Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say
 # nothing about each other
 _UNDETERMINED = 0.25
-# what another hub leaves unexplained over what the best one does, up to which both are told, and the relative
+# what another hub leaves unexplained over what the best one does, up to which both are reported, and the relative
 # difference of the range of their angles
 _AS_MUCH, _OTHER_RANGE = 1.1, 0.05
 # explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
@@ -85,7 +85,7 @@ _HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the s
 _ELSEWHERE = 0.2
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
 _STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is always part of the model
-# ... and the share by which it must explain more for smaller ranges, such as a pendulum before a wall
+# ... and the share by which it must explain more for smaller ranges, for example a pendulum before a wall
 _CLEARLY_BETTER = 0.02
 
 
@@ -180,7 +180,7 @@ def _track(
         what = "The coordinates of the hub are not finite numbers."
         raise UsageError(what, "Give the hub as --hub X,Y in px.")
     loose = track_by_features(film, usable, motion, progress)
-    # a body without an axle, such as a suspended table, does not turn about a given place on it
+    # a body without an axle, for example a suspended table, does not turn about a given place on it
     if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
@@ -274,7 +274,7 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
     x, y = free.ring.hub
     return (
         f"Rotation about ({x:.0f}, {y:.0f}) px, {away:.0f} px from the given hub, explains {100 * free.score:.0f} % of "
-        f"the change of brightness in place of {100 * given.score:.0f} %: the angles may be wrong. Correct --hub X,Y."
+        f"the change of brightness instead of {100 * given.score:.0f} %: the angles may be wrong. Correct --hub X,Y."
     )
 
 
@@ -351,8 +351,8 @@ _LEAST_BEND = 3.0  # smallest change of the step from frame to frame that counts
 def _steadiness(trial: _Trial) -> float:
     """Return the share of the frames without a jump: the step changes by no more than its typical size.
 
-    A body of alike parts, such as spokes with a shadow at rest, is explained at least as well by angles that jump back
-    by one part again and again.
+    For a body of equal parts, for example spokes with a shadow at rest, angles that repeatedly jump back by one part
+    explain the film at least as well.
     """
     step = np.diff(trial.angle)
     limit = max(float(np.median(np.abs(step))), _LEAST_BEND * trial.ring.step)
@@ -612,7 +612,7 @@ def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> fl
 class _BodyPath:
     """The path of a body far from its hub, by displacements that are fitted frame by frame.
 
-    From a place that the hub is off by (-b, c) towards and across the middle of the path, the distance of the body is
+    If the hub is displaced by (-b, c), towards and across the middle of the path, the distance of the body from it is
     r + b (1 - cos theta) + c sin theta.
     """
 
@@ -725,7 +725,7 @@ def _finish(
     steps = np.abs(np.diff(angle[kept]))
     if np.sum(steps) ** 2 < _FEWEST_STEPS * np.sum(steps**2):
         raise TrackingError(
-            f"The picture of the body in {film.path.name} changes between a few frames only: this is no rotation.",
+            f"The picture of the body in {film.path.name} changes between a few frames only, so it is not rotating.",
             "Check that it is the right film"
             + (", and --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )

@@ -261,7 +261,7 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
-    """Tell whether squared residuals are significantly smaller than those before, on the mean over the markers."""
+    """Return whether squared residuals are significantly smaller than those before, on the mean over the markers."""
     gain = []
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
@@ -501,7 +501,7 @@ class TrackedBodies:
     bodies: dict[str, BodyAngles]  # angles as seen
     flattening: dict[str, Flattening]  # effect of the oblique view on each body's orbits
     sense: int  # factor that makes the angles increase
-    warnings: tuple[str, ...]  # what the user should know
+    warnings: tuple[str, ...]  # warnings for the user
     doubts: tuple[str, ...] = ()  # reasons why the angles may be wrong
 
 
@@ -695,8 +695,8 @@ def _followed(
 
 
 _HARMONICS = range(1, 13)
-_FIRST_STATED = 3  # order from which harmonics are no nuisance of the camera
-_LAWS_OF_SPEED = 3  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
+_FIRST_STATED = 3  # order from which harmonics are not caused by the camera
+_LAWS_OF_SPEED = 4  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
 _DEGREE = 5
 _FEWEST_BATCHES = 5
 # variance of an amplitude over that of a complete set of angles from which an order resembles the motion
@@ -712,8 +712,9 @@ def harmonic_error(angle: Floats) -> float:
     the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
     the motion are left out in their batches: there the frames are in step with the error, and it is slow.
 
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter), or fall
-    as its inverse square (a torque of the angle, such as an unbalance). What is left beside these three is their error.
+    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter) or its
+    square (motion blur), or fall as its inverse square (a torque of the angle, as of an unbalance). The remainder
+    beside these four is their error.
 
     Parameters
     ----------
@@ -753,9 +754,9 @@ def harmonic_error(angle: Floats) -> float:
 
 
 def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
-    """Return amplitudes, (2, batches), less their least-squares fit by a constant, the speed and its inverse square."""
+    """Return amplitudes, (2, batches), less their least-squares fit by powers 0, 1, 2 and -2 of the speed."""
     relative = speed / speed.max()
-    laws = np.stack([np.ones_like(relative), relative, relative**-2.0], axis=1)
+    laws = np.stack([relative**power for power in (0.0, 1.0, 2.0, -2.0)], axis=1)
     return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 
@@ -830,8 +831,8 @@ _MOST_NOISE = 2.0  # ratio of the standard uncertainties of two angles from whic
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
     """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
 
-    Both differ by the white errors of both and by what does not average: a marker errs beside the marker of another
-    body, and where such passages are in step with the frames, the error is slow. With the variance V of the
+    Both differ by the white errors of both and by what does not average: a marker has an error beside the marker of
+    another body, and where such passages are in step with the frames, the error is slow. With the variance V of the
     differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, as
     a ring averages over its circumference.
     """
@@ -882,13 +883,13 @@ _REST, _TURNS = 0.05, 1.0
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
-    """Tell whether a body is at rest while the other one turns."""
+    """Return whether a body is at rest while the other one turns."""
     known = body.angle[np.isfinite(body.angle)]
     turns = bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS)
     return turns and len(known) > 0 and bool(np.ptp(known) < _REST)
 
 
 def _credible(body: BodyAngles) -> bool:
-    """Tell whether a body has angles in at least 5 % of the frames, with a median uncertainty below 0.2 rad."""
+    """Return whether a body has angles in at least 5 % of the frames, with a median uncertainty below 0.2 rad."""
     used = np.isfinite(body.angle)
     return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)

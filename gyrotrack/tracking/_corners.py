@@ -185,7 +185,7 @@ def _near_edge(
 
 
 def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
-    """Return weights (bands, size) that average neighbouring rows or columns in at most so many bands."""
+    """Return weights (bands, size) that average neighbouring rows or columns in at most `most` bands."""
     parts = np.array_split(chosen, min(most, len(chosen)))
     mixing = np.zeros((len(parts), size))
     for line, part in zip(mixing, parts, strict=True):

@@ -305,7 +305,9 @@ def _recording(
     )
 
 
-_BODY = 1.5  # radius of the bodies, such as the ring of the casing, relative to the outer end of the markers
+_BODY = (
+    1.5  # radius of the bodies, for example the ring of the casing, relative to the outer end of the markers
+)
 LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
 _STEPS = 12
 
@@ -416,7 +418,7 @@ def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
     if not all(s[0] == STATUS["lost"] and np.any(s[1:6] == STATUS["ok"]) for s in status):
         return ()
     return (
-        "Frame 0 does not match the motion that follows, such as a still before the film, and is omitted.",
+        "Frame 0 does not match the motion that follows, for example a still before the film, and is omitted.",
     )
 
 

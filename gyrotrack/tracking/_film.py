@@ -158,7 +158,7 @@ def background(
 
 
 def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
-    """Tell whether features enclose enough of the picture to be its background."""
+    """Return whether features enclose enough of the picture to be its background."""
     if len(places) < _FEWEST:
         return False
     return bool(cv2.contourArea(cv2.convexHull(places)) > _WIDEST_BODY * shape[0] * shape[1])
@@ -170,7 +170,7 @@ def camera_shake(
     """Measure the motion of the camera; None if it is at rest, or no background is visible.
 
     The first of the `samples` from all of the film is the reference, in whose place a hub is given; `frames` are used
-    only where the samples show a motion; `body` is centre (x, y) and radius [px] of the bodies, which are no
+    only where the samples show a motion; `body` is centre (x, y) and radius [px] of the bodies, which are not
     background.
     """
     reference = samples[0]
@@ -264,7 +264,7 @@ class Tilt:
 
 _HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
 _FILE = 32_000_000  # ... of this size
-_RELEASES = 2  # ... each of which is read in so many parts
+_RELEASES = 2  # ... parts in which each of them is read
 
 
 class Film:
@@ -507,7 +507,7 @@ _ROUNDING = 1.0 / 12.0  # variance of a brightness in whole grey levels
 def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
     """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
 
-    Frames that a lamp lights alike differ less than their neighbours, as if they were repeated.
+    Frames taken at the same flicker phase differ less than their neighbours, as if they were repeated.
     """
     gain = float(after.mean()) / max(float(before.mean()), 1.0)
     return float(np.mean(np.abs(after - np.float32(gain) * before)))

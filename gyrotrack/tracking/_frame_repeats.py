@@ -99,7 +99,7 @@ class _Steps:
         return usual, abs(usual) > CLEAR * (1.4826 * median_of(np.abs(known - usual)) + 1e-6)
 
     def still(self, frame: int) -> bool | None:
-        """Tell whether the body has not moved since the previous frame; None if it is not seen in both."""
+        """Return whether the body has not moved since the previous frame; None if it is not seen in both."""
         step = abs(self.angle[frame] - self.angle[frame - 1])
         return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
 

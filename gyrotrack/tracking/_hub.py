@@ -140,7 +140,7 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     return paths
 
 
-_SHAKES = 5.0  # motion of a hub from frame to frame that is told, in units of `EXPECTED_ERROR`
+_SHAKES = 5.0  # motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR`
 
 
 def fast_motion(centre: CentrePath, measured: Floats) -> str | None:

@@ -217,9 +217,9 @@ def similarity_hubs(
     """Return the fixed point (x, y) [px] of the similarities between frames a few steps apart, from features that move.
 
     A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
-    hub (first result). For a small body far from it (second), such as the ball of a pendulum, the displacement d = (1 -
-    a)(h - c), c its centroid, is precise and the rotation is not: errors of a bias the hub towards the body. There h is
-    fitted to a = 1 - d / (h - c).
+    hub (first result). For a small body far from it (second), for example the ball of a pendulum, the displacement
+    d = (1 - a)(h - c), c its centroid, is precise and the rotation is not: errors of a bias the hub towards the body.
+    There h is fitted to a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:

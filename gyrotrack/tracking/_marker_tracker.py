@@ -374,7 +374,7 @@ class MarkerTracker:
         """Match profiles of an implausible misfit again, without the samples beside the marker that cause it.
 
         The markers of the rotor pass below those of the casing and do not change their profiles. What is beside a
-        marker of the rotor, such as the bar, may cover a part of it.
+        marker of the rotor, for example the bar, may cover a part of it.
         """
         poor = window.known & (found.misfit > LARGEST_MISFIT)
         if self.marker.body != "casing" or not poor.any():
@@ -429,7 +429,7 @@ class MarkerTracker:
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
-        """Tell which pairs of corners are consistent with the place and width of the marker, (n, 1)."""
+        """Return which pairs of corners are consistent with the place and width of the marker, (n, 1)."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         known = np.isfinite(half)
         if not known.any():

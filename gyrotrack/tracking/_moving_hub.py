@@ -78,11 +78,11 @@ _TURNS = 5.0
 def track_by_features(
     film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
 ) -> Tracked | None:
-    """Track a body without an axle, such as a suspended table, by its features; None for any other film.
+    """Track a body without an axle, for example a suspended table, by its features; None for any other film.
 
     This is for a hub that moves by about a pixel or more and a range of angles below 2 rad. A body on an axle is
     tracked by registration, which uses the whole picture, and so is one that moves more than it turns, or whose hub
-    is outside the picture, such as the ball of a pendulum.
+    is outside the picture, for example the ball of a pendulum.
     """
     wanted = set(usable.tolist())
     found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)

@@ -83,7 +83,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     fits = [least_squares(normalised, c, loss="soft_l1", f_scale=3.0) for c in starts]
     best = min(fits, key=lambda f: float(f.cost)).x
     rest = distance(best)
-    # outliers, such as frames in which something else was matched, have been given little weight
+    # outliers, for example frames in which something else was matched, have been given little weight
     typical = max(1.4826 * float(np.median(np.abs(rest / s))), 1e-12)
     use = np.abs(rest / s) < 5.0 * typical
 

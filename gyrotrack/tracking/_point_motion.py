@@ -38,7 +38,7 @@ _STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in stand
 _BY_PLACE, _LEARNT = 0.005, 0.4
 # distance of the hub of the arc from the given one from which it is doubted, in standard deviations
 _CONTRADICTS = 3.0
-# a point that nobody selected: share of the frames in which it must be found, largest radial scatter over the extent
+# a point that was not selected: share of the frames in which it must be found, largest radial scatter over the extent
 # of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
 _ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
 
@@ -121,7 +121,7 @@ def follow_path(
     try:
         return _of_path(film, path, start, hub)
     except TrackingError:
-        if start is None:  # what nobody selected must move about a pivot
+        if start is None:  # a point that was not selected must move about a pivot
             raise
         formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
         noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
@@ -314,7 +314,7 @@ def _tilted(ratio: float, arc: Arc, view: float) -> str:
 
 
 def _check_unselected(found: TrackedPoint, name: str) -> None:
-    """Raise a TrackingError unless a point that nobody selected moves about a pivot for certain."""
+    """Raise a TrackingError unless a point that was not selected certainly moves about a pivot."""
     path, angle = found.path, found.angle
     extent = float(np.hypot(*np.ptp(path.place, axis=0)))
     middle = 0.5 * float(angle.min() + angle.max())

@@ -225,7 +225,7 @@ def _candidate(rings: Rings, hue: float) -> Candidate | None:
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
-    """Tell whether a second patch has the hue of the first and is significant."""
+    """Return whether a second patch has the hue of the first and is significant."""
     share = other.contrast / one.contrast * float(other.sampled.clear.mean())
     return share > _AMBIGUOUS and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
@@ -266,7 +266,7 @@ class Group:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether it turns neither in the first frames nor in the course of the film."""
+        """Whether it is stationary throughout the film."""
         if abs(self.rotation.step) > _REST_STEP:
             return False
         seen = self.members[0].sampled

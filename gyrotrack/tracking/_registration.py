@@ -1,4 +1,4 @@
-"""Angle of a body without markers: its polar picture is registered against its own learnt mean.
+"""Angle of a body without markers: its polar picture is registered against a template averaged from this film.
 
 A ring about the hub is unwrapped into a polar picture I_t(r, phi) for each frame t. The model is
 
@@ -354,7 +354,7 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
 
     The result is normalised to the energies of both pictures. `band` selects which details count, by their order k
     (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones avoid secondary maxima
-    for periodic details, such as spokes; the middle ones are insensitive to a small displacement of the hub.
+    for periodic details, for example spokes; the middle ones are insensitive to a small displacement of the hub.
     """
     a, b = (np.fft.rfft(p, axis=1) for p in (first, second))
     k = np.fft.rfftfreq(first.shape[1])
@@ -375,9 +375,9 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
 
 
-# Alike parts of a body, such as the spokes of a wheel, are equally probable places for each of them. After so many
-# steps a change of the step by more than this part of it, and by more than so many columns, must raise the correlation
-# by this part of its maximum.
+# Equal parts of a body, for example the spokes of a wheel, are equally probable places for each of them. From this
+# number of steps on, a change of the step by more than this part of it, and by more than this number of columns, must
+# raise the correlation by this part of its maximum.
 _STEADY, _JUMP, _LEAST_JUMP, _UNLIKELY = 2, 1.5, 6.0, 0.3
 
 

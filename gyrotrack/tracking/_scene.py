@@ -61,7 +61,7 @@ class Scene:
     disc: Disc | None  # the disc at the centre; None where the centre is taken from the orbit
     markers: tuple[Marker, ...]
     missing: tuple[str, ...] = ()  # names of those that were not
-    warnings: tuple[str, ...] = ()  # what the user should know
+    warnings: tuple[str, ...] = ()  # for the user
     # offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is
     # significant: for a tilted camera a body below the plane of the hub circles another point of the picture
     offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -160,7 +160,7 @@ class Samples:
     def spread(self) -> tuple[int, ...]:
         """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
 
-        An object that is visible at the beginning only, such as the hand that starts the rotor, is in the minority.
+        An object that is visible at the beginning only, for example the hand that starts the rotor, is in the minority.
         """
         keys = range(self.head, len(self.frames))
         most = max(12, 48 - len(keys)) if len(keys) < 12 else 12

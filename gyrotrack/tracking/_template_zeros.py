@@ -8,10 +8,10 @@ markers have a fixed zero. In batch b the mean difference m_b of both angles is
     var w_b = q^2 + p^2 (omega_b - omega_(b-1))^2,
 
 a local level model (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge (1989)).
-s_b is the scatter of the differences in the n_b frames. A marker errs with harmonics k of its own angle a and of the
-angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in which they
-average out. Where the frames are in step with such a harmonic, it does not average out, and the markers tell little
-about the zero. The speed omega_b blurs a template; p = 0 for a steady body. q, p and x are those of the largest
+s_b is the scatter of the differences in the n_b frames. The error of a marker has harmonics k of its own angle a and
+of the angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in
+which they average out. Where the frames are in step with such a harmonic, it does not average out, and the markers say
+little about the zero. The speed omega_b blurs a template; p = 0 for a steady body. q, p and x are those of the largest
 likelihood, and the zeros are smoothed. Within a batch the zero is z_b + c_b (omega - omega_b); c_b is the slope of the
 differences, shrunk by its uncertainty with p as the prior standard deviation.
 """
@@ -70,7 +70,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     template : ndarray, shape (n,)
         Number of the template of each frame, from 0, in order.
     angles : sequence of ndarray, shape (n,)
-        Angles with whose harmonics the markers err [rad], first that of the body itself.
+        Angles of whose harmonics the errors of the markers consist [rad], first that of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
     known = np.isfinite(off)

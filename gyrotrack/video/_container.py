@@ -266,15 +266,15 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
     pictures = _pictures_in(folder)
     if not pictures:
         raise VideoError(
-            f"{folder} contains no numbered pictures.", "Give a film, or pictures such as img_0001.png."
+            f"{folder} contains no numbered pictures.", "Give a film, or pictures like img_0001.png."
         )
     parts = {(m[1], len(m[2]) if m[2].startswith("0") else 0, p.suffix) for p in pictures
              if (m := re.fullmatch(r"(.*?)(\d+)", p.stem))}  # fmt: skip
     heads = {(head, suffix) for head, _, suffix in parts}
     widths = {width for _, width, _ in parts} - {0}
     if len(heads) > 1 or len(widths) > 1:
-        what = f"{folder} contains pictures of several series, such as {pictures[0].name} and {pictures[-1].name}."
-        raise VideoError(what, "Put each series into a folder of its own.")
+        what = f"{folder} contains pictures of several series, for example {pictures[0].name} and {pictures[-1].name}."
+        raise VideoError(what, "Put each series into a separate folder.")
     ((head, suffix),) = heads
     numbers = sorted(int(p.stem[len(head) :]) for p in pictures)
     lost = numbers[-1] - numbers[0] + 1 - len(numbers)

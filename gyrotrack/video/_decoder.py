@@ -264,7 +264,7 @@ def frames_at(
 ) -> dict[int, Frame]:
     """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1.
 
-    Of the other frames only those to which frames refer are decoded.
+    Other frames are decoded only where these frames refer to them.
     """
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
@@ -335,7 +335,7 @@ Rows = npt.NDArray[np.uint8]
 class RepeatDetector:
     """Detects frames of a film that repeat the previous one.
 
-    `regular` tells whether runs of repeated frames are periodic, as after a conversion to another rate, according to
+    `regular` states whether runs of repeated frames are periodic, as after a conversion to another rate, according to
     the packets of the whole film or to the frames so far.
     """
 
@@ -347,7 +347,7 @@ class RepeatDetector:
         self._run = False
 
     def same(self, frame: Frame) -> bool:
-        """Tell whether the next frame of the film repeats the previous one."""
+        """Return whether the next frame of the film repeats the previous one."""
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = _difference(rows, last)
@@ -403,6 +403,6 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 def _regular(start: npt.NDArray[np.int64]) -> bool:
-    """Tell whether runs are periodic up to one frame of rounding, as after a conversion."""
+    """Return whether runs are periodic up to one frame of rounding, as after a conversion."""
     apart = np.diff(start)
     return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)

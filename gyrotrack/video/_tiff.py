@@ -42,7 +42,7 @@ class TiffStack:
 
 
 def read_stack(path: Path) -> TiffStack:
-    """Read the shape of a stack; raise a `VideoError` if it is no film."""
+    """Read the shape of a stack; raise a `VideoError` if it is not a film."""
     try:
         with tifffile.TiffFile(path) as file:
             pages = len(file.pages)
@@ -53,7 +53,7 @@ def read_stack(path: Path) -> TiffStack:
         what = f"{path} is not a TIFF file that can be read."
         raise VideoError(what, "Copy it again, or save it as an uncompressed AVI.") from error
     if pages < 2:
-        what = f"{path} contains one picture, which is no film."
+        what = f"{path} contains one picture, which is not a film."
         raise VideoError(what, "Give a stack of pictures, or the folder of numbered pictures.")
     colour = len(shape) == 3 and shape[2] in (3, 4) and kind == np.uint8
     if not alike or not (colour or (len(shape) == 2 and kind.kind in "uif")):

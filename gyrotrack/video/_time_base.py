@@ -68,7 +68,7 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     `tick` is the unit of the timestamps in s; 1 ms at most counts. The period is the median spacing. A step counts as a
     gap only beyond 1.5 periods and 1.1 ticks more than one, because stamps in whole ticks jitter by one: in Matroska (1
     ms) a single missing frame cannot be detected above 900 frames/s. Films whose stamps are otherwise not equally
-    spaced (one step in ten is no whole number of periods), or that do not increase (one step in a hundred; AVI knows
+    spaced (one step in ten is not a whole number of periods), or that do not increase (one step in a hundred; AVI knows
     only when a frame is decoded, not when it is shown), are numbered without gaps.
     """
     plain = np.arange(len(pts), dtype=np.int64)
@@ -85,7 +85,7 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
 
 
 def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
-    """Tell whether more than one step between timestamps in ten is no whole number of periods."""
+    """Return whether more than one step between timestamps in ten is not a whole number of periods."""
     period = float(np.median(step))
     off = np.abs(step / period - np.rint(step / period)) * period
     return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
@@ -141,7 +141,7 @@ class FrameTimes:
     sigma: float = 0.0
     # shape (n,); the places without jitter beyond rounding, in case it is not that of the camera
     smooth: Floats | None = None
-    warnings: tuple[str, ...] = ()  # what the user should know
+    warnings: tuple[str, ...] = ()  # for the user
     again: Mask | None = None  # shape (n,); frames that repeat the one before them; None if there are none
 
     def even(self) -> FrameTimes:
@@ -202,7 +202,7 @@ class Timing:
         return FrameTimes(number, warnings=(*warnings, *gap_warnings(number)))
 
     def _live(self, pts: Floats) -> bool:
-        """Tell whether the film was not slowed down: its stamps come at about the capture rate."""
+        """Return whether the film was not slowed down: its stamps come at about the capture rate."""
         step = np.diff(pts)
         return any(abs(self.fps * float(period) - 1.0) < LIVE for period in (np.median(step), step.mean()))
 
@@ -235,7 +235,7 @@ class Timing:
 
 
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:
-    """Tell whether more than one timestamp in a hundred lies off the line through them over the frames' numbers."""
+    """Return whether more than one timestamp in a hundred lies off the line through them over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
     return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
 

@@ -70,8 +70,8 @@ def case(tmp_path_factory):
     """A case of which the reduced model misses the casing's quadratic drag, with 0.5 s of film beside it."""
     import av
 
+    from gyrotrack import read_case, write_case
     from gyrotrack.apps.cli._app import run
-    from gyrotrack.io._hdf5 import read_case, write_case
     from gyrotrack.io._records import Placement
     from gyrotrack.tracking._extract import extract
 

@@ -6,7 +6,7 @@ from time import perf_counter
 
 import pytest
 
-from gyrotrack.io._hdf5 import read_recording
+from gyrotrack import read_recording
 from gyrotrack.tracking._profile import load
 
 from .conftest import Visit, accessibility

@@ -174,7 +174,7 @@ def test_a_typed_law_is_fitted(visit):
 
 
 @pytest.mark.slow
-def test_an_error_of_the_user_is_told_in_a_sentence(visit):
+def test_an_error_of_the_user_is_reported_in_a_sentence(visit):
     count = _rungs(visit)
     for typed, told in (
         ("casing: -k*omega_c**", "is not a formula"),

@@ -9,11 +9,8 @@ from pathlib import Path
 import twobody
 from filelock import FileLock
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, fit, make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 HIDDEN = {
     "nothing": twobody.Hidden(),

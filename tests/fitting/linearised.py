@@ -6,13 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import LINEAR
+from fitting import LINEAR, Model, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._noise import TorqueNoise, TorqueResponse
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
-from fitting.inference._record import make_record
 
 # the record begins at 3 s
 BEGIN, SPAN, SIGMA = 3.0, 12.0, 1e-3

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from fitting.inference._record import make_record
+from fitting import make_record
 
 
 def motion(acceleration, start, span, rate=100.0, dry=0.0):

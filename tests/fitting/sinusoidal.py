@@ -5,7 +5,7 @@ import math
 import numpy as np
 import twobody
 
-from fitting.inference._record import make_record
+from fitting import make_record
 
 STRENGTH, RATE = 4e-6, 530.0
 APART, ALIKE = (0.7, 3.3), (0.7, 0.7)

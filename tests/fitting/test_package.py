@@ -13,11 +13,7 @@ import twobody
 from cases import data, fitted
 
 import fitting
-from fitting import fit
-from fitting._errors import EffectError, EstimationError, LedgerError
-from fitting.dynamics._model import Model
-from fitting.inference._record import make_record
-from fitting.study._serialisation import load_fit
+from fitting import EffectError, EstimationError, LedgerError, Model, fit, load_fit, make_record
 from gyrotrack.apps.cli import _app as app
 
 ROOT = Path(__file__).parents[2]

@@ -15,7 +15,7 @@ LIMIT_S, LIMIT_MB = 10.0, 1000.0
 
 
 def _read(path):
-    from gyrotrack.io.readers._import_case import import_body
+    from gyrotrack import import_body
     from gyrotrack.video._container import probe
     from gyrotrack.video._decoder import Reader
 
@@ -29,8 +29,8 @@ def _read(path):
 
 
 def _child(path, out):
-    from fitting._errors import FittingError
-    from gyrotrack._errors import GyrotrackError
+    from fitting import FittingError
+    from gyrotrack import GyrotrackError
 
     size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()  # noqa: PTH123, SIM115
     most = size + int(3 * LIMIT_MB * 1e6)

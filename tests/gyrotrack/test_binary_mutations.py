@@ -54,8 +54,7 @@ def _wav(path):
 
 
 def _hdf5(path):
-    from gyrotrack.io._hdf5 import write_case
-    from gyrotrack.io.readers._import_case import import_body
+    from gyrotrack import import_body, write_case
 
     table = path.with_suffix(".csv")
     table.write_text("t,angle\n" + "".join(f"{k / 100},{k / 7}\n" for k in range(60)))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gyrotrack._errors import ConfigurationError, ProfileError
+from gyrotrack import ConfigurationError, Profile, ProfileError
 from gyrotrack._toml import line_of, read_document
-from gyrotrack.tracking._profile import Profile, load
+from gyrotrack.tracking._profile import load
 
 TEXT = """\
 name = "x"           # 1
@@ -70,7 +70,7 @@ def test_lines(location, line):
         (b"__proto__ = 1\n" * 1, "marker: field required"),
     ],
 )
-def test_what_is_no_document(tmp_path, content, words):
+def test_what_is_not_a_document(tmp_path, content, words):
     path = tmp_path / "p.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigurationError, match=words.replace("[", r"\[")):

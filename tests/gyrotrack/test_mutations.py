@@ -13,15 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fitting._errors import FittingError
-from fitting.effects._user import read_effects
-from fitting.study._history import Ledger
-from gyrotrack._errors import GyrotrackError, OutputError
+from fitting import FittingError, Ledger, read_effects
+from gyrotrack import GyrotrackError, OutputError, import_body
 from gyrotrack.apps.batch._experiments import read_manifest, read_study
 from gyrotrack.apps.batch._steps import Journal
 from gyrotrack.apps.workbench._project import STATE_FILE, Project
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
-from gyrotrack.io.readers._import_case import import_body
 from gyrotrack.tracking._film_parts import frames_done
 from gyrotrack.tracking._profile import load
 

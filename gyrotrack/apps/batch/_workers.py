@@ -296,7 +296,9 @@ class ClusterWorkers:
             try:
                 raw = done.result()
                 answer.set_result(checked(raw if isinstance(raw, bytes) else b""))
-            except BaseException as error:  # a lost scheduler cancels, which is no Exception in all versions
+            except (
+                BaseException
+            ) as error:  # a lost scheduler cancels, which is not an Exception in all versions
                 answer.set_result(_lost(error))
 
         self._pending.add(answer)

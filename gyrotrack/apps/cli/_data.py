@@ -86,8 +86,8 @@ def import_command(
     unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
     noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
     rest at the end are detected, reported and excluded. Two lines for each file say what each column was taken for and
-    why, and what was left out; a column in doubt is asked for. Every repair is reported with its line. With --input
-    nothing is cut from the record: the input describes the drive.
+    why, and what was left out; for a column in doubt the option is named. Every repair is reported with its line. With
+    --input nothing is cut from the record: the input describes the drive.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -119,7 +119,7 @@ def import_command(
     ]
     if start_u is not None and not 0 <= start_u < math.inf:
         raise UsageError(
-            f"--start-u {start_u:g} is not an uncertainty.", "Give it in s, such as --start-u 0.002."
+            f"--start-u {start_u:g} is not an uncertainty.", "Give it in s, for example --start-u 0.002."
         )
     options[0] = replace(options[0], inputs=read_input_options(inputs or ()))
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)

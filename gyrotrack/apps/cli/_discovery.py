@@ -109,7 +109,7 @@ def check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | N
 
 
 def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
-    """Draw a result, if a picture is wanted, and return the line that says so."""
+    """Draw a result, if a picture is wanted, and return a confirmation line."""
     if picture is None:
         return []
     from gyrotrack.plotting._results import write_picture

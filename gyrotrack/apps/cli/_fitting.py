@@ -298,10 +298,12 @@ def diagnose_command(
     ledger: shared.LedgerFile = None,
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
+    verbose: shared.Verbose = False,
 ) -> None:
     """Locate the lack of fit in time, speed and torque, and rank the effects that could be missing.
 
-    Several cases are diagnosed jointly. Without an earlier fit the reduced model is fitted first.
+    Several cases are diagnosed jointly. Without an earlier fit the reduced model is fitted first. With -v every fit of
+    the search is listed, with its purpose and its result.
 
     Example: gyrotrack diagnose case1.h5
     """
@@ -310,7 +312,7 @@ def diagnose_command(
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
 
-    out = Output(as_json=as_json, quiet=quiet)
+    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
@@ -322,6 +324,8 @@ def diagnose_command(
         study.keep_diagnosis(fit_id, found, own)
     out.result(diagnosis_document(found, fit_id))
     out.show(*diagnosis_tables(found, fit_id))
+    for refit in found.trace:
+        out.detail(refit.sentence(found.fit.model.names))
     every = " ".join(str(c) for c in cases)
     out.note(
         f"`gyrotrack certify {every}` tests this answer on simulated recordings (about "

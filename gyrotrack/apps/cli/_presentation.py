@@ -199,7 +199,7 @@ def view_command(
 
     try:
         serve(bench, port, announce, window=window)
-    except KeyboardInterrupt:  # the regular end
+    except KeyboardInterrupt:  # Ctrl-C quits
         return
 
 

@@ -357,7 +357,7 @@ def checked_scale(scale: float | None) -> float | None:
 
 BodyInertia = Annotated[
     str | None,
-    option("--inertia I", "Moment of inertia of the single body, such as '5.5e-5 +- 0.1e-5' (kg m2)."),
+    option("--inertia I", "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2)."),
 ]
 Columns = Annotated[
     list[str] | None,
@@ -371,8 +371,8 @@ Inputs = Annotated[
     list[str] | None,
     option(
         "--input NAME=COLUMN",
-        "Recorded input of the motion, for laws such as 'casing: k*current': 'current=3 [A] +- 0.01', with "
-        "interpolation and dead time 'pwm=Command, hold, delay=0.02', from a table of its own 'torque=2 [N m], "
+        "Recorded input of the motion, for laws like 'casing: k*current': 'current=3 [A] +- 0.01', with "
+        "interpolation and dead time 'pwm=Command, hold, delay=0.02', from a separate table 'torque=2 [N m], "
         "file=torque.csv'.",
     ),
 ]

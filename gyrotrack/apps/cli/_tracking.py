@@ -44,7 +44,7 @@ def profile_command(
 
     Finds coloured regions that rotate about a common centre and groups them by body; the faster body is the rotor.
     Uncertain results are reported. The profile is a text file and can be edited. Where no markers or those of one body
-    are found, the texture of a body that rotates is shown as another reading of the film, which `spindown` measures.
+    are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown` measures.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
@@ -95,7 +95,7 @@ def profile_command(
     lines = [_profile_lines(target, found)]
     if body is not None:
         document["readings"] = [_body_reading(body[1])]
-        lines.append(f"Another reading: {_body_sentence(document['readings'][0], video)}")
+        lines.append(f"Alternative interpretation: {_body_sentence(document['readings'][0], video)}")
     out.result(document)
     out.show(*lines)
     return None if found.sound else NOT_TRUSTED
@@ -210,7 +210,7 @@ def extract_command(
         list[str] | None,
         option(
             "--point --points X,Y",
-            "Follow points in place of markers, by their positions in the first frame [px]; repeat the option, or give "
+            "Follow points instead of markers, by their positions in the first frame [px]; repeat the option, or give "
             "several positions in quotes.",
         ),
     ] = None,
@@ -553,8 +553,8 @@ def spindown_command(
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
-    A film needs no markers: each frame is registered to the mean image of the body. A point about a pivot, such as the
-    bob of a pendulum, is followed with --point or --colour, or if it is the only compact body that moves. Without
+    A film needs no markers: each frame is registered to the mean image of the body. A point about a pivot, for example
+    the bob of a pendulum, is followed with --point or --colour, or if it is the only compact body that moves. Without
     --inertia, torques are per unit of inertia.
 
     Example: gyrotrack spindown wheel.mp4 --capture-fps 300
@@ -620,7 +620,7 @@ def _position(text: str | None) -> tuple[float, float] | None:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:
         what = f"--hub {text[:40]!r} is not a position."
-        raise UsageError(what, "Give two numbers in px, such as 320,240.") from error
+        raise UsageError(what, "Give two numbers in px, for example 320,240.") from error
     return x, y
 
 

@@ -392,7 +392,7 @@ def write_report(
     films : sequence of Path
         Folders that may contain the films; their frames are included.
     provenance : mapping of str to str, optional
-        Further lines of provenance, such as ``command`` and ``date``.
+        Further lines of provenance, for example ``command`` and ``date``.
     certificate : Certificate, optional
         The test of the diagnosis on simulated recordings.
     force : bool

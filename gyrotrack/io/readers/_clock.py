@@ -116,7 +116,7 @@ def _continued(
             raise DatasetError(
                 f"{path}, line {line[k + 1]}: {size}, and the values on both sides are "
                 f" {usual + seen[0]:.3g} +- {seen[1]:.1g} s apart: rows are missing there.",
-                "Give the part before or after this line as a file of its own.",
+                "Give the part before or after this line as a separate file.",
             )
         checked = "" if seen is None else f"; the values confirm it within {seen[1]:.1g} s"
         notes.append(

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 HDF5 = "HDF5 and netCDF (SLEAP, DeepLabCut, movement, gyrotrack)"
 TRACKER = "Tracker project"
-ARCHIVE = "zip (Excel, Tracker .trz, tables of text such as those of phyphox)"
+ARCHIVE = "zip (Excel, Tracker .trz, tables of text like those of phyphox)"
 EXCEL_97 = "Excel 97"
 MATLAB_7_3 = "MATLAB 7.3"
 MATLAB = "MATLAB (also captures of dSPACE)"
@@ -63,7 +63,7 @@ USES = (
         (TEXT,),
     ),
     Use(
-        "a table with columns such as `rpm`, `turns` or `dps`",
+        "a table with columns like `rpm`, `turns` or `dps`",
         "no option: a column named by its unit has this unit",
         (TEXT,),
     ),

@@ -54,7 +54,10 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
 
 
 _JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
-_CLEAR_JUMP, _UNSTEADY = 3.0, 40.0  # the same of one that is no continuation of the motion [changes, noise]
+_CLEAR_JUMP, _UNSTEADY = (
+    3.0,
+    40.0,
+)  # the same of one that is not a continuation of the motion [changes, noise]
 # change of a wrapped angle whose sense is in doubt [rad], and largest share of them in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
 _MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow
@@ -110,7 +113,7 @@ def _refuse_jumps(table: MotionTable) -> None:
     if wraps_at_no_turn(table.value):
         raise DatasetError(
             f"{table.path}: the angle jumps again and again by its whole range of {np.ptp(table.value):.5g} rad, which "
-            "is no whole turn.",
+            "is not a whole turn.",
             "State the unit of the angle; counts of an encoder are read with --pulses-per-turn N, which continues a "
             "counter that overflows.",
         )
@@ -260,7 +263,7 @@ def import_case(
         A moment of inertia is not positive, or there is no rotor table.
     """
     if not (I_rotor > 0 and I_casing > 0):
-        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     if not rotors:
         raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
     paths = (casing, *rotors)
@@ -342,7 +345,7 @@ def case_of_body(
 ) -> tuple[Case, MotionTable]:
     """Return the case of one body from its table, and the part of the table that is used; see `import_body`."""
     if not inertia > 0:
-        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, such as 5.54e-5.")
+        raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     limits = limits or Limits()
     if table.inputs:
         # an input describes drive and brake

@@ -25,7 +25,7 @@ _COLUMN = re.compile(
 )
 INTERPOLATIONS = ("linear", "hold")
 EXAMPLE = "Write for example --input 'current=3 [A]' or --input 'command=Torque [N m], hold, delay=0.02'."
-# names with a meaning of their own in laws
+# names with a separate meaning in laws
 _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
@@ -64,7 +64,7 @@ class InputOption:
     u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if it is not given
     interpolation: str = ""  # "" to decide by the values
     delay: float = 0.0  # dead time [s]
-    file: Path | None = None  # a table of its own, on the same clock
+    file: Path | None = None  # a separate table, on the same clock
 
     def place(self, raw: RawTable) -> int | None:
         """Return the index of its column; None if the table does not have it."""

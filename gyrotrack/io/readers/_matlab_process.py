@@ -1,4 +1,4 @@
-"""The arrays of a MATLAB file, read in a process of its own: a damaged file ends the compiled reader of SciPy.
+"""The arrays of a MATLAB file, read in a separate process: a damaged file ends the compiled reader of SciPy.
 
 The process gets the content on stdin. It answers with a line when it is ready, a line of JSON, and the numbers, each
 array as in a file ``.npy``; nothing of the answer is executed.

@@ -80,7 +80,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Driver:
-    """A column that may drive the motion, such as a voltage or a commanded torque, at the times of the rows."""
+    """A column that may drive the motion, for example a voltage or a commanded torque, at the times of the rows."""
 
     name: str
     unit: str
@@ -140,7 +140,7 @@ _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
 def read_names(given: Iterable[str], body: str = "casing") -> Names:
-    """Parse options such as ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
+    """Parse options like ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         role_name, equals, column = (part.strip() for part in option.partition("="))
@@ -154,7 +154,7 @@ def read_names(given: Iterable[str], body: str = "casing") -> Names:
         if role_name == quantity and prefix != body:
             continue
         names[column.casefold()] = (role_name, "")
-        last = _LAST_UNIT.fullmatch(column)  # after a header that contains a unit of its own
+        last = _LAST_UNIT.fullmatch(column)  # after a header that contains a separate unit
         base, unit = last.groups() if last else (column, "")
         if unit:
             names.setdefault(base.casefold(), (role_name, clean(unit)))

@@ -1,7 +1,7 @@
 """Doubts about what a column is, before anything is computed from it.
 
-A column that counts the rows is no counter of revolutions and no clock; intervals between pulses are not their times;
-an angle that wraps states its own unit; and an angle and its speed in one table state each other's.
+A column that counts the rows is neither a counter of revolutions nor a clock; intervals between pulses are not their
+times; an angle that wraps states its own unit; and an angle and its speed in one table state each other's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _FEWEST = 8  # smallest number of values that show a rule
-_BACKWARD = 0.05  # smallest share of steps back of a column that is no clock
+_BACKWARD = 0.05  # smallest share of steps back of a column that is not a clock
 _PARTS = 30  # number of parts of a record in which the growth of intervals is compared
 _LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that shows their law
 _POWERS = (
@@ -42,7 +42,7 @@ _RATIOS = (
     (1e3, "the time is in ms"),
     (1e6, "the time is in us"),
 )
-# passages of the middle of its range by a body that swings, clear of it by this share of the range
+# passages of the middle of its range by an oscillating body, clear of it by this share of the range
 _PASSAGES, _CLEAR = 4, 0.1
 # of an angle that wraps at no whole turn: smallest jumps, their smallest number, largest other steps [range]
 _WHOLE_RANGE, _JUMPS, _SMALL_STEP = 0.8, 3, 0.25

@@ -144,7 +144,7 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
         return _existing(points, options.marker)
     if options.body in points.places:
         return options.body
-    # the origin of a project is no point of the body, even where another centre is used
+    # the origin of a project is not a point of the body, even where another centre is used
     others = [n for n in points.places if n != centre and n.casefold() not in CENTRES]
     if len(others) != 1:
         raise UsageError(f"{points.path} contains the points {_list(others)}.", "Choose one with --marker.")

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Integers
@@ -47,6 +47,8 @@ from gyrotrack.io.readers._reading import Reading, Taken
 _CLOCKED = 0.01
 _REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
 _LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
+_MOSTLY = 0.8  # share of a record with regular pulses from which no drift is looked for
+_MORE = 1.25  # number of pulses without a drift over that with it, from which the drift is removed
 _PULSES_PER_PART = 6  # number of the longest typical periods in which the extremes are taken
 _EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
 # least amplitude of a signal relative to its typical one; below it the body is at rest or gone
@@ -71,7 +73,7 @@ _REGULAR = 0.13
 _SIGNIFICANT_STEP = 3.5  # smallest step of the counts in standard errors
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
 _PART = 3000  # number of intervals in which steps of the counts are found together
-_OVERLAP = 300  # ... with so many before and after them
+_OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
 _MAX_RESTARTS = 3
 # smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
@@ -102,7 +104,7 @@ def signal_columns(raw: RawTable, time_column: int) -> list[int]:
 
 
 def is_regular(edges: Floats) -> bool:
-    """Return whether pulses follow each other regularly, as those of a rotation do."""
+    """Return whether pulses follow each other as regularly as those of a rotation."""
     step = np.diff(edges)
     return len(step) > 2 and float(np.median(np.abs(np.diff(np.log(step))))) < _REGULAR_EDGES
 
@@ -117,13 +119,7 @@ def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> t
     DatasetError
         No stretch has enough samples per pulse.
     """
-    part = len(signal)
-    while True:
-        edges, after = _edges(time, signal, part)
-        longest = float(np.percentile(np.diff(after), 90)) if len(after) > 1 else np.inf
-        if not (smaller := max(_LEAST_PART, _PULSES_PER_PART * longest)) < 0.9 * part:
-            break
-        part = int(smaller)
+    edges, after = _local_edges(time, _without_drift(time, signal))
     if len(edges) < _NEIGHBOURS:
         return edges, after
     step = np.percentile(sliding_window_view(np.diff(after), _NEIGHBOURS - 1), 25, axis=1)
@@ -143,6 +139,49 @@ def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> t
             f"{_LEAST_SAMPLES:g} samples per pulse"
         )
     return edges[used], after[used]
+
+
+def _without_drift(time: Floats, signal: Floats) -> Floats:
+    """Return a signal less its running mean where that reveals pulses; else as it is.
+
+    A drift larger than the amplitude hides pulses from the local extremes. The width of the mean is halved from half
+    of the record on; it must contain two typical periods, and raise the number of pulses by a quarter or more.
+    """
+    edges, after = _local_edges(time, signal)
+    best, (most, period) = signal, _regular_pulses(edges, after)
+    if (
+        most
+        and after[-1] - after[0] > _MOSTLY * len(signal)
+        and np.diff(after).max() < 2 * _PULSES_PER_PART * period
+    ):
+        return signal  # pulses throughout
+    width = len(signal) // 2
+    while width >= _LEAST_PART:
+        padded = np.pad(signal, width, mode="reflect", reflect_type="odd")
+        changed = signal - uniform_filter1d(padded, width)[width:-width]
+        count, period = _regular_pulses(*_local_edges(time, changed))
+        if count > _MORE * most and width >= 2 * period:
+            best, most = changed, count
+        width //= 2
+    return best
+
+
+def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
+    """Return the number of pulses and their typical period in samples; 0 unless they follow each other regularly."""
+    if len(edges) < _NEIGHBOURS or not is_regular(edges):
+        return 0, 0.0
+    return len(edges), float(np.median(np.diff(after)))
+
+
+def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
+    """Return the rising edges by the extremes of parts of a few of the longest typical periods."""
+    part = len(signal)
+    while True:
+        edges, after = _edges(time, signal, part)
+        longest = float(np.percentile(np.diff(after), 90)) if len(after) > 1 else np.inf
+        if not (smaller := max(_LEAST_PART, _PULSES_PER_PART * longest)) < 0.9 * part:
+            return edges, after
+        part = int(smaller)
 
 
 def _edges(time: Floats, signal: Floats, part: int) -> tuple[Floats, Integers]:
@@ -467,7 +506,7 @@ def from_events(
 
 
 def varies_both_ways(time: Floats) -> bool:
-    """Return whether the speed of pulses rises and falls repeatedly, as that of a driven body does.
+    """Return whether the speed of pulses rises and falls repeatedly, which shows a drive.
 
     Single intervals, in which pulses are missed or doubled, are removed by a running median; of what remains, the
     turning points are those that are at least `_SWING` of the speed apart, beyond the scatter of the intervals.
@@ -477,7 +516,7 @@ def varies_both_ways(time: Floats) -> bool:
         return False
     logs = -np.log(interval)
     smooth = median_filter(logs, _SMOOTHED, mode="nearest")
-    # the median of n normal values errs by 1.25 s / sqrt(n), and m such errors range over 2 sqrt(2 ln m) times that
+    # the median of n normal values has an error of 1.25 s / sqrt(n); m such errors range over 2 sqrt(2 ln m) times that
     error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
     least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
     return rises(smooth, least) >= _MOST_RISES + 1
@@ -517,7 +556,7 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
         raise DatasetError(
             f"{raw.path}, line {line[k + 1]}: {step[k]:.4g} s pass without a pulse, and the speed is the same before "
             "and after: the clock was set, or pulses are lost.",
-            "Give the part before or after this line as a file of its own.",
+            "Give the part before or after this line as a separate file.",
         )
 
 
@@ -607,7 +646,11 @@ def _ratios_at_end(step: Floats) -> Floats:
 
 
 def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which pulses to keep: of two closer than 0.35 typical intervals, the more regular one."""
+    """Return which pulses to keep: of two closer than 0.35 typical intervals, the more regular one.
+
+    Without the other one, the interval that contains the short one is a whole number of typical intervals: one after a
+    double pulse, two after a pulse that is displaced by more than half an interval, which then counts as missed.
+    """
     keep = np.ones(len(time), dtype=bool)
     for _ in range(20):
         index = np.flatnonzero(keep)
@@ -619,12 +662,17 @@ def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
             after = step[k + 1] if k + 1 < len(step) else np.inf
             if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
                 continue  # next to an excluded one, or jitter of one pulse
-            later = abs(np.log((after + step[k]) / usual[k])) < abs(np.log((before + step[k]) / usual[k]))
+            later = _irregularity((after + step[k]) / usual[k]) < _irregularity((before + step[k]) / usual[k])
             keep[index[k + 1 if later else k]] = False
             last, dropped = k, True
         if not dropped:
             break
     return keep
+
+
+def _irregularity(ratio: float) -> float:
+    """Return the deviation of an interval from a whole number of typical ones, |ln(ratio / n)|."""
+    return abs(float(np.log(ratio / max(np.round(ratio), 1.0)))) if np.isfinite(ratio) else np.inf
 
 
 def from_counts(

@@ -106,7 +106,7 @@ def refuse_size(path: Path, rows: int, columns: int) -> None:
 
 
 def refuse_long_names(path: Path, names: Sequence[str]) -> None:
-    """Raise a DatasetError for headers that are no names of columns."""
+    """Raise a DatasetError for headers that are not names of columns."""
     if (longest := max(map(len, names), default=0)) > _LONGEST_NAME:
         what = f"{path}: a cell of the header has {longest:,} characters; at most {_LONGEST_NAME} are read."
         raise DatasetError(what, "Check the header.")
@@ -192,7 +192,7 @@ _HEADER_WORDS = {
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
-# units that also stand alone in a header, in place of a name; shorter ones may be symbols of something else
+# units that also stand alone in a header, instead of a name; shorter ones may be symbols of something else
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip

@@ -119,7 +119,7 @@ def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
     if missing:
         what = f"{made.path} is not a table of angles or speeds, from which --input reads a column."
         raise UsageError(
-            what, f"Give the input in a table of its own: --input '{missing[0].name}=2, file=TABLE'."
+            what, f"Give the input in a separate table: --input '{missing[0].name}=2, file=TABLE'."
         )
     inputs, taken, notes = [*made.inputs], [*made.reading.taken], [*made.notes]
     for option in (o for o in options.inputs if o.file is not None):
@@ -134,7 +134,7 @@ def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
 
 
 def _input_of_file(option: InputOption) -> tuple[Input, Taken]:
-    """Return an input from a table of its own, and what is said of it."""
+    """Return an input from a separate table, and what is said of it."""
     assert option.file is not None  # noqa: S101 - the caller selects these
     _, raw = _content(option.file, ReadOptions())
     if isinstance(raw, Points):
@@ -211,7 +211,7 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 
 def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
-    """Return the rows of one body, if a table contains several (such as those of `export`)."""
+    """Return the rows of one body, if a table contains several (for example those of `export`)."""
     labels = (c for n, c in zip(raw.names, raw.columns, strict=True) if n.casefold() == "body")
     names = next((c for c in labels if isinstance(c, list)), None)
     if names is None:

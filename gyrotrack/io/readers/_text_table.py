@@ -121,7 +121,7 @@ def _delimiter_of_body(lines: Lines) -> str | None:
 
 
 def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str], list[str], int]:
-    """Return the names of the columns, their units if in a line of their own, and the line of the names.
+    """Return the names of the columns, their units if in a separate line, and the line of the names.
 
     Of several lines with a cell for each column (names, symbols, units) the one with most known names is the header.
     """
@@ -184,7 +184,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
     preamble: list[str] = []
     regular = all(len(r) == usual for r in rows[above_table:-1])
     if 0 < above_table <= _MOST_SETTINGS and len(names) != usual and regular:
-        # settings of the instrument, in a table of their own
+        # settings of the instrument, in a separate table
         preamble = [
             f"{path.name}: ignored the lines before line {lines[first + above_table][0]} (another table)"
         ]
@@ -219,7 +219,7 @@ def _is_list(cell: str) -> bool:
 
 
 def _names_between_blanks(line: str, width: int) -> list[str]:
-    """Return names with blanks, such as ``t [s] angle [rad]``; empty unless there are `width` of them."""
+    """Return names with blanks, for example ``t [s] angle [rad]``; empty unless there are `width` of them."""
     names = (
         [line.strip().strip('"')]
         if width == 1

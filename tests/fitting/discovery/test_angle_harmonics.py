@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import REDUCED, Experiment, Model, fit, make_record, simulate
 from fitting.discovery._residuals import angle_harmonics, find_failures, residual_torques
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.inference._simulation import Experiment, simulate
 
 AMPLITUDE, PHASE = 4e-6, 0.9
 
@@ -44,7 +40,7 @@ def test_harmonics_of_the_residual_torque_contain_an_unbalance(order):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
-def test_a_lack_of_fit_elsewhere_is_no_harmonic(centre, width):
+def test_a_lack_of_fit_elsewhere_is_not_a_harmonic(centre, width):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))
     cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
     motion = twobody.simulate(span=60.0, step=0.002, hidden=hidden, seed=4)

@@ -4,12 +4,9 @@ import pytest
 import twobody
 from sinusoidal import APART, records, unbalance
 
-from fitting._criteria import Criteria
+from fitting import REDUCED, Criteria, Model, make_record
 from fitting.discovery._select import Step, _backward
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 

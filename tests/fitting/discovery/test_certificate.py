@@ -10,15 +10,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binomtest
 
-from fitting._errors import EstimationError
+from fitting import Certificate, EstimationError, Ledger, Model, certify, diagnose, fit, make_record
 from fitting.discovery import _certificate as certificate
-from fitting.discovery._certificate import Certificate, Outcome, certify, hypotheses, outcomes_of, planned
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
+from fitting.discovery._certificate import Outcome, hypotheses, outcomes_of, planned
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.study._history import Ledger
 from fitting.study._serialisation import certificate_document
 
 NAME = "casing.air.quadratic"
@@ -70,7 +65,7 @@ class TestRates:
         assert found.alarms == 3
         assert found.interval == certificate.rate_interval(3, 5)
 
-    def test_outcomes_with_the_effect_are_no_false_alarms(self):
+    def test_outcomes_with_the_effect_are_not_false_alarms(self):
         found = made(outcome(), outcome("truth", verdict="missing_effect", named=(NAME,), effect=NAME))
         assert (found.alarms, found.names) == (0, {})
 

@@ -5,16 +5,13 @@ from dataclasses import replace
 import pytest
 import twobody
 
-from fitting._criteria import Criteria
+from fitting import LIBRARY, REDUCED, Criteria, Model, make_record
 from fitting.discovery._refine import distant_changepoints, local_changepoints
 from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import found_starts
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 T0 = 88.0
 

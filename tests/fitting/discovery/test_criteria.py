@@ -9,13 +9,8 @@ import twobody
 from scipy.stats import chi2, norm
 
 import fitting
-from fitting._criteria import Criteria
+from fitting import REDUCED, Criteria, Model, diagnose, fit, make_record
 from fitting.discovery._select import best, rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 
 @cache

@@ -6,15 +6,10 @@ from functools import cache
 import pytest
 import twobody
 
+from fitting import LIBRARY, REDUCED, Model, diagnose, fit, improve, make_record
 from fitting._workers import WorkerPool
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 TORQUE = 2e-6  # N m where it is largest: 1.5 % of the torque budget, the misfit of the paper
 HIDDEN = {

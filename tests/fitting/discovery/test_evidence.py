@@ -6,12 +6,9 @@ from functools import cache
 import pytest
 import twobody
 
+from fitting import LIBRARY, REDUCED, Model, fit, make_record
 from fitting.discovery._select import best, rank
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 
 @cache

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.inference._fit import deviance_at_noise_of, fit
-from fitting.inference._record import make_record
+from fitting import Model, diagnose, fit, make_record
+from fitting.inference._fit import deviance_at_noise_of
 
 
 def constant_torque(seed):

@@ -8,17 +8,13 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import LIBRARY, REDUCED, Experiment, Model, diagnose, make_record, simulate
 from fitting._criteria import DEFAULT
 from fitting.discovery._lack_of_fit import UNKNOWN_IN_TIME
 from fitting.discovery._named_effect import FormTest, form_test
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.inference._simulation import Experiment, simulate
 
 DRAG = LIBRARY["casing.air.quadratic"]
 

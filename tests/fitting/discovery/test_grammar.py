@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting._errors import EffectError
+from fitting import EffectError, read_effects
 from fitting.discovery._grammar import description_length, grammar
 from fitting.effects._expression import Tape
-from fitting.effects._user import read_effects
 
 RANGES = {"omega_r": (300.0, 900.0), "omega_c": (5.0, 160.0), "delta": (250.0, 895.0)}
 

@@ -4,9 +4,8 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting._errors import SimulationError
+from fitting import Model, SimulationError
 from fitting.discovery import _select
-from fitting.dynamics._model import Model
 from fitting.inference._fit import fit
 
 

@@ -7,7 +7,18 @@ from types import SimpleNamespace
 import pytest
 import twobody
 
-from fitting._criteria import Criteria
+from fitting import (
+    LIBRARY,
+    REDUCED,
+    Criteria,
+    Estimate,
+    Experiment,
+    Model,
+    diagnose,
+    fit,
+    make_record,
+    simulate,
+)
 from fitting.discovery import _verdict
 from fitting.discovery._named_effect import (
     INERTIA,
@@ -15,13 +26,6 @@ from fitting.discovery._named_effect import (
     inertia_within_uncertainty,
     with_free_inertia,
 )
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
-from fitting.inference._fit import fit
-from fitting.inference._params import Estimate
-from fitting.inference._record import make_record
-from fitting.inference._simulation import Experiment, simulate
 
 
 def said(share, casing_u, rotor_u=math.nan, effect="setup.inertia"):

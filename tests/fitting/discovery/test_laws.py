@@ -9,24 +9,19 @@ import pytest
 import twobody
 from cases import case, fitted
 
+from fitting import REDUCED, EffectError, Fit, Model, diagnose, improve, laws, make_record, read_effects
 from fitting._criteria import DEFAULT
-from fitting._errors import EffectError
 from fitting._workers import WorkerPool
 from fitting.discovery import _dependence, _laws
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._difference import different_parameter
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
-from fitting.discovery._laws import Law, Laws, laws, library_answer, ranges_of, with_classes
+from fitting.discovery._laws import Law, Laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED, find
-from fitting.effects._user import read_effects, resolve
+from fitting.effects._library import find
+from fitting.effects._user import resolve
 from fitting.inference._fit import fit
 from fitting.inference._noise import WHITE
-from fitting.inference._record import make_record
-from fitting.inference._result import Fit
 from fitting.study._serialisation import (
     check_name,
     history_verdict,

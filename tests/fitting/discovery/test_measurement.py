@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from cases import data, fitted
 
+from fitting import LIBRARY, Candidate, diagnose, fit
 from fitting._criteria import DEFAULT
 from fitting.discovery._measurement import START, StartErrors, _fall, starts_are_unknown, with_start_u
 from fitting.discovery._score import Score
-from fitting.discovery._select import Candidate, _to_refit, ordered
-from fitting.discovery._verdict import diagnose
-from fitting.effects._library import LIBRARY
+from fitting.discovery._select import _to_refit, ordered
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
 from fitting.inference._record import Samples
 
 UNKNOWN = (np.nan,) * 3
@@ -72,7 +70,7 @@ def test_errors_of_starts_are_found_where_nothing_is_stated():
 
 
 @pytest.mark.slow
-def test_starts_that_are_right_are_no_candidate_of_weight():
+def test_starts_that_are_right_are_not_candidate_of_weight():
     record = replace(data(seed=0).record, start_sigma=UNKNOWN)
     starts = StartErrors(fit(fitted().model, [CaseData.of(record)]), DEFAULT)
     assert starts.p_value > 0.05

@@ -7,6 +7,7 @@ from functools import cache
 import pytest
 import twobody
 
+from fitting import LIBRARY, REDUCED, Model, diagnose, make_record
 from fitting._criteria import DEFAULT
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_LAWS,
@@ -14,13 +15,9 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._named_effect import form_test
 from fitting.discovery._select import rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 RESONANCE = "casing: -k*exp(-((omega_c - 110)/30)**2)"
 HIDDEN = {
@@ -50,7 +47,7 @@ def test_a_nonparametric_law_describes_the_data_as_well_as_the_true_one():
 
 
 @pytest.mark.slow
-def test_a_step_in_time_is_no_law_of_the_speed():
+def test_a_step_in_time_is_not_a_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert nonparametric_law(base("step"), "casing", "omega_c") < 0.6 * step
     assert diagnose(base("step")).candidates[0].indistinguishable_from == ()

@@ -7,13 +7,10 @@ import pytest
 import twobody
 from cases import case
 
+from fitting import REDUCED, Model, diagnose, make_record
 from fitting.discovery._select import rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
 SOFTENING, COOLING = 1.3e-3, 28.0

@@ -8,13 +8,9 @@ import twobody
 from oscillators import motion, record
 from scipy import stats
 
+from fitting import REDUCED, Model, diagnose, fit, make_record
 from fitting.discovery._lack_of_fit import periodogram_peak
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.effects._user import resolve
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 from fitting.inference._spectral_lines import false_alarm_probability
 
 TORQUE, RATE, PHASE = 8e-7, 2.3, 0.7
@@ -74,7 +70,7 @@ def test_diagnosis_names_the_sinusoid_and_its_law_fits(shaken):
 
 
 @pytest.mark.slow
-def test_on_film_a_sinusoid_below_the_angle_noise_is_no_evidence():
+def test_on_film_a_sinusoid_below_the_angle_noise_is_not_an_evidence():
     faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
     told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))
     assert told.p_value < 0.01

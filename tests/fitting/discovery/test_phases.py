@@ -5,11 +5,9 @@ import math
 import pytest
 from sinusoidal import ALIKE, APART, RATE, STRENGTH, precession, records, unbalance
 
+from fitting import LIBRARY, REDUCED, Model, diagnose
 from fitting.discovery._information import Information
 from fitting.discovery._select import found_starts, rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
 
 

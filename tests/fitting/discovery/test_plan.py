@@ -10,17 +10,14 @@ import pytest
 import twobody
 from scipy.stats import norm
 
-from fitting import Model, simulate
+from fitting import LIBRARY, REDUCED, EstimationError, Model, make_record, plan, simulate
 from fitting._criteria import DEFAULT
-from fitting._errors import EstimationError
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, next_run, separating_run
-from fitting.discovery._plan import plan, read_planned
+from fitting.discovery._plan import read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 DRAG = LIBRARY["casing.air.quadratic"]
 NOISE = 1e-7

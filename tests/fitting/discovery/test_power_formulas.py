@@ -9,7 +9,8 @@ import pytest
 from linearised import covariance, gyroscope, least_squares
 from scipy.stats import ncx2, norm
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting import LIBRARY, Criteria
+from fitting._criteria import DEFAULT
 from fitting.discovery import _power as module
 from fitting.discovery._power import (
     EffectLimits,
@@ -20,7 +21,6 @@ from fitting.discovery._power import (
     upper_limit,
 )
 from fitting.discovery._score import CaseColumns, ScoreContext
-from fitting.effects._library import LIBRARY
 
 DRAG, LAMINAR = LIBRARY["casing.air.quadratic"], LIBRARY["casing.air.laminar"]
 RNG = np.random.default_rng(4)

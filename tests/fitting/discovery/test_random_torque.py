@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cases import data, fitted
 
+from fitting import LIBRARY, Estimate, diagnose
 from fitting._criteria import DEFAULT
 from fitting.discovery import _random_torque
 from fitting.discovery._random_torque import (
@@ -17,10 +18,8 @@ from fitting.discovery._random_torque import (
     with_random_torque,
 )
 from fitting.discovery._select import Selection
-from fitting.discovery._verdict import _undetermined, diagnose
-from fitting.effects._library import LIBRARY
+from fitting.discovery._verdict import _undetermined
 from fitting.inference._noise import TorqueNoise, TorqueResponse
-from fitting.inference._params import Estimate
 
 ROWS = 500
 
@@ -96,9 +95,8 @@ def test_a_fall_that_no_inflation_explains_needs_no_simulation(monkeypatch):
 @pytest.fixture(scope="module")
 def slow():
     """A fit of a recording with a random torque of 2e-7 N m and a correlation time of 2 s."""
-    from fitting.dynamics._model import Model
+    from fitting import Experiment, Model, simulate
     from fitting.inference._fit import fit
-    from fitting.inference._simulation import Experiment, simulate
 
     numbers = {"touchpoint.constant.b1": 2e-5, "casing.air.linear.b2": 8e-7, "bearing.linear.d": 1.5e-7}
     model = Model.of([n.rpartition(".")[0] for n in numbers])

@@ -122,7 +122,7 @@ def test_a_model_without_torque_has_no_random_torque(monkeypatch):
     assert with_random_torque(seen(rows_of(4e-7, 1.0)), DEFAULT).noise.level == 0.0
 
 
-def test_it_is_no_worse_than_the_fit():
+def test_it_is_not_a_worse_than_the_fit():
     base = seen(rows_of(0.0, 1.0), deviance=-1e9)
     found = with_random_torque(base, DEFAULT)
     assert (found.deviance, found.noise) == (-1e9, base.noise[0])

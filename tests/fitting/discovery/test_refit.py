@@ -3,14 +3,11 @@
 import pytest
 import twobody
 
-from fitting._criteria import Criteria
+from fitting import LIBRARY, REDUCED, Criteria, Model, make_record
 from fitting.discovery._refine import fit_together, has_model_noise, refit
 from fitting.discovery._score import CaseColumns, score
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 # a gyroscope whose bearing is all but linear: its power law takes the linear term over, and nearly fits
 PAR = {"a2": 1.683e-10, "b1": 1.531e-6, "b2": 1.806e-7, "d": 5.07e-9, "f": 1.39e-8, "g": 1.146}

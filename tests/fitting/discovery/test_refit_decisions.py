@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import EstimationError, SimulationError
+from fitting import LIBRARY, Criteria, Estimate, EstimationError, SimulationError
+from fitting._criteria import DEFAULT
 from fitting.discovery import _refine as module
 from fitting.discovery._refine import (
     at_lowest_noise,
@@ -26,8 +26,6 @@ from fitting.discovery._refine import (
     with_values_per_case,
 )
 from fitting.discovery._score import Score
-from fitting.effects._library import LIBRARY
-from fitting.inference._params import Estimate
 
 STEP, DRAG = LIBRARY["touchpoint.step"], LIBRARY["casing.air.quadratic"]
 PERIODIC = LIBRARY["casing.precession"]

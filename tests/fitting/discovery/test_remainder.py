@@ -9,20 +9,25 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting._criteria import Criteria
+from fitting import (
+    LIBRARY,
+    REDUCED,
+    Criteria,
+    Estimate,
+    Experiment,
+    Model,
+    diagnose,
+    fit,
+    improve,
+    make_record,
+    simulate,
+)
 from fitting.discovery._remainder import Grade, Remainder, nuisance_parameters, smooth_law
 from fitting.discovery._residuals import residual_torques
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import _verdict, _with_both, diagnose
-from fitting.dynamics._model import Model
+from fitting.discovery._verdict import _verdict, _with_both
 from fitting.effects._expression import Tape
-from fitting.effects._library import LIBRARY, REDUCED
 from fitting.effects._user import resolve as effect
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._params import Estimate
-from fitting.inference._record import make_record
-from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6
@@ -93,7 +98,7 @@ def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
 
 
 @pytest.mark.slow
-def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_no_unexplained_torque():
+def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_not_an_unexplained_torque():
     """What the base leaves of omega_r^2.1 differs by more than a half from what it leaves of the square.
 
     With other noise (seed 1) an error of the moments of inertia describes the difference better, which is told instead.
@@ -241,7 +246,7 @@ def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
 def test_an_effect_that_explains_nothing_is_not_named(explained, verdict):
     """Not even if with a second one the residuals are consistent with noise, as for a drag with sqrt(omega_r)."""
     named, final = (
-        SimpleNamespace(model=SimpleNamespace(names=n), undetermined=())
+        SimpleNamespace(model=SimpleNamespace(names=n), undetermined_at=lambda _: ())
         for n in (
             ("bearing.linear", "rotor.air.linear"),
             ("bearing.linear", "rotor.air.linear", "setup.inertia"),

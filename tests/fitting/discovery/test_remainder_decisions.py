@@ -9,18 +9,16 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
+from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError
 from fitting._criteria import DEFAULT
-from fitting._errors import EstimationError
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._remainder import Torques, better_law, grade, nuisance_parameters, ranges_of
 from fitting.discovery._residuals import ResidualTorque
-from fitting.discovery._select import Candidate, Selection
+from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._library import LIBRARY, LINEAR
-from fitting.inference._params import Estimate
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"
@@ -458,7 +456,7 @@ class TestGrade:
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)
             assert size.explained == pytest.approx(0.75)
 
-    def test_a_better_law_of_another_speed_is_no_approximate_answer(self, monkeypatch):
+    def test_a_better_law_of_another_speed_is_not_an_approximate_answer(self, monkeypatch):
         size = self.graded(monkeypatch, misfit=True, better="omega_r")
         assert (size.form, size.unknown) == (None, "omega_r")
         size = self.graded(monkeypatch, misfit=True, better="omega_r", effect=UNBALANCE)
@@ -517,7 +515,7 @@ def test_the_likelihood_ratio_of_nested_fits(smaller, larger, fall, p):
 
 
 def test_amplitudes_of_the_camera_are_those_of_least_squares():
-    """All free columns together at the pure noise; the shutter is divided by the speed of the casing."""
+    """All free columns together at the pure noise; shutter and blur are divided by powers of the speed."""
     rows = 3.0 * np.random.default_rng(2).standard_normal(len(gyroscope().predictions[0].rows))
     base = gyroscope(level=1e-7, residual=[rows])
     base.noise[0].pure = 3e-8
@@ -533,14 +531,15 @@ def test_amplitudes_of_the_camera_are_those_of_least_squares():
     samples = data.casing.samples
     speed = np.abs(np.gradient(samples.value[::25], samples.time[::25])).max()
     seen = {n.effect: n for n in nuisance_parameters(base)}
-    assert list(seen) == ["camera.centre", "camera.tilt", "camera.shutter"]
+    units = {"camera.centre": "rad", "camera.tilt": "rad", "camera.shutter": "s", "camera.blur": "s2"}
+    assert list(seen) == list(units)
     for i, (name, one) in enumerate(seen.items()):
-        pair = values[-6 + 2 * i :][:2]
-        own = inner[-6 + 2 * i :, -6 + 2 * i :][:2, :2]
-        scale = speed if name == "camera.shutter" else 1.0
+        pair = values[-8 + 2 * i :][:2]
+        own = inner[-8 + 2 * i :, -8 + 2 * i :][:2, :2]
+        scale = {"s": speed, "s2": speed**2}.get(units[name], 1.0)
         amplitude = np.hypot(*pair)
         assert one.value * scale == pytest.approx(amplitude, rel=1e-3)
         along = pair / amplitude
         assert one.stderr * scale == pytest.approx(math.sqrt(along @ own @ along), rel=1e-3)
         assert one.p_value == pytest.approx(math.exp(-0.5 * pair @ np.linalg.solve(own, pair)), rel=1e-2)
-        assert (one.unit, one.label) == ("s" if name == "camera.shutter" else "rad", "case")
+        assert (one.unit, one.label) == (units[name], "case")

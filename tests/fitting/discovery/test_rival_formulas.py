@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fitting import LIBRARY
 from fitting._criteria import DEFAULT
 from fitting.discovery import _oscillator as oscillator
 from fitting.discovery._information import rivals
-from fitting.effects._library import LIBRARY
 
 RNG = np.random.default_rng(3)
 

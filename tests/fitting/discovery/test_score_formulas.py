@@ -9,6 +9,7 @@ import pytest
 from linearised import BEGIN, SPAN, covariance, gyroscope, least_squares
 from scipy.stats import chi2
 
+from fitting import LIBRARY, LINEAR
 from fitting._criteria import DEFAULT
 from fitting.discovery import _score as module
 from fitting.discovery._score import (
@@ -26,7 +27,6 @@ from fitting.discovery._score import (
     score_of_columns,
     stacked,
 )
-from fitting.effects._library import LIBRARY, LINEAR
 
 # effect, strength of the difference, shape constants
 LAWS = [

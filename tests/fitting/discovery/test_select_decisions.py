@@ -7,19 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import EstimationError, SimulationError
+from fitting import LIBRARY, Candidate, Criteria, Estimate, EstimationError, SimulationError, improve
+from fitting._criteria import DEFAULT
 from fitting.discovery import _select as module
 from fitting.discovery._measurement import START
 from fitting.discovery._score import Score
 from fitting.discovery._select import (
-    Candidate,
     Step,
     applicable_effects,
     best,
     equivalence_classes,
     found_starts,
-    improve,
     needs_search,
     ordered,
     rank,
@@ -28,8 +26,6 @@ from fitting.discovery._select import (
     select,
     separate_values,
 )
-from fitting.effects._library import LIBRARY
-from fitting.inference._params import Estimate
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]
@@ -59,6 +55,7 @@ def data(*, oscillation=None, single=False, tracked=False, is_angle=True):
     return SimpleNamespace(
         oscillation=oscillation,
         is_angle=is_angle,
+        has_noise_of=lambda _: True,
         record=SimpleNamespace(single=single, tracked=tracked, inputs=(), driving=()),
     )
 
@@ -83,6 +80,7 @@ class Found:
     )
     values: dict = field(default_factory=dict)
     cases: tuple = (held_out(1.0),)
+    criteria: Criteria = DEFAULT
     lacks_restoring_torque: bool = False
 
     def fails(self, criteria):
@@ -139,7 +137,7 @@ class TestApplicable:
         base = Found(model=Model(effects), problem=SimpleNamespace(data=[data(**options)]))
         return {e.name for e in applicable_effects(base, extra)}
 
-    def test_effects_of_the_model_and_of_every_fit_are_no_candidates(self):
+    def test_effects_of_the_model_and_of_every_fit_are_not_candidates(self):
         found = self.names()
         assert "bearing.linear" not in found
         assert "camera.centre" not in found
@@ -616,10 +614,10 @@ class TestPassedOn:
         monkeypatch.setattr(module, "starts_are_unknown", lambda data: False)
         strict = Criteria(significance=0.001)
         used = []
-        workers = SimpleNamespace(map=lambda *args: used.append(args) or [candidate()])
+        workers = SimpleNamespace(map=lambda *args: used.append(args) or [(candidate(), [])])
         rank(base, self.OWN, criteria=strict, workers=workers)
         assert asked == [(base, self.OWN), (base, [], [None], strict)]
-        ((function, fit, (promising,), _),) = used
+        ((_, fit, ((function, promising),), _),) = used
         assert (function, fit, promising.criteria) == (module._refit_candidate, base, strict)
 
     def test_by_select_and_improve(self, monkeypatch):
@@ -707,7 +705,7 @@ class TestSeparateValues:
         "change",
         [{"wrong": False}, {"still_wrong": True}, {"rival": 74.0}, {"improves": True}, {"none": True}],
     )
-    def test_when_it_is_no_answer(self, monkeypatch, change):
+    def test_when_it_is_not_an_answer(self, monkeypatch, change):
         assert not self.found(monkeypatch, **change)[1]
 
     def test_without_a_law_of_physics_any_score_counts(self, monkeypatch):
@@ -768,7 +766,7 @@ class TestImprove:
         assert len(found) == 1
         assert "--start-u" in found.stopped
 
-    def test_a_candidate_that_is_no_improvement_ends_it(self, monkeypatch):
+    def test_a_candidate_that_is_not_an_improvement_ends_it(self, monkeypatch):
         found, counted = self.improved(monkeypatch, [[candidate()]], lambda *_: iter(()))
         assert (len(found), counted) == (1, [])
 
@@ -809,7 +807,7 @@ class TestSteps:
     def test_a_step_needs_evidence(self, monkeypatch, base, count):
         assert len(list(self.steps(monkeypatch, refined=50.0, base=base))) == count
 
-    def test_a_free_shape_is_a_step_of_its_own(self, monkeypatch):
+    def test_a_free_shape_is_a_separate_step(self, monkeypatch):
         law = module.with_free_shape.__globals__["with_shape_parameter"](DRAG)
         general = Found(20.0, model=Model((STEP, law)))
         first, second = self.steps(monkeypatch, refined=50.0, general=general)

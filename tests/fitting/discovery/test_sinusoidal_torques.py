@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.discovery._select import found_starts, improve, needs_search
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
+from fitting import LIBRARY, REDUCED, Model, diagnose, improve, make_record
+from fitting.discovery._select import found_starts, needs_search
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 STRENGTH, RATE, PHASE = 4e-6, 530.0, 1.3
 UNBALANCE, TURNED = 8e-6, 0.4

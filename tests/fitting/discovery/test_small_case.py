@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting import LIBRARY, Criteria, Model, diagnose, improve, make_record
+from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as remainder
 from fitting.discovery import _verdict as verdict
 from fitting.discovery._lack_of_fit import contradiction, smooth_test
@@ -25,18 +26,13 @@ from fitting.discovery._select import (
     _is_essential,
     _to_refit,
     best,
-    improve,
     needed_evidence,
     ordered,
     rank,
 )
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
 from fitting.effects._expression import Tape, symbols
-from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 INERTIA, SIGMA, DRAG = 2e-3, 1e-3, 4e-7
 FRICTION = (1e-3, 2e-5, DRAG)
@@ -395,7 +391,7 @@ def with_torque_of_the_angle():
 class TestKindsOfTorque:
     """A drag and a second effect that repeats with the angle and is not determined."""
 
-    def test_torques_of_the_angle_have_a_size_of_their_own(self):
+    def test_torques_of_the_angle_have_a_separate_size(self):
         named, end = with_torque_of_the_angle()
         torques = Torques(base(), end, residual=False)
         assert torques.of_angle(named) == pytest.approx(2e-3 / math.sqrt(2))
@@ -496,7 +492,7 @@ class TestGrade:
             (False, True, False, None, "exact"),
         ],
     )
-    def test_an_inertia_within_its_uncertainty_is_no_remainder(
+    def test_an_inertia_within_its_uncertainty_is_not_a_remainder(
         self, monkeypatch, better, allowed, misfit, doubt, form
     ):
         rival = SimpleNamespace(better=better, is_allowed=lambda _: allowed)
@@ -606,12 +602,12 @@ def test_a_second_effect_of_the_library_completes_an_answer(
     explained, remainder, significant, completed, expected
 ):
     chosen = SimpleNamespace(effect=SimpleNamespace(name="a"))
-    named = SimpleNamespace(undetermined=(), model=SimpleNamespace(names=("a",)))
+    named = SimpleNamespace(undetermined_at=lambda _: (), model=SimpleNamespace(names=("a",)))
     final = SimpleNamespace(model=SimpleNamespace(names=("a", "b") if completed else ("a",)))
     selection = SimpleNamespace(chosen=chosen, named=named, final=final)
     size = Grade(None, explained, remainder)
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == expected
-    named.undetermined = ("a.k",)
+    named.undetermined_at = lambda _: ("a.k",)
     assert verdict._verdict(selection, size, DEFAULT, significant=significant) == "unexplained"
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fitting import LIBRARY, Model, make_record
 from fitting._criteria import DEFAULT
 from fitting.discovery import _lack_of_fit as lack_of_fit
 from fitting.discovery._difference import different_parameter, improves_on_difference
@@ -27,11 +28,8 @@ from fitting.discovery._refine import refit
 from fitting.discovery._residuals import angle_harmonics
 from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import separate_values
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 INERTIA, SIGMA, B1, B2 = 2e-3, 1e-3, 1e-3, 2e-5
 TIME = np.linspace(0.0, 30.0, 1200)

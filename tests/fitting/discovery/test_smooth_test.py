@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import REDUCED, Model, diagnose, fit, make_record
 from fitting.discovery._lack_of_fit import smooth_test
 from fitting.discovery._select import rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 # a drag at one speed of the casing only: no law of the library
 DIP = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -3.2e-7 * np.exp(-(((wc - 110) / 12) ** 2)))

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting._criteria import DEFAULT, Criteria
+from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose
+from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery import _verdict as module
 from fitting.discovery._lack_of_fit import (
@@ -20,10 +21,8 @@ from fitting.discovery._lack_of_fit import (
 )
 from fitting.discovery._measurement import SLIP, START
 from fitting.discovery._remainder import Grade, Nuisance, Remainder
-from fitting.discovery._select import Candidate, Selection
-from fitting.discovery._verdict import diagnose, slipped
-from fitting.effects._library import LIBRARY
-from fitting.inference._params import Estimate
+from fitting.discovery._select import Selection
+from fitting.discovery._verdict import slipped
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
 LEFT = Remainder(1e-6, 0.03, 1e-5, "Remainder 1 uN m rms.")
@@ -36,7 +35,7 @@ def estimate(value=4e-8, stderr=1e-9, unit="N m s2", *, at_bound=False):
 def data(*, oscillation=None, lines=(), slips=(), label="run"):
     samples = SimpleNamespace(sigma=np.full(3, 1e-3))
     return SimpleNamespace(
-        oscillation=oscillation, spectral_lines=lines, slips=slips,
+        oscillation=oscillation, spectral_lines=lines, slips=slips, has_noise_of=lambda _: True,
         casing=SimpleNamespace(scale=2.0, samples=samples), rotor=(),
         record=SimpleNamespace(label=label, inputs=()),
     )  # fmt: skip
@@ -63,6 +62,7 @@ class Found:
     torque_unit: str = "N m"
     converged: bool = True
     undetermined: tuple = ()
+    criteria: Criteria = DEFAULT
     estimates: dict = field(default_factory=dict)
     lacks_restoring_torque: bool = False
     rows: int = 500
@@ -70,6 +70,9 @@ class Found:
 
     def fails(self, criteria):
         return self.wrong
+
+    def undetermined_at(self, criteria):
+        return self.undetermined
 
     def has_excess_noise(self, criteria):
         return self.noisy
@@ -211,7 +214,7 @@ class TestVerdict(Answer):
     @pytest.mark.parametrize(
         ("text", "verdict"), [("within its uncertainty", "adequate"), ("", "missing_effect")]
     )
-    def test_an_inertia_within_its_uncertainty_is_no_missing_effect(self, text, verdict):
+    def test_an_inertia_within_its_uncertainty_is_not_a_missing_effect(self, text, verdict):
         chosen = candidate("setup.inertia")
         found = self.answer(select=selection(chosen), grade=COMPLETE, inertia_within_uncertainty=text)
         assert found.verdict == verdict
@@ -391,7 +394,7 @@ def test_without_an_effect_significance_makes_the_verdict(significant, verdict):
 @pytest.mark.parametrize(
     ("undetermined", "verdict"), [((f"{DRAG}.k",), "unexplained"), (("other.k",), "missing_effect")]
 )
-def test_an_effect_of_undetermined_strength_is_no_answer(undetermined, verdict):
+def test_an_effect_of_undetermined_strength_is_not_an_answer(undetermined, verdict):
     chosen = selection(candidate(), named=Found(undetermined=undetermined))
     assert module._verdict(chosen, COMPLETE, DEFAULT, significant=False) == verdict
 

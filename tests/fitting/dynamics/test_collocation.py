@@ -5,10 +5,10 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.linalg import expm
 
-from fitting._errors import SimulationError
+from fitting import Model, SimulationError
 from fitting.dynamics._collocation import Mesh, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._model import Dynamics
 
 TIMES = np.linspace(0, 200, 1501)
 
@@ -79,7 +79,7 @@ def test_a_jump_is_at_an_edge():
     assert path.kinks == (61.237,)
 
 
-def test_a_jump_outside_the_record_is_no_edge():
+def test_a_jump_outside_the_record_is_not_an_edge():
     path = path_of(PAPER | EXTRA["step"] | {"touchpoint.step.t0": 300.0})
     assert path.kinks == ()
     check(PAPER, path, TIMES)

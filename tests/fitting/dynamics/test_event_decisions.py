@@ -6,15 +6,16 @@ pi / sqrt(k), its turning points fall by 2 b / k each, and it stays where the sp
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fitting._errors import SimulationError
+from fitting import Model, SimulationError
 from fitting.dynamics import _events as module
 from fitting.dynamics._collocation import NODES, Mesh, Path, Sampler
 from fitting.dynamics._events import Segments, halved, solve
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.dynamics._sensitivities import sensitivities
 
 DRY, PUSH, SPRING = "touchpoint.constant", "external.constant", "casing.spring.linear"
@@ -353,7 +354,7 @@ class TestBeginning:
             assert path.y[0, :, 1] == pytest.approx(speed * (1 - share))
 
 
-def test_a_stop_at_the_end_of_the_record_is_no_event():
+def test_a_stop_at_the_end_of_the_record_is_not_an_event():
     """w = 5 - t / 2: at rest after 10 s."""
     run = pushed(0.0)
     for span, stops in ((9.9, ()), (10.1, (10.0,))):
@@ -399,3 +400,34 @@ class TestUntilRest:
         found = self.stopped(monkeypatch, pushed(0.0), np.array([0.0, 5.0]), 9.0, 1.0, 8.0)
         assert found.mesh.edges[-1] == 9.0
         assert found.edges[-1, 1] == pytest.approx(0.5)
+
+
+class TestKnownOscillation:
+    """Three reversals: stretches start from the guess, with errors relative to a thousandth of its largest speed."""
+
+    @pytest.mark.parametrize(("reversals", "scale", "horizon"), [(3, 5e-3, 6.0), (2, None, math.inf)])
+    def test_scale_and_horizon(self, monkeypatch, reversals, scale, horizon):
+        """Its speed is -5 to 2 rad/s; it reverses at 1 s, 2 s and 5 s."""
+        dynamics = Dynamics(Model.of((SPRING, DRY)))
+        numbers = {f"{SPRING}.k": 1.0, f"{DRY}.b1": 0.01, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+        mesh, asked = Mesh(np.array([0.0, 1.0, 2.0, 5.0, 9.0])), []
+        y = np.zeros((4, NODES, 3))
+        y[..., 1] = np.array([-5.0, 2.0, -1.0, 0.5])[:, None]
+        jumps = dict.fromkeys(range(1, 1 + reversals), np.eye(3))
+        guess = SimpleNamespace(y=y, mesh=mesh, jumps=jumps, exact=False)
+
+        def oscillating(self, start, sense, guess):
+            asked.append(self.least_scale)
+            return []
+
+        def moving(self, start, mesh, span, sense, guess, horizon):
+            asked.append(horizon)
+            raise SimulationError("no stretch")
+
+        monkeypatch.setattr(Segments, "oscillating", oscillating)
+        monkeypatch.setattr(Segments, "moving", moving)
+        with pytest.raises(SimulationError, match="no stretch"):
+            solve(
+                dynamics, numbers, np.array([0.0, -3.0, 1.0]), Mesh.uniform(0.0, 9.0, 9), guess=guess, most=9
+            )
+        assert asked == ([horizon] if scale is None else [pytest.approx(scale), horizon])

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from fitting._errors import EffectError
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._library import LIBRARY, REDUCED, find
+from fitting import LIBRARY, REDUCED, EffectError, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
+from fitting.effects._library import find
 from fitting.effects._user import resolve
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from reference import I_C, INERTIA, PAPER, integrate_through_rest
 
+from fitting import Model
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, angles, sensitivities
 
 START = (900.0, 5.0)

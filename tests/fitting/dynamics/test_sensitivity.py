@@ -5,9 +5,10 @@ import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
 from scipy.integrate import solve_ivp
 
+from fitting import Model
 from fitting.dynamics._collocation import Mesh, Sampler, rule
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import Dynamics, Model
+from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, angles, sensitivities
 
 TIMES = np.linspace(0, 150, 301)

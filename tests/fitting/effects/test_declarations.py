@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from fitting._errors import EffectError, ExpressionError
-from fitting.effects._effect import Effect, Parameter, State
+from fitting import Effect, EffectError, ExpressionError, Parameter
+from fitting.effects._effect import State
 from fitting.effects._library import find
 
 
@@ -46,7 +46,7 @@ def test_phase_and_amplitude_are_distinguished():
     assert two.amplitude is None
 
 
-def test_a_state_of_its_own_is_checked_for_unknown_names():
+def test_a_separate_state_is_checked_for_unknown_names():
     effect = Effect(
         "x", "factor", "exp(-k*temperature)", (Parameter("k", "K-1"),), state=State("temperature", "q*tau")
     )

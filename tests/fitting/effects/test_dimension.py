@@ -2,7 +2,7 @@
 
 import pytest
 
-from fitting._errors import ExpressionError
+from fitting import ExpressionError
 from fitting.effects._effect import dimension, format_unit, parse_unit
 from fitting.effects._expression import parse
 

@@ -4,9 +4,8 @@ import re
 
 import pytest
 
-from fitting.dynamics._model import Model
+from fitting import GENERAL, LIBRARY, Model
 from fitting.effects._expression import latex, parse
-from fitting.effects._library import GENERAL, LIBRARY
 
 BACKTICKED = re.compile(
     r"\\(?!omega|psi|varphi|varepsilon|tau|chi|left|right|frac|sqrt|mathrm|operatorname|times|dot|sin|cos|exp|log|tanh|arctan)[A-Za-z]+"

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting import GENERAL, LIBRARY, LINEAR, REDUCED, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._effect import RATIO, parse_unit
 from fitting.effects._expression import Tape, derivative, symbols
-from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED, find
+from fitting.effects._library import find
 
 
 def sgn(x):
@@ -133,6 +134,11 @@ TABLE = {
         lambda v: -v["k"] * v["omega"] * np.sin(v["psi"] - v["phi"]),
         {"k": "s", "phi": "rad"},
     ),
+    "camera.blur": (
+        "camera.casing",
+        lambda v: v["k"] * v["omega"] ** 2 * np.sin(v["psi"] - v["phi"]),
+        {"k": "s2", "phi": "rad"},
+    ),
 }
 
 
@@ -246,7 +252,8 @@ def test_per_case_effects_are_those_of_the_table():
     touchpoint = {n for n in LIBRARY if n.startswith("touchpoint.")}
     assert {n for n, e in LIBRARY.items() if e.per_case} == touchpoint | {"casing.air.linear"}
     assert {n for n, e in LIBRARY.items() if e.per_surface} == touchpoint
-    assert {n for n, e in LIBRARY.items() if e.nuisance} == {"camera.centre", "camera.tilt", "camera.shutter"}
+    names = ("centre", "tilt", "shutter", "blur")
+    assert [n for n, e in LIBRARY.items() if e.nuisance] == [f"camera.{name}" for name in names]
 
 
 @EFFECTS

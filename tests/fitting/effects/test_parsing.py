@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from fitting._errors import ExpressionError
+from fitting import ExpressionError
 from fitting.effects._expression import Tape, derivative, parse, symbols
 
 X = {"x": 1.7, "y": 0.6, "omega_c": 30.0, "k": 2.5e-7, "t": 11.0}

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from fitting._errors import EffectError, ExpressionError
+from fitting import EffectError, ExpressionError, read_effects
 from fitting.effects._effect import parse_unit
 from fitting.effects._library import find
-from fitting.effects._user import formula, read_effects, resolve
+from fitting.effects._user import formula, resolve
 
 
 def parts(effect):
@@ -280,7 +280,7 @@ def test_misspelt_variables_are_refused(text, meant):
 @pytest.mark.parametrize(
     "text", ["casing: k", "casing: -k*exp(-t/tau0)", "casing: -k*omega_c*exp(-omega_c/w1)", "bearing: k*t"]
 )
-def test_parameters_are_no_misspelt_variables(text):
+def test_parameters_are_not_misspelt_variables(text):
     assert resolve(text).amplitude.symbol == "k"
 
 

@@ -5,11 +5,8 @@ import pytest
 import twobody
 from cases import case, fitted, pulls
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, fit, make_record
 from fitting.effects._user import resolve
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 TRUTH = twobody.truth()
 

@@ -9,12 +9,10 @@ import pytest
 import twobody
 from scipy.signal import lfilter
 
-from fitting.dynamics._model import Model
+from fitting import Experiment, Model, fit, make_record, simulate
 from fitting.inference._angle_noise import _row_covariance_beyond_white
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
-from fitting.inference._simulation import Experiment, simulate
+from fitting.inference._record import Samples
 
 ROOT = Path(__file__).parents[3]
 FILM = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"
@@ -61,7 +59,7 @@ def test_level_and_correlation_time_are_estimated(sigma, correlation):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("torque_noise", [0.0, 1e-7, 1e-6])
-def test_white_and_process_noise_are_no_correlated_angle_noise(torque_noise):
+def test_white_and_process_noise_are_not_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 
 
@@ -86,7 +84,7 @@ def test_noise_of_the_rotors_camera_is_found_in_its_windows():
     np.testing.assert_allclose(data.unwhitened(data.whitened(rows)), rows, atol=1e-9)
 
 
-def test_a_torque_that_changes_within_the_windows_is_no_angle_noise():
+def test_a_torque_that_changes_within_the_windows_is_not_an_angle_noise():
     """0.2 rad/s2 that decay with 1.5 s, as in the rise: its quartic part is fifty times the noise of its row."""
     plain = case()
     moved = tuple(

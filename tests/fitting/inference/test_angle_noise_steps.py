@@ -42,7 +42,7 @@ class TestLevel:
         assert found.relative_u == pytest.approx(relative_u, rel=1e-6)
         assert found.gain == pytest.approx(20.0)
 
-    def test_a_gain_that_only_grows_has_no_uncertainty_of_its_own(self):
+    def test_a_gain_that_only_grows_has_no_separate_uncertainty(self):
         found = module._peak(np.eye(2), lambda covariance: 0.01 * math.log(covariance[0, 0]) ** 2)
         assert found.relative_u == 1.0
 
@@ -109,7 +109,7 @@ class TestPosterior:
         assert own.with_stated(np.zeros((2, 0))) is own
 
     @pytest.mark.parametrize(("second", "taken"), [(-1.0, False), (1.0, True)])
-    def test_a_second_kind_needs_a_likelihood_ratio_of_its_own(self, second, taken):
+    def test_a_second_kind_needs_its_own_likelihood_ratio(self, second, taken):
         """One kind acts on the first row, with a gain of 30; the other one on the second row."""
         second = DEFAULT.correlated_noise + second
         first, other = np.diag([1.0, 1e-9]), np.diag([1e-9, 1.0])
@@ -123,7 +123,7 @@ class TestPosterior:
             module._Kind(np.array([t]), [k], [module._Peak(1.0, 0.5, g)])
             for t, k, g in ((0.5, first, 30.0), (8.0, other, second))
         ]
-        found = module._with_periodic_part(*kinds, gain)
+        found = module._with_periodic_part(*kinds, gain, DEFAULT.correlated_noise)
         assert (found is not None) is taken
         if found is not None:
             assert found.turn_time == pytest.approx(8.0)
@@ -233,7 +233,7 @@ class TestWindows:
         assert found.sigma < 3e-4  # a small part of the white noise
         assert found.gain < DEFAULT.correlated_noise
 
-    def test_what_is_free_in_the_windows_is_no_noise(self):
+    def test_what_is_free_in_the_windows_is_not_noise(self):
         """A nuisance function of each window, 20 times the noise of a group."""
         windows = self.windows(0.0)
         nuisance = [np.sin(40.0 * w.samples.time)[:, None] for w in windows]

@@ -5,9 +5,7 @@ import pytest
 import twobody
 from cases import case, data, fitted, pulls
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, LINEAR, REDUCED
-from fitting.inference._fit import fit
+from fitting import GENERAL, LINEAR, REDUCED, Model, fit
 
 TRUTH = twobody.truth()
 

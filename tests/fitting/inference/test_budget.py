@@ -8,13 +8,11 @@ import oscillators
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.inference._budget import budget, combined_uncertainties, propagated
-from fitting.inference._fit import fit, robust_fit
+from fitting import EstimationError, Experiment, Model, budget, fit, simulate
+from fitting.inference._budget import combined_uncertainties, propagated
+from fitting.inference._fit import robust_fit
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._noise import variance_factor
-from fitting.inference._simulation import Experiment, simulate
 from fitting.study._serialisation import budget_document
 
 MODEL = Model.of("linear")
@@ -110,6 +108,7 @@ def test_unknown_inputs_do_not_contribute():
         "camera.centre",
         "camera.tilt",
         "camera.shutter",
+        "camera.blur",
     }
     document = budget_document(budget(plain))
     assert set(document) == {"parameters"}

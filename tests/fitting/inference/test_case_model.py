@@ -10,16 +10,13 @@ import pytest
 import twobody
 from cases import data, fitted
 
-from fitting._errors import SimulationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, SimulationError, make_record
 from fitting.inference import _case_model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
-from fitting.inference._record import make_record
 
 EXTRA = {
     "touchpoint.step": {"k": 2e-6, "t0": 88.37},
@@ -34,6 +31,7 @@ EXTRA = {
     "camera.centre": {"eps": 2e-3, "phi": 0.3},
     "camera.tilt": {"eps": 2e-3, "phi": 1.3},
     "camera.shutter": {"k": 1e-5, "phi": 2.0},
+    "camera.blur": {"k": 1e-7, "phi": 1.1},
 }
 
 
@@ -76,7 +74,7 @@ def test_residuals_of_the_true_parameters_are_noise():
     assert np.sum(residual**2) / len(residual) == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_motion_beyond_any_number_is_no_perfect_fit():
+def test_a_motion_beyond_any_number_is_not_a_perfect_fit():
     """Sums of squares that overflow are an error; they were taken for rows that the nuisance parameters explain."""
     found = fitted(seed=0)
     assert np.linalg.norm(found.problem.residuals(found.predictions)[0]) > 1
@@ -91,8 +89,8 @@ def test_response_to_a_harmonic_torque_agrees_with_the_oracle():
         return 2e-6 * np.sin(pc - 0.9)
 
     cameras = twobody.Cameras(span=40.0, windows=(5.0, 20.0, 35.0))
+    from fitting import make_record
     from fitting.inference._case_data import CaseData
-    from fitting.inference._record import make_record
 
     calm, shaken = (
         twobody.simulate(span=40.0, step=0.002, hidden=h)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import twobody
 
+from fitting import make_record
 from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress, responses_to_harmonics
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 
 SIGMA = 1e-3
 
@@ -207,7 +208,7 @@ def test_harmonics_that_are_nearly_polynomials_do_not_bias_the_noise():
 
 
 @pytest.mark.parametrize("per_turn", [1, 2])
-def test_errors_of_the_times_of_pulses_are_no_harmonics(per_turn):
+def test_errors_of_the_times_of_pulses_are_not_harmonics(per_turn):
     """The angle of a pulse is exact, so its harmonics are constant; those of a smooth angle would be the errors."""
     rng = np.random.default_rng(4)
     angle = 2 * np.pi * np.arange(600) / per_turn

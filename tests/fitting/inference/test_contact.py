@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import Model, fit, make_record
+from fitting import LIBRARY, Effect, Model, Parameter, fit, make_record
 from fitting.discovery._select import applicable_effects
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
-from fitting.effects._effect import Effect, Parameter
-from fitting.effects._library import LIBRARY, find, of_the_rotor
+from fitting.effects._library import find, of_the_rotor
 from fitting.inference._case_data import CaseData
 
 I_WHEEL, I_DRUM, RATIO = 0.1, 2.0, 2.5
@@ -189,7 +188,7 @@ def test_the_discovery_proposes_no_contact():
         ("camera.centre", None),
     ],
 )
-def test_laws_of_a_single_body_as_those_of_the_rotor(alone, on_the_rotor):
+def test_laws_of_a_single_body_equal_those_of_the_rotor(alone, on_the_rotor):
     found = of_the_rotor(find(alone))
     assert (found and found.name) == on_the_rotor
 
@@ -207,7 +206,7 @@ RIG = Path(__file__).parents[3].parent / "shared" / "real" / "coastdown"
 @pytest.mark.skipif(not RIG.is_dir(), reason="recordings by others are not there")
 def test_a_wheel_on_a_drum_is_fitted():
     """The ratio is that of the counted turns, up to the slip at 575 s, which is 0.4 rad."""
-    from gyrotrack.io.readers._import_case import import_case
+    from gyrotrack import import_case
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits
 

@@ -4,8 +4,7 @@ from cases import data
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, Record
 from fitting.effects._user import resolve
 from fitting.inference._parameters import (
     ParameterLayout,
@@ -14,7 +13,6 @@ from fitting.inference._parameters import (
     from_physical,
     to_physical,
 )
-from fitting.inference._record import Record
 
 VALLEYS = (PowerLaw(1, 3, 2, 400.0),)
 SQUARE = (PowerLaw(1, 3, 2, 90.0, 2.0),)

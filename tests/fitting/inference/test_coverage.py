@@ -5,11 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
+from fitting import REDUCED, Model, fit, make_record
 from fitting.discovery._lack_of_fit import periodogram_peak, smooth_test
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 from fitting.study._paper import prepared
 
 RECORDINGS = 36

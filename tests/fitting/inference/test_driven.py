@@ -184,7 +184,7 @@ def test_inputs_are_part_of_the_digest_and_their_names_differ():
     assert len({record().digest, record(inputs=()).digest, record(inputs=(other,)).digest}) == 3
     with pytest.raises(RecordError, match="several inputs named voltage"):
         record(inputs=(STEPS, other))
-    with pytest.raises(RecordError, match="an input is no Input"):
+    with pytest.raises(RecordError, match="an input is not an Input"):
         record(inputs=("voltage",))
 
 
@@ -253,7 +253,7 @@ def test_a_recorded_drive_is_needed_where_it_explains_the_motion(share, needed):
     assert needed_drives(base, effects) == ({"casing.input.voltage"} if needed else set())
 
 
-def test_a_law_that_the_model_has_under_another_name_is_no_candidate():
+def test_a_law_that_the_model_has_under_another_name_is_not_a_candidate():
     data = record()
     found = fit(model(data.inputs, law="casing: b*voltage"), data)
     names = {e.name for e in applicable_effects(found, ()) if e.inputs}
@@ -339,7 +339,7 @@ def test_wrong_arguments_of_an_effect_are_refused_in_one_sentence(arguments, wor
         effect(*arguments)
 
 
-def test_inputs_that_not_all_recordings_have_are_no_candidates():
+def test_inputs_that_not_all_recordings_have_are_not_candidates():
     records = [record(label="a"), record(label="b", inputs=(), seed=2)]
     found = fit(Model.of(["casing.air.linear"]), records)
     assert not any(e.inputs for e in applicable_effects(found, ()))

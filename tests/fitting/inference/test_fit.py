@@ -7,12 +7,9 @@ import pytest
 import twobody
 from cases import data, fitted, pulls
 
-from fitting._errors import EffectError
-from fitting.dynamics._model import Model
-from fitting.effects._library import LINEAR, REDUCED
+from fitting import LINEAR, REDUCED, EffectError, Model, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 TRUTH = twobody.truth()
 
@@ -139,8 +136,8 @@ def test_bic_counts_parameters_and_rows():
     assert result.n_eff == pytest.approx(61_000, rel=0.1)
 
 
-def test_names_that_are_no_parameters_are_refused():
-    with pytest.raises(EffectError, match=r"'bearing\.heating' is no parameter") as caught:
+def test_names_that_are_not_parameters_are_refused():
+    with pytest.raises(EffectError, match=r"'bearing\.heating' is not a parameter") as caught:
         fit(Model.of(LINEAR), [data(seed=0)], share=["bearing.heating"])
     assert "bearing.linear.d" in caught.value.hint
 

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from linearised import covariance, gyroscope, least_squares
 
-from fitting._errors import EstimationError, SimulationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY
+from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
-from fitting.inference._params import Estimate
 from fitting.inference._record import Samples
 
 
@@ -469,7 +466,7 @@ class TestChecks:
             module._check(model, data)
 
     @pytest.mark.parametrize("single", [True, False])
-    def test_the_rotor_of_a_body_alone_is_no_variable(self, single):
+    def test_the_rotor_of_a_body_alone_is_not_a_variable(self, single):
         names = ("a.k", "initial.omega_r@run", "initial.omega_c@run")
         problem = SimpleNamespace(data=[body([1.0], single=single)], layout=SimpleNamespace(names=names))
         assert module._free_names(problem) == {*names} - ({"initial.omega_r@run"} if single else set())
@@ -497,11 +494,11 @@ class TestRobust:
         made = []
 
         class Data(SimpleNamespace):
-            def __init__(self, record, casing, rotor, free_inertia):
+            def __init__(self, record, casing, rotor, free_inertia, criteria):
                 made.append(record)
 
             @staticmethod
-            def of(record):
+            def of(record, criteria):
                 made.append(record.casing)
                 return SimpleNamespace(casing=None, rotor=None)
 
@@ -510,7 +507,7 @@ class TestRobust:
         original = Record(run)
         for psi, floor in ((huber, False), (lambda x: (x, np.zeros(5)), True)):
             made.clear()
-            module._pseudo(SimpleNamespace(record=original, free_inertia=False), 0, None, psi)
+            module._pseudo(SimpleNamespace(record=original, free_inertia=False, criteria=None), 0, None, psi)
             scale = 1.4826 * 2.0 / 0.5
             influence, slope = psi(value / sigma / scale)
             expected = model + sigma * scale * influence / (0.1 if floor else slope.mean())

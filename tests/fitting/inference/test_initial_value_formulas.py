@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from linearised import BEGIN, SPAN, VALUES, gyroscope
 
-from fitting._errors import EstimationError, SimulationError
+from fitting import LIBRARY, LINEAR, REDUCED, EstimationError, Model, Parameter, SimulationError
 from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import Model
-from fitting.effects._effect import Parameter
-from fitting.effects._library import LIBRARY, LINEAR, REDUCED
 from fitting.effects._user import resolve
 from fitting.inference import _initial_values as module
 from fitting.inference._initial_values import (
@@ -303,11 +300,11 @@ class TestGivenValues:
     def test_the_number_of_periods_is_doubled(self, monkeypatch):
         counts = []
         monkeypatch.setattr(module, "_first_periods", lambda data, count: counts.append(count))
-        monkeypatch.setattr(module, "CaseData", SimpleNamespace(of=lambda r: SimpleNamespace(record=r)))
+        monkeypatch.setattr(module, "CaseData", SimpleNamespace(of=lambda r, _: SimpleNamespace(record=r)))
         monkeypatch.setattr(module, "Problem", SimpleNamespace(of=lambda layout, data: None))
         monkeypatch.setattr(module, "replace", lambda layout, records: layout)
         monkeypatch.setattr(module, "search", lambda part, theta, **_: SimpleNamespace(theta=theta + 1))
-        data = [SimpleNamespace(oscillation=SimpleNamespace(periods=p)) for p in (9.0, 17.0)]
+        data = [SimpleNamespace(oscillation=SimpleNamespace(periods=p), criteria=None) for p in (9.0, 17.0)]
         found = module._period_by_period(SimpleNamespace(layout=None, data=data), np.zeros(1))
         assert counts[::2] == [2.0, 4.0, 8.0, 16.0]
         assert found.tolist() == [4.0]

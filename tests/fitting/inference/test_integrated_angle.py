@@ -5,9 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fitting
+from fitting import fit, make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 SIGMA = {"omega": np.radians(0.5), "angle": 2e-3}
 BASE = ("touchpoint.constant", "casing.air.linear")

@@ -6,15 +6,12 @@ import pytest
 import twobody
 from cases import case, data, pulls
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, LINEAR, REDUCED
+from fitting import GENERAL, LINEAR, REDUCED, EstimationError, Model, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._initial_values import initial_values
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
-from fitting.inference._record import make_record
 
 
 @pytest.mark.slow

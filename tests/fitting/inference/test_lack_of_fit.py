@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, fit, make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
 from fitting.inference._noise import tail_probability
 from fitting.inference._process_noise import ProcessNoise
-from fitting.inference._record import make_record
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

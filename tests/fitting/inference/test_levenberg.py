@@ -5,7 +5,7 @@ import pytest
 from nist import PROBLEMS
 from scipy.optimize import lsq_linear
 
-from fitting._errors import EstimationError, SimulationError
+from fitting import EstimationError, SimulationError
 from fitting.effects._expression import Tape, derivative, parse
 from fitting.inference._optimisation import minimise
 from fitting.inference._problem import covariance_of

@@ -7,10 +7,8 @@ import pytest
 from cases import fitted
 from scipy.interpolate import CubicSpline
 
-from fitting.dynamics._model import Model
+from fitting import LINEAR, REDUCED, Model, fit
 from fitting.dynamics._sensitivities import LinearMotion
-from fitting.effects._library import LINEAR, REDUCED
-from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import cubic_spline
 from fitting.inference._noise import (
     WHITE,

@@ -212,7 +212,7 @@ class TestStretches:
         assert [d for _, d in made] == degrees
         assert sum(n for n, _ in made) == blocks
 
-    def test_one_noisy_stretch_of_three_has_a_level_of_its_own(self):
+    def test_one_noisy_stretch_of_three_has_a_separate_level(self):
         """The likelihood of each is a mixture: 95 % at the common level, 5 % at the mean over all levels."""
         values, quiet, loud = np.ones(4), np.full(4, 0.5), np.full(4, 1e3)
 

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, fit, make_record
 from fitting.inference import _problem
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 LEVEL = 1e-8
 

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting._errors import EstimationError, RecordError
+from fitting import REDUCED, EstimationError, Model, RecordError, diagnose, fit, improve, make_record
 from fitting.discovery._lack_of_fit import smooth_test
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
 from fitting.effects._user import formula, resolve
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
 
 INERTIA = 2e-3
 DRY, LINEAR, SQUARE = 2e-4, 3e-5, 4e-7
@@ -151,7 +145,7 @@ def test_single_bodies_are_fitted_jointly_but_not_with_a_gyroscope():
         make_record(casing=run, rotor=[], I_rotor=1e-5, I_casing=1e-5)
 
 
-def test_presliding_friction_is_no_candidate_of_a_body_that_never_reverses():
+def test_presliding_friction_is_not_a_candidate_of_a_body_that_never_reverses():
     from fitting.discovery._select import applicable_effects
 
     names = {e.name for e in applicable_effects(fit(BASE, [wheel()]), [])}

@@ -6,15 +6,11 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting._errors import EstimationError, SimulationError
-from fitting.discovery._plan import plan
+from fitting import LIBRARY, EstimationError, Model, SimulationError, diagnose, improve, plan
 from fitting.discovery._remainder import Torques
-from fitting.discovery._select import improve
-from fitting.discovery._verdict import diagnose
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
-from fitting.effects._library import LIBRARY
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
@@ -155,7 +151,7 @@ def test_torques_are_compared_about_the_equilibrium_of_each_fit():
     assert Torques(base, end, residual=False).remaining(named)[0] < 5e-3
 
 
-def test_a_spring_is_no_power_of_a_speed():
+def test_a_spring_is_not_a_power_of_a_speed():
     t, angle, _ = oscillators.motion(lambda t, a, w: -12 * a - 0.03 * w, (1.2, 0.3), 10.0, 40.0)
     power = resolve("casing: -k*abs(omega_c)**n*sign(omega_c)")
     found = fit(Model.of([SPRING]).with_effect(power), [oscillators.record(t, angle, 1e-3, 7)])

@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from cases import data
 
-from fitting._errors import EffectError
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import LINEAR, REDUCED
+from fitting import LINEAR, REDUCED, EffectError, Model, Record
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._parameters import ParameterLayout
-from fitting.inference._record import Record
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +70,7 @@ def test_each_case_gets_its_own_numbers(records):
 
 def test_unknown_names_are_refused(records):
     for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
-        with pytest.raises(EffectError, match="is no parameter of the model"):
+        with pytest.raises(EffectError, match="is not a parameter of the model"):
             ParameterLayout.of(Model.of(LINEAR), records, **words)
 
 

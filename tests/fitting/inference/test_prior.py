@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
+from fitting import EstimationError, Model
 from fitting.inference._case_data import CaseData, with_prior
 from fitting.inference._fit import fit
 from fitting.inference._prior import Prior
@@ -97,9 +96,9 @@ def test_prior_of_a_parameter_of_which_each_case_has_its_own():
 
 def test_prior_enters_the_score_of_a_missing_effect():
     """Beside a free constant friction a second one is absorbed; a prior of the first determines it."""
+    from fitting import LIBRARY
     from fitting._criteria import DEFAULT
     from fitting.discovery._score import CaseColumns, score
-    from fitting.effects._library import LIBRARY
 
     extra = [LIBRARY["external.constant"]]
     (data,) = with_prior([coasting(4, 0.5)], Prior(("touchpoint.constant.b1",), (STRENGTH,), ((1e-6,),)))

@@ -6,10 +6,7 @@ import twobody
 from cases import data, fitted
 from scipy.optimize import least_squares
 
-from fitting._errors import EffectError, EstimationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, REDUCED
-from fitting.inference._fit import fit
+from fitting import GENERAL, REDUCED, EffectError, EstimationError, Model, fit
 from fitting.inference._problem import degenerate_directions
 from fitting.inference._profile import profile, weakly_determined
 

@@ -4,9 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting._errors import RecordError
+from fitting import RecordError, make_record
 from fitting.inference._case_file import read_record
-from fitting.inference._record import make_record
 
 N = 700
 

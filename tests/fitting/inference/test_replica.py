@@ -7,16 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2, kstest
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, EstimationError, Experiment, Model, make_record, simulate
 from fitting.inference import _replica
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 from fitting.inference._replica import replica
-from fitting.inference._simulation import Experiment, simulate
 
 BASE = Model.of(REDUCED).alone
 

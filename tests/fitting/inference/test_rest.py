@@ -6,10 +6,7 @@ import reference
 import twobody
 from cases import pulls
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
-from fitting.inference._fit import fit
-from fitting.inference._record import make_record
+from fitting import REDUCED, Model, fit, make_record
 
 
 def with_rest(own, span=200.0, start=(900.0, 5.0), seed=0):

@@ -8,11 +8,8 @@ from oscillators import motion
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import LINEAR, REDUCED
-from fitting.inference._fit import cauchy, fit, huber, robust_fit
-from fitting.inference._record import make_record
+from fitting import LINEAR, REDUCED, EstimationError, Model, fit, make_record
+from fitting.inference._fit import cauchy, huber, robust_fit
 
 TRUTH = twobody.truth()
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting._errors import SimulationError
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import LIBRARY, REDUCED, typical_of_model
-from fitting.inference._simulation import Experiment, simulate, simulate_path
+from fitting import LIBRARY, REDUCED, Experiment, Model, SimulationError, simulate
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.effects._library import typical_of_model
+from fitting.inference._simulation import simulate_path
 
 _DURATION = 6.0
 

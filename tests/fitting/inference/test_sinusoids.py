@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY, REDUCED
+from fitting import LIBRARY, REDUCED, Model, fit, make_record
 from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
 from fitting.inference._parameters import ParameterLayout, Sinusoid, find_sinusoids, from_polar, to_polar
-from fitting.inference._record import make_record
 
 STRENGTH, PHASE = 6e-6, 4.1
 HIDDEN = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: STRENGTH * math.sin(pc - PHASE))

@@ -40,7 +40,7 @@ def test_two_slips_and_a_slip_in_a_gap_are_found():
 
 
 @pytest.mark.parametrize("step", [0.4 * TURN, 0.8 * TURN, 1.2 * TURN])
-def test_a_step_that_is_no_whole_turn_is_no_slip(step):
+def test_a_step_that_is_not_a_whole_turn_is_not_a_slip(step):
     samples = turning()
     value = samples.value.copy()
     value[1500:] += step

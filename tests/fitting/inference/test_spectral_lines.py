@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fitting import make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._record import make_record
 
 SPAN, RATE = 60.0, 260.0
 FRICTION, NOISE, TIME = 0.3, 0.01, 0.3
@@ -47,7 +47,7 @@ def test_two_lines_are_found():
 
 
 @pytest.mark.slow
-def test_noise_and_jumps_are_no_spectral_lines():
+def test_noise_and_jumps_are_not_spectral_lines():
     """One in a thousand recordings may have one; a jump of the friction has a broad spectrum in one stretch."""
     assert not any(recording(seed).spectral_lines for seed in range(10, 22))
     assert not any(recording(seed, noise=0.1).spectral_lines for seed in range(22, 28))

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, fit, make_record
 from fitting.inference._case_data import CaseData, StartTimeNoise, acceleration
-from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 
 LATE = 1e-3
 TRUTH = {"touchpoint.constant.b1": 3e-6, "casing.air.linear.b2": 3.7e-7, "bearing.linear.d": 3.2e-8}
@@ -69,7 +67,7 @@ def test_windows_with_known_starts_are_unchanged():
 
 
 @pytest.mark.slow
-def test_uncertain_window_starts_are_no_missing_effect():
+def test_uncertain_window_starts_are_not_missing_effect():
     """Start times wrong by a millisecond give a lack of fit if they count as exact, and none if uncertain."""
     model = Model.of(REDUCED)
     for seed in range(3):

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting.dynamics._model import Model
+from fitting import Model, fit, make_record
 from fitting.inference._angle_noise import AngleNoise, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated
 from fitting.inference._compression import compress
-from fitting.inference._fit import fit
-from fitting.inference._record import Samples, make_record
+from fitting.inference._record import Samples
 
 SIGMA, TIME = 1.5e-4, 2.0
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}

@@ -6,10 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.inference._params import Estimate
-from fitting.study._comparison import compare
+from fitting import Estimate, EstimationError, Model, compare
 
 KEY = "casing.air.linear.b2"
 

@@ -6,13 +6,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fitting.discovery._select import History, improve
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Experiment, Model, diagnose, fit, improve, simulate
+from fitting.discovery._select import History
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._simulation import Experiment, simulate, simulate_path
+from fitting.inference._simulation import simulate_path
 from fitting.inference._speed_residuals import CASING, ROTOR, modelled_speed
 
 pytestmark = pytest.mark.slow

@@ -11,11 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from fitting import _schema
-from fitting._errors import LedgerError
+from fitting import Ledger, LedgerError, _schema
 from fitting._schema import effects_of
 from fitting.study import _history
-from fitting.study._history import Ledger
 
 ROOT = Path(__file__).parents[3]
 
@@ -193,7 +191,7 @@ def test_the_next_writer_removes_what_a_killed_one_has_left_and_nothing_else(tmp
 
 
 @pytest.mark.parametrize("name", ["../x.fits.json.0123abcd.part", "y.fits.json.0123abcd.part", "x.fits.json"])
-def test_a_lock_names_no_file_but_a_temporary_one_of_its_own(tmp_path, name):
+def test_a_lock_names_no_file_but_its_own_temporary_one(tmp_path, name):
     folder = tmp_path / "case"
     folder.mkdir()
     path, other = folder / "x.fits.json", folder / name

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting._errors import RecordError
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
+from fitting import REDUCED, Model, RecordError, fit, make_record
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
 from fitting.inference._metrics import as_velocities, median_noise
-from fitting.inference._record import make_record, running_median
+from fitting.inference._record import running_median
 from fitting.study._paper import _decay, curve_bias, prepared, with_generated_rotor
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY
+from fitting import LIBRARY, Model
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.study._serialisation import restored_fit, stored_fit

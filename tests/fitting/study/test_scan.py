@@ -8,19 +8,15 @@ import re
 import pytest
 import twobody
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, REDUCED
+from fitting import GENERAL, REDUCED, EstimationError, Model, make_record, scan, scan_lines
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.inference._record import make_record
-from fitting.study._scan import AIR, BEARING, COLUMNS, paper_ranges, scan, shade
+from fitting.study._scan import AIR, BEARING, COLUMNS, paper_ranges, shade
 from fitting.study._scan_tables import (
     concise,
     scan_csv,
     scan_document,
     scan_latex,
-    scan_lines,
     scan_records,
     three_digits,
 )

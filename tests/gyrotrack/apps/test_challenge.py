@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.apps._simulation import OUTSIDE, Seal, draw_effect, grade, seal, unseal
 from gyrotrack.apps.cli import _app as app
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrotrack import Series
 from gyrotrack.apps._drive import drive_of
 from gyrotrack.apps._motion import motion_of_speeds
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._records import Series
 from gyrotrack.io.readers._motion_table import Driver
 
 CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
@@ -68,7 +68,7 @@ def test_the_smallest_rise_of_a_driven_body(rise, driven):
     assert (drive_of(series(TIME, omega, 1e-3), "omega", []) is not None) is driven
 
 
-def test_the_ripple_of_an_unbalance_within_a_turn_is_no_drive():
+def test_the_ripple_of_an_unbalance_within_a_turn_is_not_a_drive():
     omega = 30 * np.exp(-TIME / 10)
     turned = np.concatenate([[0.0], np.cumsum(omega[1:] / 400)])
     assert drive_of(series(TIME, omega + 3 * np.cos(turned), 1e-3), "omega", []) is None
@@ -115,7 +115,7 @@ def test_the_step_of_a_real_motor(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["pulse_intervals_short.csv", "pulse_intervals_long.csv"])
-def test_a_rowing_flywheel_is_no_coast_down(capsys, tmp_path, name):
+def test_a_rowing_flywheel_is_not_a_coast_down(capsys, tmp_path, name):
     code, found = spindown(capsys, tmp_path, name, "--pulses-per-turn", "3")
     assert code == 3
     assert found["motion"]["kind"] == "driven"

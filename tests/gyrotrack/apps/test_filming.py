@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.apps import _filming
 from gyrotrack.apps._filming import Filming
 from gyrotrack.synthetic._scene import Camera, Motion

@@ -10,15 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
+from fitting import Model
 from fitting.discovery import _oscillator
-from fitting.dynamics._model import Model
-from gyrotrack._errors import TrackingError
+from gyrotrack import TrackingError, import_body
 from gyrotrack.apps import _motion, _spindown
 from gyrotrack.apps._motion import Value, motion_of, start_of_motion
 from gyrotrack.apps._spindown import _with_view_errors
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
-from gyrotrack.io.readers._import_case import import_body
 from gyrotrack.tracking._any_body import Film, SeveralBodiesError
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
@@ -332,7 +331,7 @@ def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeyp
     document = json.loads(captured.out)
     assert code == 3
     assert document["ambiguous"]
-    assert "looks alike after 120 degrees" in captured.err
+    assert "looks the same when rotated by 120 degrees" in captured.err
     found = document["motion"]["alpha"]
     assert found["value"] == pytest.approx(alpha, abs=4 * found["stderr"])
     assert found["stderr"] < 0.02

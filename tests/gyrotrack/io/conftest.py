@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack.io._hdf5 import write_case
-from gyrotrack.io._records import BodyTrack, Case, GeneratedCurve, MarkerTrack, Placement, Recording, Series
+from gyrotrack import BodyTrack, Case, MarkerTrack, Recording, Series, write_case
+from gyrotrack.io._records import GeneratedCurve, Placement
 
 
 def make_recording(frames=300, seed=0):

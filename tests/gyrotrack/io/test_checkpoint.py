@@ -6,9 +6,9 @@ import zlib
 import numpy as np
 import pytest
 
-from fitting._errors import LedgerError
+from fitting import LedgerError
 from fitting._schema import locked as ledger_locked
-from gyrotrack._errors import OutputError, TrackingError
+from gyrotrack import OutputError, TrackingError
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 
 FACTS = {"film": "abc", "profile": {"name": "paper", "marker": [1, 2]}, "body": None}

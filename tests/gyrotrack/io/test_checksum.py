@@ -7,11 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting._errors import RecordError
+from fitting import RecordError
 from fitting.inference._case_file import read_record
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError, read_case, read_recording, write_recording
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_case, read_recording, write_recording
 from gyrotrack.io._tables import LENGTH, checksum_line, has_endless_heap
 
 

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import (
+    DatasetError,
+    UsageError,
+    export_file,
+    read_case,
+    read_recording,
+    write_case,
+    write_recording,
+)
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._contents import columns, export_file, plain_cell
-from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
+from gyrotrack.io._contents import columns, plain_cell
 
 pd = pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")
@@ -74,7 +81,7 @@ def test_tables_of_a_recording(recording, tmp_path):
     assert frames.attrs["units"]["centre_x"] == "px"
 
 
-def test_what_is_not_there_is_told(file, tmp_path):
+def test_what_is_not_there_is_reported(file, tmp_path):
     with pytest.raises(UsageError, match="no markers"):
         export_file(file, tmp_path / "a.csv", table="markers")
     with pytest.raises(UsageError, match="suffix"):

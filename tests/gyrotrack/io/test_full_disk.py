@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError, read_recording, write_recording
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io._atomic import new_file
-from gyrotrack.io._hdf5 import read_recording, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting._errors import RecordError
+from fitting import RecordError
 from fitting.inference._case_file import read_record
-from gyrotrack._errors import DatasetError
-from gyrotrack.io._contents import export_file, inspect_file
-from gyrotrack.io._hdf5 import read_case
+from gyrotrack import DatasetError, export_file, read_case
+from gyrotrack.io._contents import inspect_file
 
 SECRET = b"the secret of the neighbour's file " * 400
 

@@ -4,9 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError, write_case, write_recording
 from gyrotrack.io._contents import inspect_file
-from gyrotrack.io._hdf5 import write_case, write_recording
 
 
 def test_recording_in_numbers(tmp_path, recording):

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from gyrotrack._errors import OutputError, UsageError
+from gyrotrack import OutputError, UsageError
 from gyrotrack.io._atomic import is_left, new_file
 from gyrotrack.io._command_end import marking
 from gyrotrack.io._outputs import new_outputs

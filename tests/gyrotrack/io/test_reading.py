@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
-from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_recording
+from gyrotrack import DatasetError, read_case, read_recording, write_recording
+from gyrotrack.io._hdf5 import read_kind
 
 
 @pytest.fixture

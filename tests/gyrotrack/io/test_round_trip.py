@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fitting.inference._case_file import read_record
-from gyrotrack._errors import DatasetError
-from gyrotrack.io._hdf5 import read_case, read_kind, read_recording, write_case, write_recording
+from gyrotrack import DatasetError, read_case, read_recording, write_case, write_recording
+from gyrotrack.io._hdf5 import read_kind
 from gyrotrack.io._schema import STATUS
 
 

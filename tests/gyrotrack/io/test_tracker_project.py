@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.io._tracker_project import write_project
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._registry import read_motion

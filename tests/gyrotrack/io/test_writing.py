@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from fitting._errors import LedgerError, RecordError
+from fitting import Ledger, LedgerError, RecordError
 from fitting._schema import locked as ledger_locked
 from fitting.inference._case_file import read_record
-from fitting.study._history import Ledger
-from gyrotrack._errors import DatasetError, OutputError
+from gyrotrack import DatasetError, OutputError, import_body, read_recording, write_recording
 from gyrotrack.io._atomic import CheckpointFile, locked, new_file, refuse_existing
-from gyrotrack.io._hdf5 import new_hdf5, read_recording, write_recording
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack.io._hdf5 import new_hdf5
 
 
 def names(folder):
@@ -219,7 +217,7 @@ except OutputError as error:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("name", ["a", ".a.lock"])
-def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
+def test_a_pipe_instead_of_an_output_is_refused(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(OutputError, match="is a named pipe, not a regular file"):
         write(tmp_path / "a", force=True)
@@ -227,7 +225,7 @@ def test_a_pipe_in_place_of_an_output_is_refused(tmp_path, name):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_pipe_in_place_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, capsys):
+def test_a_pipe_instead_of_an_input_ledger_or_checkpoint_is_refused(tmp_path, capsys):
     os.mkfifo(tmp_path / "p")
     os.mkfifo(tmp_path / "p.unfinished")
     with pytest.raises(DatasetError, match="named pipe"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gyrotrack.io._records import BodyTrack, Recording
+from gyrotrack import BodyTrack, Recording
 from gyrotrack.synchronisation._matching import Curve
 
 TURN = 2 * np.pi

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fitting.inference._case_file import read_record
-from gyrotrack._errors import SyncError, UsageError
+from gyrotrack import SyncError, UsageError, read_case, write_recording
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_case, write_recording
 from gyrotrack.synchronisation._decision import synchronise
 
 NAMES = ["casing.h5", "a.h5", "b.h5", "c.h5"]
@@ -86,7 +85,7 @@ def test_bad_arguments(recordings):
         synchronise(recordings[0], [], NAMES[:1], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
-def test_a_rotor_that_speeds_up_between_clips_is_told(recordings):
+def test_a_rotor_that_speeds_up_between_clips_is_reported(recordings):
     late, early = recordings[1:]
     faster = dataclasses.replace(late.bodies["rotor"], omega=2 * late.bodies["rotor"].omega)
     late = dataclasses.replace(late, bodies={**late.bodies, "rotor": faster})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrotrack._errors import SyncError
+from gyrotrack import SyncError
 from gyrotrack.synchronisation._decision import match_clips
 from gyrotrack.synchronisation._matching import Curve
 
@@ -60,7 +60,7 @@ def test_a_clip_on_the_tail_alone_is_called_ambiguous(motion, make_run):
     assert abs(found.start.offset - 90.0) < 5 * found.offset_sigma
 
 
-def test_equal_speeds_on_rise_and_tail_are_told_apart_by_the_slope(motion, make_run):
+def test_equal_speeds_on_rise_and_tail_are_distinguished_by_the_slope(motion, make_run):
     casing_speed = motion(np.linspace(0, 135, 1351))[1]
     rise = np.interp(130.0, casing_speed[:400], np.linspace(0, 135, 1351)[:400])
     run = make_run(motion, np.random.default_rng(4))

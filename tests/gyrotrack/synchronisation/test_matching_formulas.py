@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from gyrotrack._errors import SyncError, UsageError
+from gyrotrack import SyncError, UsageError
 from gyrotrack.synchronisation import _decision as decision
 from gyrotrack.synchronisation import _matching as matching
 from gyrotrack.synchronisation._decision import Match, Motion, Rival, Survey, candidates, motion

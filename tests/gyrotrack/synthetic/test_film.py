@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError
 from gyrotrack.synthetic._film import Film, load_truth, render_clip, to_planes, write_film
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 
@@ -128,7 +128,7 @@ def test_existing_films_are_kept(tmp_path: Path) -> None:
     assert write_film(path, plain(2), width=64, height=48, fps=30.0, force=True) == 2
 
 
-def test_a_missing_folder_is_told(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="does not exist"):
         write_film(tmp_path / "none" / "x.mp4", plain(2), width=64, height=48, fps=30.0)
 

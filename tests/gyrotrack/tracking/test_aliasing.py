@@ -36,18 +36,18 @@ def taken(apparent, pictures):
     ), template(apparent)
 
 
-def test_of_two_rotations_that_look_alike_the_one_that_slows_down_is_taken():
+def test_of_two_equal_looking_rotations_the_one_that_slows_down_is_taken():
     apparent = TRUE + np.radians(120) * FRAMES
     assert np.all(np.diff(apparent) > 0)  # counter-clockwise, and faster and faster
     (angle, warning), template = taken(apparent, polars(TRUE))
     assert symmetries(template)[-1] == 3
     np.testing.assert_allclose(angle, TRUE, atol=1e-9)
-    assert "looks alike after 120 degrees" in warning
+    assert "looks the same when rotated by 120 degrees" in warning
     assert "-67 to -43 degrees per frame as well as one of +53 to +77" in warning
     # the right one followed from the beginning is kept, with the same warning
     (angle, warning), _ = taken(TRUE, polars(TRUE))
     np.testing.assert_allclose(angle, TRUE, atol=1e-9)
-    assert "looks alike after 120 degrees" in warning
+    assert "looks the same when rotated by 120 degrees" in warning
 
 
 def test_a_mark_on_one_arm_decides():

@@ -80,7 +80,7 @@ class TestErrorsByPlace:
             (0.02, 0.03, 0.02),  # but not more than was learnt
         ],
     )
-    def test_perspective_is_no_error_by_place(self, monkeypatch, learnt, offset, expected):
+    def test_perspective_is_not_an_error_by_place(self, monkeypatch, learnt, offset, expected):
         seen = markers_of("rotor", (50.0,))
         monkeypatch.setattr(module, "axis_offset", lambda *_: np.array([0.0, offset]))
         found = error_by_place(seen, Flattening({}, 0.0, 0.0), body([0.0], place_error=learnt / 50.0))

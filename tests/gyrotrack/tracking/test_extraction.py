@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError, UsageError, VideoError
+from gyrotrack import TrackingError, UsageError, VideoError
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._profile import parse
@@ -195,7 +195,7 @@ def test_papers_that_are_not_there_are_not_found(draw):
         extract(path, body="rotor")
 
 
-def test_only_the_casing_when_that_is_asked_for(casing_clip):
+def test_only_the_casing_when_that_must_be_stated(casing_clip):
     recording = extract(casing_clip[0], body="casing")
     assert set(recording.bodies) == {"casing"}
     with pytest.raises(UsageError):
@@ -259,7 +259,7 @@ def test_a_marker_that_leaves_the_picture_is_flagged(draw):
 
 
 @pytest.mark.slow
-def test_more_than_half_a_turn_a_frame_is_told_from_the_casings_sense(draw):
+def test_more_than_half_a_turn_a_frame_is_distinguished_from_the_casings_sense(draw):
     path, film = draw(
         **{**SMALL, "fps": 1000.0, "exposure": 2e-5, "casing": _linear(90.0), "rotor": _linear(4000.0)}
     )

@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError
+from gyrotrack import Profile, TrackingError, propose
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._extract import extract
-from gyrotrack.tracking._profile import PAPER, Profile, load, parse
-from gyrotrack.tracking._proposal import propose
+from gyrotrack.tracking._profile import PAPER, load, parse
 
 ROOT = Path(__file__).parents[3]
 WHEEL = ROOT.parent / "shared" / "real" / "bicycle_wheel_300fps.mp4"
@@ -105,7 +104,7 @@ def test_other_colours_tables_and_lights(draw, settings, markers, disc):
 
 
 @pytest.mark.slow
-def test_two_markers_of_one_colour_are_told(draw):
+def test_two_markers_of_one_colour_are_reported(draw):
     path, _ = draw(**{**FAST, "green": BLUE})
     found = propose(path)
     assert any("two blue markers" in note for note in found.notes)
@@ -122,7 +121,7 @@ def test_a_faint_white_marker_is_named(draw):
 
 
 @pytest.mark.slow
-def test_one_colour_on_both_bodies_is_told(draw):
+def test_one_colour_on_both_bodies_is_reported(draw):
     path, _ = draw(**{**FAST, "blue": RED})
     found = propose(path)
     assert any("a second red marker" in note for note in found.notes)
@@ -137,7 +136,7 @@ def test_a_casing_at_rest_is_known_by_the_disc(draw):
 
 
 @pytest.mark.slow
-def test_one_body_alone_is_a_guess_and_called_so(draw):
+def test_one_body_alone_is_uncertain_and_called_so(draw):
     path, _ = draw(**{**FAST, "rotor_papers": False})
     found = propose(path)
     assert chosen(found) == {"red": ("red", "casing")}
@@ -258,7 +257,7 @@ def test_two_bodies_of_one_colour_are_refused_in_one_sentence(tmp_path, monkeypa
     assert [p.name for p in tmp_path.iterdir()] == ["two.mp4"]
 
 
-def test_a_wall_of_the_colours_of_the_rotor_is_no_rotor(tmp_path):
+def test_a_wall_of_the_colours_of_the_rotor_is_not_a_rotor(tmp_path):
     recording = extract(discs(tmp_path / "one.mp4", [(160, 90, 70, 0.2)]), capture_fps=260)
     assert list(recording.bodies) == ["casing"]
     assert np.ptp(recording.bodies["casing"].angle) == pytest.approx(0.2 * 59, abs=0.05)

@@ -31,14 +31,14 @@ def test_so_it_is_of_the_orders_of_the_camera_where_they_follow_no_law_of_the_sp
     assert harmonic_error(turning(1e-3, order)) == pytest.approx(1e-3 / np.sqrt(2), rel=0.35)
 
 
-def test_noise_and_higher_orders_are_no_error():
+def test_noise_and_higher_orders_are_not_error():
     assert all(harmonic_error(turning(seed=seed)) < 0.1e-3 for seed in range(5))
     assert harmonic_error(turning(1e-3, 13)) < 0.15e-3
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-@pytest.mark.parametrize("power", [0.0, 1.0, -2.0, 6.0, -4.0])
-def test_centre_shutter_and_unbalance_are_no_error_of_orders_1_and_2(order, power):
+@pytest.mark.parametrize("power", [0.0, 1.0, 2.0, -2.0, 8.0, -6.0])
+def test_centre_shutter_blur_and_unbalance_are_not_an_error_of_orders_1_and_2(order, power):
     """While the speed falls from 100 to 40 rad/s the amplitude follows a power of it, 1 mrad on average."""
     t = np.arange(20 * 512) / FPS
     psi = 100.0 * t - 0.76 * t**2
@@ -49,12 +49,12 @@ def test_centre_shutter_and_unbalance_are_no_error_of_orders_1_and_2(order, powe
         + 1e-3 * law * np.sin(order * psi)
         + 0.2 * SIGMA * np.random.default_rng(0).standard_normal(len(t))
     )
-    described = order < 3 and power in {0.0, 1.0, -2.0}
+    described = order < 3 and power in {0.0, 1.0, 2.0, -2.0}
     assert (harmonic_error(noisy) < 0.02e-3) == described
 
 
-@pytest.mark.parametrize(("batches", "known"), [(7, False), (8, True)])
-def test_three_laws_of_the_speed_need_three_batches_more(batches, known):
+@pytest.mark.parametrize(("batches", "known"), [(8, False), (9, True)])
+def test_four_laws_of_the_speed_need_four_batches_more(batches, known):
     assert (harmonic_error(turning(2e-3, 1, count=batches * 512)) > 0.0) == known
 
 

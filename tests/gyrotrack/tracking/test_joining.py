@@ -76,7 +76,7 @@ def test_frames_with_no_marker_have_no_angle():
     assert abs(np.nanmean(error[720:]) - np.nanmean(error[:700])) < 1e-3  # no slipped turn
 
 
-def test_a_slow_swing_with_the_turn_is_motion_not_error():
+def test_a_slow_oscillation_with_the_turn_is_motion_not_error():
     """A single marker on an unbalanced wheel at 20 rad/s: the swing once a turn is real and must stay."""
     rng = np.random.default_rng(5)
     k = np.arange(1200)
@@ -159,7 +159,7 @@ def test_errors_that_last_for_some_frames_are_not_taken_for_motion(rho):
     assert np.std(np.concatenate(z)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_motion_and_errors_by_place_of_two_turns_are_told_apart_as_badly_as_claimed():
+def test_motion_and_errors_by_place_of_two_turns_are_distinguished_as_badly_as_claimed():
     """At the ends of the film, a curve over the angle and a motion can be exchanged; the noise alone says 1.3 there."""
     z, ends = [], []
     for seed in range(16):
@@ -212,7 +212,7 @@ def test_errors_by_place_are_known_only_of_a_body_that_turns_round():
     assert np.isnan(_few_turns(1, turns=1.5)[1].place_error)
 
 
-def test_the_marker_that_errs_least_tells_how_large_errors_by_place_are():
+def test_the_marker_with_the_smallest_error_shows_how_large_errors_by_place_are():
     assert _few_turns(2, sizes=(6e-3, 1.5e-3, 4e-3))[1].place_error == pytest.approx(1.5e-3, rel=0.3)
 
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
-from gyrotrack._errors import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking import _any_body, _hub_search
 from gyrotrack.tracking._any_body import track_body
@@ -107,7 +107,7 @@ def test_the_angle_of_a_puck_is_that_of_the_renderer_within_its_uncertainty(turn
     assert tracked.way == "outline"
 
 
-def test_a_body_that_rests_for_most_of_the_film_is_no_background():
+def test_a_body_that_rests_for_most_of_the_film_is_not_a_background():
     path, angle = sliding(60)
     rest = 240
     path = np.concatenate([path, np.repeat(path[-1:], rest, axis=0)])
@@ -146,7 +146,7 @@ def test_a_blank_disc_that_turns_is_refused():
         track_free_body(film(path, angle, marks=False))
 
 
-def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body():
+def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_not_a_rigid_body():
     """A glare on a record that turns under a lamp: its outline moves, and another orientation fits it suddenly."""
     path, angle = sliding(turns=0.8)
     angle[60:] += 2.0
@@ -154,7 +154,7 @@ def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_no_rigid_body(
         track_free_body(film(path, angle))
 
 
-def test_an_outline_whose_picture_is_not_rigid_is_no_body():
+def test_an_outline_whose_picture_is_not_rigid_is_not_a_body():
     """Such as a wave, or wires that trail behind a puck: marks that turn to both sides."""
     path, angle = sliding(turns=0.8)
     one, other = (film(path, turn).frames() for turn in (angle, -angle))
@@ -203,7 +203,7 @@ def test_two_pendulums_are_never_one_body():
 
 
 @pytest.mark.slow
-def test_a_camera_that_turns_about_a_point_outside_the_picture_is_no_body():
+def test_a_camera_that_turns_about_a_point_outside_the_picture_is_not_a_body():
     """The hub must be given for a body that fills the picture: the film does not differ from that of a camera."""
     rng, hub = np.random.default_rng(5), np.array([-150.0, 60.0])
     floor = cv2.GaussianBlur(rng.normal(0, 1, (700, 700)), (0, 0), 3)
@@ -291,7 +291,7 @@ def test_a_given_hub_of_a_suspended_table_may_move():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("back", [30, 22])
-def test_a_picture_that_changes_between_few_frames_is_no_rotation(back):
+def test_a_picture_that_changes_between_few_frames_is_not_a_rotation(back):
     """Such as two places of a thing in a film of few frames; the angles before and after had sigmas of 20 urad."""
     angle = np.where((np.arange(30) < 14) | (np.arange(30) >= back), 0.0, 0.24)
     with pytest.raises(TrackingError, match="changes between a few frames"):

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError, UsageError
 from gyrotrack._column_store import StoredPictures
-from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking import _point_motion
 from gyrotrack.tracking._point_motion import HUB_SHARE, about_pivot, follow_path, follow_point
 from gyrotrack.tracking._point_tracker import PointPath
@@ -111,7 +111,7 @@ def test_a_point_outside_the_picture_or_at_rest_is_refused(bob):
         follow_point(film, (20.0, 100.0), (0.0, 0.0))
 
 
-def test_two_bobs_are_told(bob):
+def test_two_bobs_are_reported(bob):
     one, two = (bob(hub=(x, -120.0), amplitude=0.1, frames=60, thread=False) for x in (40.0, 120.0))
     frames = [np.minimum(a, b) for a, b in zip(one.pictures(), two.pictures(), strict=True)]
     with pytest.raises(TrackingError, match="Several bodies move"):
@@ -143,7 +143,7 @@ def test_a_given_hub_near_the_centre_of_the_path_is_kept():
 
 
 @pytest.mark.parametrize(("y", "doubt"), [(-180.0, False), (-120.0, False), (50.0, True)])
-def test_a_hub_that_the_path_contradicts_is_told_with_both_answers(y, doubt):
+def test_a_hub_that_the_path_contradicts_is_reported_with_both_answers(y, doubt):
     """A tilted camera explains a hub at 0.8 of the radius of curvature, and not one at a quarter of it."""
     found = about_pivot(drawn(), "film", (80.0, y))
     assert found.ambiguous == doubt

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import ProfileError
-from gyrotrack.tracking._profile import PAPER, Profile, load, parse, to_toml
+from gyrotrack import Profile, ProfileError
+from gyrotrack.tracking._profile import PAPER, load, parse, to_toml
 
 ROOT = Path(__file__).parents[3]
 
@@ -77,13 +77,13 @@ def test_every_fault_names_its_key(change, place, words):
     assert words in caught.value.message
 
 
-def test_all_faults_are_told_at_once():
+def test_all_faults_are_reported_at_once():
     with pytest.raises(ProfileError) as caught:
         parse({"sense": 5, "capture_fps": 0, "marker": [{"name": "", "colour": "red", "body": "rotor"}]}, "p")
     assert all(key in caught.value.message for key in ("sense", "capture_fps", "marker[1].name"))
 
 
-def test_two_markers_of_one_colour_on_one_body_cannot_be_told_apart():
+def test_two_markers_of_one_colour_on_one_body_cannot_be_distinguished():
     markers = [{"name": n, "colour": "red", "body": "rotor"} for n in "ab"]
     with pytest.raises(ProfileError, match="same colour"):
         parse({"marker": markers}, "p")
@@ -92,7 +92,7 @@ def test_two_markers_of_one_colour_on_one_body_cannot_be_told_apart():
 @pytest.mark.parametrize(
     ("content", "words"), [(b"a = = 1", "not valid TOML"), (b"\xff\xfe", "text file"), (None, "no profile")]
 )
-def test_files_that_are_no_profiles(tmp_path, content, words):
+def test_files_that_are_not_profiles(tmp_path, content, words):
     path = tmp_path / "p.toml"
     if content is not None:
         path.write_bytes(content)

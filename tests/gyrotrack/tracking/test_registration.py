@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
-from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle

@@ -20,7 +20,7 @@ ANGLE = np.linspace(0.0, 0.4, 50)
         ((104.0, 100.0), 1.3 * ANGLE, 0.90, False),  # the same hub within 5 % of the radius
     ],
 )
-def test_another_hub_is_told_if_it_explains_as_much_and_answers_differently(hub, angle, share, told):
+def test_another_hub_is_reported_if_it_explains_as_much_and_answers_differently(hub, angle, share, told):
     found = [((100.0, 100.0), 100.0, ANGLE, 0.90), (hub, 100.0, angle, share)]
     text = rival_hub(found, 0)
     assert (text is not None) == told

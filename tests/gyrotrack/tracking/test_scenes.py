@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from gyrotrack import Profile, propose
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import BLUE, GREEN, PAPERS, RED, Camera, Light, Motion, Scene, Wobble
 from gyrotrack.tracking._extract import extract
-from gyrotrack.tracking._profile import MarkerProfile, Profile
-from gyrotrack.tracking._proposal import propose
+from gyrotrack.tracking._profile import MarkerProfile
 
 pytestmark = pytest.mark.slow
 

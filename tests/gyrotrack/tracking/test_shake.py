@@ -88,7 +88,7 @@ def test_a_camera_on_a_tripod_is_left_alone():
     assert camera_shake(frames, frames) is None
 
 
-def test_a_body_before_a_blank_wall_is_no_background():
+def test_a_body_before_a_blank_wall_is_not_a_background():
     frames = []
     for k in range(30):
         picture = np.full(SIZE, 200, np.uint8)

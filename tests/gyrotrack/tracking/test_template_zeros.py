@@ -97,7 +97,7 @@ def test_zeros_and_variances_are_those_of_the_whole_linear_model(monkeypatch):
     assert per_speed == pytest.approx(1.5 * unit / np.sqrt(change.mean()))
 
 
-def test_a_neighbour_that_is_not_measured_elsewhere_is_no_reason_to_doubt():
+def test_a_neighbour_that_is_not_measured_elsewhere_is_not_a_reason_to_doubt():
     relative, _ = beside_a_neighbour(0.0)
     true = np.where((np.arange(COUNT) >= 12) & (np.arange(COUNT) < 15), 3e-3, 0.0)
     found, _ = zeros(true[TEMPLATE] + noise(), ANGLE, relative)

@@ -42,7 +42,7 @@ def test_a_speed_is_that_in_time(place):
 
 
 @pytest.mark.parametrize(("late", "real"), [(1.0, True), (0.0, False)])
-def test_a_body_tells_whether_frames_were_late(late, real):
+def test_a_body_shows_whether_frames_were_late(late, real):
     rng = np.random.default_rng(3)
     even = np.arange(600.0)
     stamped = even + rng.uniform(-0.2, 0.2, 600)

@@ -98,7 +98,7 @@ def _told(recording, *words):
 
 class TestVaryingRate:
     @pytest.mark.slow
-    def test_a_rate_that_swings(self, shoot):
+    def test_a_rate_that_oscillates(self, shoot):
         film = shoot("swing.mp4", SLOW)
         recording = extract(film, capture_fps=FPS)
         _check(recording, {"casing": 2e-3, "rotor": 2.5e-3})
@@ -110,7 +110,7 @@ class TestVaryingRate:
         assert _told(counted, "times are counted from the decoded frames")
 
     @pytest.mark.slow
-    def test_a_rate_that_swings_in_whole_milliseconds_is_smoothed(self, shoot):
+    def test_a_rate_that_oscillates_in_whole_milliseconds_is_smoothed(self, shoot):
         recording = extract(shoot("swing.mkv", SLOW, tick=COARSE), capture_fps=FPS)
         speed = {"casing": 60.0, "rotor": 300.0}
         for body, track in recording.bodies.items():
@@ -144,7 +144,7 @@ class TestVaryingRate:
         assert np.std(_errors(recording, "casing")[0]) < 3e-3
 
     @pytest.mark.slow
-    def test_slow_motion_is_counted_unless_stamps_are_asked_for(self, shoot):
+    def test_slow_motion_is_counted_unless_stamps_must_be_confirmed(self, shoot):
         film = shoot("slow.mp4", SLOW, stamps=8.0 * SLOW, rate=FPS / 8.0)
         counted = extract(film, capture_fps=FPS)
         assert counted.extra["times_from"] == "frames"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError, VideoError
+from gyrotrack import UsageError, VideoError
 from gyrotrack.video._time_base import Timing
 
 FPS, TICK = 260.0, 1 / 90000
@@ -36,7 +36,7 @@ def test_a_swinging_rate_is_taken_from_the_stamps(tick, limit):
     assert "times are from the stamps" in times.warnings[0]
 
 
-def test_stamps_that_were_copied_from_whole_milliseconds_are_no_finer():
+def test_stamps_that_were_copied_from_whole_milliseconds_are_not_finer():
     copied = _stamps(_stamps(VIEW_ERROR, 1e-3))
     assert Timing("auto", FPS).of(copied, TICK).sigma == pytest.approx(
         Timing("auto", FPS).of(_stamps(VIEW_ERROR, 1e-3), 1e-3).sigma, rel=0.05
@@ -64,20 +64,20 @@ def test_a_player_s_stamps_are_not_believed_unasked():
     assert any("scaled to the capture rate of 260" in text for text in asked.warnings)
 
 
-def test_frames_are_counted_when_that_is_asked_for():
+def test_frames_are_counted_when_that_must_be_stated():
     times = Timing("frames", FPS).of(_stamps(VIEW_ERROR), TICK)
     np.testing.assert_array_equal(times.seconds(FPS), EVEN)
     assert "times are counted from the decoded frames" in times.warnings[0]
 
 
-def test_even_stamps_that_are_asked_for_give_the_stamps_own_rate():
+def test_even_stamps_that_must_be_confirmed_give_the_stamps_own_rate():
     times = Timing("stamps", FPS).of(_stamps(np.arange(600) / 259.0), TICK)
     np.testing.assert_allclose(times.seconds(FPS), np.arange(600) / 259.0, atol=1e-5)
     assert times.sigma == 0.0
 
 
 @pytest.mark.parametrize("fault", [np.nan, 0.0], ids=["missing", "backwards"])
-def test_stamps_that_are_no_times_are_refused(fault):
+def test_stamps_that_are_not_times_are_refused(fault):
     stamps = VIEW_ERROR.copy()
     stamps[300] = fault
     with pytest.raises(VideoError, match="do not increase"):

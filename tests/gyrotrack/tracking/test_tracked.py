@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.io._records import BodyTrack
+from gyrotrack import BodyTrack
 from gyrotrack.tracking._extract import track_doubts
 from gyrotrack.tracking._tracked import white_noise
 
@@ -16,7 +16,7 @@ def test_noise_of_a_smooth_motion_with_missing_frames(share):
     assert white_noise(angle, frame) == pytest.approx(2e-3, rel=0.1)
 
 
-def test_missing_frames_are_no_noise():
+def test_missing_frames_are_not_noise():
     frame = np.flatnonzero(np.random.default_rng(4).random(3000) < 0.5)
     angle = 0.3 * frame
     assert white_noise(angle, frame) < 1e-9

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import TrackingError
+from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured
 from gyrotrack.tracking._extract import extract
@@ -71,7 +71,7 @@ def test_flicker_makes_no_repeated_frames(draw, flicker):
 
 
 @pytest.mark.slow
-def test_a_hand_in_the_first_frames_is_no_marker(draw):
+def test_a_hand_in_the_first_frames_is_not_a_marker(draw):
     def hand(k, picture):
         if k < 50:
             place = (250 - k, 120)
@@ -186,7 +186,7 @@ def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
     assert np.all(found.clear)
 
 
-def test_a_casing_that_is_faster_than_its_rotor_is_told_with_the_commands_that_mend_it(draw):
+def test_a_casing_that_is_faster_than_its_rotor_is_reported_with_the_commands_that_exchange_them(draw):
     path, _ = draw(**{**SMALL, "frames": 60, "casing": lambda t: 90.0 * t, "rotor": lambda t: 1.0 + 20.0 * t})
     (told,) = (text for text in extract(path).warnings if "faster than the rotor" in text)
     assert "90.0 and 20.0 rad/s" in told

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import ClipInfo
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings, stamp_warnings
 
@@ -30,7 +30,7 @@ def test_the_order_is_flag_profile_tag_container():
     assert capture_rate(info, 950.0, 960.0).fps == 950.0
 
 
-def test_differences_are_told():
+def test_differences_are_reported():
     rate = capture_rate(replace(INFO, container_fps=25.0, tag_fps=1000.0), 960.0)
     assert any("25" in text for text in rate.warnings)
     assert any("1000" in text for text in rate.warnings)
@@ -47,7 +47,7 @@ def test_even_stamps_are_silent():
     np.testing.assert_array_equal(frame_numbers(np.arange(100) / 260.0), np.arange(100))
 
 
-def test_a_millisecond_clock_is_no_gap():
+def test_a_millisecond_clock_is_not_a_gap():
     stamps = np.round(np.arange(2000) / 260.0, 3)  # steps of 3 and 4 ms
     assert gap_warnings(frame_numbers(stamps)) == ()
     np.testing.assert_array_equal(frame_numbers(stamps), np.arange(2000))
@@ -80,7 +80,7 @@ def test_a_varying_rate_shows_no_missing_frames():
     np.testing.assert_array_equal(frame_numbers(time), np.arange(300))
 
 
-def test_frames_without_stamps_are_told():
+def test_frames_without_stamps_are_reported():
     stamps = np.arange(50) / 260.0
     stamps[7] = np.nan
     assert "no timestamp" in stamp_warnings(stamps)[0]

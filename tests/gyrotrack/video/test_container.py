@@ -2,7 +2,7 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import opened, probe
 
 
@@ -33,7 +33,7 @@ def test_what_a_film_declares(tmp_path):
         (b"\0" * 4096, "not a film"),
     ],
 )
-def test_what_is_no_film_is_refused_in_one_sentence(tmp_path, content, sentence):
+def test_what_is_not_a_film_is_refused_in_one_sentence(tmp_path, content, sentence):
     path = tmp_path / "x.mp4"
     if content is not None:
         path.write_bytes(content)

@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import probe, read_packets, read_raw_stamps
 from gyrotrack.video._decoder import Part, Reader, frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings
@@ -95,7 +95,7 @@ def test_slow_motion_is_timed_by_the_cameras_tag_and_never_by_the_container(tmp_
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_a_copy_that_stopped_early_gives_its_frames_and_says_so(tmp_path, share):
+def test_a_copy_that_stopped_early_gives_its_frames_and_reports_it(tmp_path, share):
     path = film(tmp_path / "a.mp4", movflags="faststart")
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
@@ -162,7 +162,7 @@ def test_frames_are_picked_by_their_stamps(tmp_path, name):
 
 
 @pytest.mark.parametrize("share", [0.4, 0.9])
-def test_a_tail_that_is_missing_is_told_though_no_frames_are_counted(tmp_path, share):
+def test_a_tail_that_is_missing_is_reported_though_no_frames_are_counted(tmp_path, share):
     """Matroska counts no frames; it says how long the film is."""
     path = film(tmp_path / "a.mkv")
     whole = path.read_bytes()
@@ -172,7 +172,7 @@ def test_a_tail_that_is_missing_is_told_though_no_frames_are_counted(tmp_path, s
     assert any("its last frame ends at" in text for text in reader.warnings)
 
 
-def test_a_codec_that_nobody_knows_is_told(tmp_path):
+def test_an_unknown_codec_is_reported(tmp_path):
     path = film(tmp_path / "a.mkv")
     path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/AVC", b"V_MPEG9/ISO/AVC"))
     with pytest.raises(VideoError, match="no decoder for the codec"):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video._container import file_sha256, is_film, keyframes, probe
 from gyrotrack.video._decoder import Reader
 
@@ -94,7 +94,7 @@ def test_numbered_pictures_in_a_folder(tmp_path):
         probe(tmp_path)
 
 
-def test_a_folder_without_pictures_is_no_film(tmp_path):
+def test_a_folder_without_pictures_is_not_a_film(tmp_path):
     assert not is_film(tmp_path)
     with pytest.raises(VideoError, match="no numbered pictures"):
         probe(tmp_path)

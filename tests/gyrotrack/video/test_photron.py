@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.video._container import file_sha256, is_film, keyframes, probe
 from gyrotrack.video._decoder import Part, Reader

@@ -90,7 +90,7 @@ def test_it_goes_on_without_the_memory_of_the_last_frame():
         ([12, 31, 77, 90, 171, 180, 230], False),
     ],
 )
-def test_a_conversion_is_told_by_the_rhythm_of_its_packets(repeated, regular, key):
+def test_a_conversion_is_recognised_by_the_rhythm_of_its_packets(repeated, regular, key):
     assert RepeatDetector(_packets(repeated, key=key)).regular is regular
 
 
@@ -113,7 +113,7 @@ def test_a_cut_makes_no_frame_a_repetition(at):
     assert found == []
 
 
-def test_equal_brightness_beside_frames_that_flicker_is_no_repetition():
+def test_equal_brightness_beside_frames_that_flicker_is_not_a_repetition():
     """Of lamps at 100 Hz in a film of 260 frames/s, two neighbours in thirteen are of equal brightness."""
     detector = RepeatDetector(NOTHING)
     found = []

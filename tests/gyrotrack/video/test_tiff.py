@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.video._container import is_film, probe
 from gyrotrack.video._decoder import Reader
@@ -71,7 +71,7 @@ def test_the_rate_is_that_of_ome(tmp_path):
     assert read_stack(path).fps == pytest.approx(250.0)
 
 
-def test_what_is_no_film_is_one_sentence(tmp_path, capsys):
+def test_what_is_not_a_film_is_one_sentence(tmp_path, capsys):
     path = tmp_path / "film.tif"
     for content, text in ((stack()[:1], "one picture"), (stack(np.complex64), "type complex64")):
         tifffile.imwrite(path, content)

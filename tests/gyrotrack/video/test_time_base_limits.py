@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack._errors import VideoError
+from gyrotrack import VideoError
 from gyrotrack.video import _time_base as module
 from gyrotrack.video._time_base import FrameTimes, Timing, capture_rate, frame_numbers, stamp_warnings, uneven
 

@@ -13,9 +13,9 @@ import time
 
 import pytest
 
+from gyrotrack import read_recording
 from gyrotrack.apps.batch._workers import Child, LocalWorkers, checked, run_once
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_recording
 
 pytestmark = pytest.mark.slow
 
@@ -212,7 +212,7 @@ def test_no_scheduler_at_the_address(batch, monkeypatch):
     assert "does not answer" in said["error"]["message"]
 
 
-def test_a_process_that_dies_is_told_and_replaced():
+def test_a_process_that_dies_is_reported_and_replaced():
     child = Child()
     child.run(["info", "nothing.h5"])
     first = child._process.pid

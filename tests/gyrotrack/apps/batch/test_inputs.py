@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack._errors import ConfigurationError
+from gyrotrack import ConfigurationError
 from gyrotrack.apps.batch._experiments import (
     Clip,
     Experiment,

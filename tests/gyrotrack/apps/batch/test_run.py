@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, with_folders
 from gyrotrack.apps.batch._runner import Run, lines, summarise, write_summary
 from gyrotrack.apps.batch._steps import Journal, Request, locked_folder, plan
@@ -241,7 +241,7 @@ def test_a_journal_cut_anywhere_costs_only_what_was_cut_off(lab, tmp_path):
         assert lab()[1] == []
 
 
-def test_what_is_no_journal_is_left_alone(lab):
+def test_what_is_not_a_journal_is_left_alone(lab):
     lab.results.mkdir()
     (lab.results / "batch.lock").touch()
     (lab.results / "batch.jsonl").write_text('{"format": "other"}\n{"a": 1}\n')

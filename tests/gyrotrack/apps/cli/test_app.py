@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import gyrotrack
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as lazy
 from gyrotrack.apps.cli._output import Output, running
@@ -157,7 +157,7 @@ def test_out_of_memory(failing, capsys):
     assert "not enough memory" in capsys.readouterr().err
 
 
-def test_a_reader_that_leaves_early_is_no_error():
+def test_a_reader_that_leaves_early_is_not_an_error():
     code = "from gyrotrack.apps.cli._start import main; main()"
     command = [sys.executable, "-c", code, "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

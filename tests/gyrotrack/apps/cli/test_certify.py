@@ -120,8 +120,9 @@ class Notes:
         self.said.append(text)
 
 
-def test_duration_is_told_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
-    from fitting.discovery._certificate import Certificate, Outcome
+def test_duration_is_reported_once_and_outcomes_are_stored_from_time_to_time(monkeypatch):
+    from fitting import Certificate
+    from fitting.discovery._certificate import Outcome
     from gyrotrack.apps.cli import _certify
 
     clock = iter([0.0, 10.0, 21.0, 25.0, 45.0])
@@ -155,3 +156,11 @@ def test_a_case_without_films_is_refused_before_anything_is_rendered(gyrotrack, 
     assert said.code == 1
     assert "was not made from films" in said.error["message"]
     assert "--film" in said.error["hint"]
+
+
+def test_diagnose_lists_the_fits_of_its_search_with_v(gyrotrack, wheel):
+    said = gyrotrack("diagnose", wheel, "-v")
+    lines = [line for line in said.err.splitlines() if re.match(r"a candidate .*\(\+\S+", line)]
+    assert len(lines) >= 4
+    assert all("BIC" in line or "failed: " in line for line in lines)
+    assert "a candidate" not in gyrotrack("diagnose", wheel).err

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from gyrotrack import read_case
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_case
 
 
 @pytest.fixture

@@ -132,7 +132,7 @@ def test_a_model_without_free_strengths_is_fitted(gyrotrack, case):
 
 
 @pytest.mark.parametrize("command", ["extract", "profile", "spindown"])
-def test_a_folder_is_no_film(gyrotrack, tmp_path, monkeypatch, command):
+def test_a_folder_is_not_a_film(gyrotrack, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "film.mp4").mkdir()
     said = gyrotrack(command, "film.mp4", "--json")
@@ -146,7 +146,7 @@ def test_a_folder_is_no_film(gyrotrack, tmp_path, monkeypatch, command):
 @pytest.mark.parametrize(
     "words", [["fit", "@"], ["ladder", "@"], ["laws", "@"], ["info", "@"], ["spindown", "@"]]
 )
-def test_a_name_that_is_too_long_is_no_bug(gyrotrack, words):
+def test_a_name_that_is_too_long_is_not_a_bug(gyrotrack, words):
     said = gyrotrack(*(w.replace("@", 5000 * "x" + ".h5") for w in words), "--json")
     assert said.code in {1, 2}
     assert said.error["code"] != "bug"
@@ -154,7 +154,7 @@ def test_a_name_that_is_too_long_is_no_bug(gyrotrack, words):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs links")
-def test_an_output_that_is_a_link_to_itself_is_no_bug(gyrotrack, tmp_path):
+def test_an_output_that_is_a_link_to_itself_is_not_a_bug(gyrotrack, tmp_path):
     (tmp_path / "t.csv").write_text(angles(1.0))
     (tmp_path / "c.h5").symlink_to("c.h5")
     for force in ([], ["--force"]):
@@ -175,7 +175,7 @@ def test_an_output_that_is_a_link_to_itself_is_no_bug(gyrotrack, tmp_path):
         (OSError("no number"), "bug"),
     ],
 )
-def test_an_error_of_the_data_or_of_a_file_is_told_from_a_bug(gyrotrack, monkeypatch, raised, code):
+def test_an_error_of_the_data_or_of_a_file_is_distinguished_from_a_bug(gyrotrack, monkeypatch, raised, code):
     def fails(_):
         raise raised
 

@@ -82,7 +82,7 @@ def test_for_people_the_verdict_comes_first_and_the_ledger_is_where_one_wants_it
 
 
 @pytest.mark.slow
-def test_a_named_effect_mends_a_model_that_misses_it(gyrotrack, case):
+def test_a_named_effect_removes_the_lack_of_fit_of_a_model_it(gyrotrack, case):
     path = case("drag")
     base = gyrotrack("fit", path, "--json").json
     more = gyrotrack("fit", path, "--add", "casing.air.quadratic", "--json").json
@@ -132,7 +132,7 @@ def test_dropping_what_was_added_leads_back(gyrotrack, study):
 @pytest.mark.slow
 def test_a_start_that_leads_nowhere_is_not_the_end(gyrotrack, study, monkeypatch):
     """What the parent's values cannot start is fitted from the program's own."""
-    from fitting._errors import SimulationError
+    from fitting import SimulationError
     from fitting.inference import _fit as robust
 
     whole, starts = robust.robust_fit, []
@@ -319,5 +319,5 @@ class TestSeveralCases:
     def test_an_unknown_parameter_cannot_be_shared(self, gyrotrack, case):
         said = gyrotrack("fit", case("plain"), case("other"), "--joint", "--share", "b9")
         assert said.code == 1
-        assert "'b9' is no parameter" in said.err
+        assert "'b9' is not a parameter" in said.err
         assert "touchpoint.constant.b1" in said.err

@@ -87,7 +87,7 @@ class TestOptionsOfTheData:
         after = gyrotrack("fit", path, "--add", "casing.air.quadratic", "--json").json
         assert after["parameters"]["bearing.power.g"]["value"] == 1.32
 
-    def test_velocities_have_a_ladder_of_their_own(self, gyrotrack, case):
+    def test_velocities_have_a_separate_ladder(self, gyrotrack, case):
         path = case("plain")
         found = gyrotrack("fit", path, "--data", "velocity", "--json").json
         assert found["cases"][0]["casing"]["r2"] > 0.999

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 import fitting
+from gyrotrack import read_case, write_case
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._hdf5 import read_case, write_case
 
 CASES = Path(__file__).parents[5] / "shared" / "cases" / "tables"
 TIME = np.arange(0.0, 4.0, 0.01)

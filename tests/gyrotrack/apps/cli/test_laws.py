@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from fitting import read_effects
 from fitting.discovery._laws import Laws
-from fitting.effects._user import read_effects
 
 
 def test_a_picture_needs_a_known_suffix(gyrotrack, simulated):
@@ -21,7 +21,7 @@ def test_a_number_of_a_law_without_a_file_is_refused(gyrotrack, simulated):
 
 
 @pytest.mark.parametrize("name", ["casing.windage", "9lives"])
-def test_a_law_needs_a_name_of_its_own(gyrotrack, simulated, tmp_path, name):
+def test_a_law_needs_a_separate_name(gyrotrack, simulated, tmp_path, name):
     file = tmp_path / "lab.toml"
     said = gyrotrack("laws", simulated / "plain.h5", "--save-law", name, file, "--json")
     assert said.code in {1, 2}

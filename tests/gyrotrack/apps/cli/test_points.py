@@ -119,7 +119,7 @@ def test_wrong_usage_is_one_sentence(film, tmp_path, capsys, words, code, text):
     assert not target.exists()
 
 
-def test_points_are_of_films_and_a_table_says_so(tmp_path, capsys):
+def test_points_are_of_films_and_a_table_is_refused(tmp_path, capsys):
     table = tmp_path / "run.csv"
     table.write_text("t,angle\n" + "\n".join(f"{k / 10},{k / 5}" for k in range(40)))
     assert run(["spindown", str(table), "--point", "3,4", "-o", str(tmp_path / "o.h5")]) == 2
@@ -165,7 +165,7 @@ def test_a_given_tilt_corrects_the_angles(tilted, bob, tmp_path, tilt, right):
     [("30", False), ("75,0", False), ("76", True), ("-1", True), ("steep", True), ("1,2,3", True)],
 )
 def test_a_tilt_is_between_0_and_75_degrees(text, refused):
-    from gyrotrack._errors import UsageError
+    from gyrotrack import UsageError
     from gyrotrack.apps._points import read_tilt
 
     if refused:

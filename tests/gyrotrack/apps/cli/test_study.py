@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting.effects._library import LIBRARY
+from fitting import LIBRARY
 
 DRAG = 5e-10  # of the case `drag`
 

@@ -9,15 +9,12 @@ from dataclasses import dataclass
 
 import pytest
 
-from fitting.discovery._select import Step, improve
-from fitting.discovery._verdict import Diagnosis, diagnose
+from fitting import REDUCED, Diagnosis, Experiment, Model, Record, diagnose, fit, improve, simulate
+from fitting.discovery._select import Step
 from fitting.dynamics._collocation import Path
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
-from fitting.effects._library import REDUCED
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.inference._case_data import CaseData
-from fitting.inference._fit import fit
-from fitting.inference._record import Record
-from fitting.inference._simulation import Experiment, simulate, simulate_path
+from fitting.inference._simulation import simulate_path
 
 MISSING = "casing.air.quadratic"
 NUMBERS = {

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import Model
+from fitting import Model
 from gyrotrack.apps.report._laws import laws_of_body
 from gyrotrack.io.readers._reading import units_of_file
 
@@ -31,7 +31,7 @@ def fitted(values, inertia=2.0, single=True):
         ("casing.gravity.k", 2 * (2 * np.pi / 3) ** 2, "a period of 3 s at small amplitude"),
     ],
 )
-def test_a_strength_is_told_by_what_it_does(key, value, words):
+def test_a_strength_is_recognised_by_what_it_does(key, value, words):
     (law,) = laws_of_body(fitted({key: (value, value / 3.1)}))
     assert words in law.meaning
     (weak,) = laws_of_body(fitted({key: (value, value / 2.9)}))

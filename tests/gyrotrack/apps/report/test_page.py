@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from fitting.discovery._select import Step
-from gyrotrack._errors import OutputError
-from gyrotrack.apps.report._page import write_report
-from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Placement, Recording, Series
+from gyrotrack import BodyTrack, Case, MarkerTrack, OutputError, Recording, Series, write_report
+from gyrotrack.io._records import Placement
 
 pytestmark = pytest.mark.slow  # the story of fits behind the page takes seconds
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import Model
+from fitting import Model, make_record
 from fitting.inference._fit import fit as fit_model
-from fitting.inference._record import make_record
 from gyrotrack.apps.report._tables import CONSERVATIVE, UNPHYSICAL, plausibility_rows
 
 ADDED = "casing.air.quadratic"

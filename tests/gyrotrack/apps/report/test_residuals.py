@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
 
+from fitting import REDUCED, Model, fit
 from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
-from fitting.inference._fit import fit
 from fitting.inference._speed_residuals import speed_residuals
 
 

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from fitting import Ledger
 from fitting._schema import StoredFit
 from fitting.discovery._select import Step
 from fitting.inference._case_data import CaseData
 from fitting.study import _serialisation as restoring
-from fitting.study._history import Ledger
-from gyrotrack.apps._study import Study
+from gyrotrack import Study
 from gyrotrack.plotting._study_data import gather
 
 pytestmark = pytest.mark.slow
@@ -83,7 +83,7 @@ def test_other_code_finds_anew(study, monkeypatch):
 
 
 @pytest.mark.slow
-def test_damage_is_no_error(study):
+def test_damage_is_not_an_error(study):
     entry = study.entry("f1")
     fit = entry.shown(study.data)
     for harm in ({"theta": "x"}, {"theta": [1.0]}, {"noise": [{}]}):

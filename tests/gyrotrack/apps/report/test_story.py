@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import OutputError
+from gyrotrack import OutputError
 from gyrotrack.plotting._discovery import story_picture
 
 

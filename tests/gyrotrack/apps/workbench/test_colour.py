@@ -2,7 +2,7 @@ import colorsys
 
 import pytest
 
-from gyrotrack._errors import ProfileError
+from gyrotrack import ProfileError
 from gyrotrack.apps.workbench._films import profile_text
 from gyrotrack.tracking._profile import colour_name, load
 

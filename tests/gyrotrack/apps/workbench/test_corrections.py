@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError, read_recording, write_recording
 from gyrotrack.apps.workbench._films import CLICK_SIGMA, copy_excerpt, corrected
-from gyrotrack.io._hdf5 import read_recording, write_recording
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._extract import extract
 

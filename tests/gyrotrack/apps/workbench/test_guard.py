@@ -131,7 +131,7 @@ def test_two_hosts_and_sockets_are_refused():
     assert _ask("/api/state", right, kind="websocket") == [{"type": "websocket.close", "code": 1008}]
 
 
-def test_answers_may_not_be_framed_kept_or_guessed():
+def test_answers_may_not_be_framed_kept_or_sniffed():
     sent = _ask("/", [("host", f"localhost:{PORT}"), ("x-gyrotrack-token", TOKEN)])
     headers = dict(sent[0]["headers"])
     assert headers[b"x-frame-options"] == b"DENY"

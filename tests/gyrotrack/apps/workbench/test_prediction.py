@@ -6,8 +6,7 @@ import pytest
 from fitting.discovery._score import CaseColumns
 from fitting.discovery._select import rank
 from fitting.inference._fit import fit
-from gyrotrack._errors import UsageError
-from gyrotrack.apps._study import open_study
+from gyrotrack import UsageError, open_study
 from gyrotrack.apps.cli._app import run
 from gyrotrack.apps.workbench._processes import Prediction
 

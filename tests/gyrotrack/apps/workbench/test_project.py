@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrotrack._errors import ConfigurationError, GyrotrackError, UsageError
+from gyrotrack import ConfigurationError, GyrotrackError, UsageError
 from gyrotrack.apps.workbench._processes import Jobs
 from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
 
@@ -138,7 +138,7 @@ def test_what_could_not_be_read_again_is_not_stored(project, tmp_path, field):
 
 
 @pytest.mark.parametrize("hub", [[10**400, 1], [1e999, 1], [float("nan"), 1], ["a", 1], {}, [1], 5])
-def test_positions_that_are_no_numbers_are_refused(project, hub):
+def test_positions_that_are_not_numbers_are_refused(project, hub):
     project.add(CLIPS / "rotor_1.mp4")
     before = project.state.model_copy(deep=True)
     with pytest.raises(UsageError):
@@ -193,7 +193,7 @@ def test_commands_are_those_of_the_command_line(project):
     assert "not a moment of inertia" in project.document()["inertias"]["inertia_rotor"]["error"]
 
 
-def test_tables_become_a_case_in_a_process_of_their_own(project, tmp_path):
+def test_tables_become_a_case_in_a_separate_process(project, tmp_path):
     for name, speed in (("casing.csv", 5.0), ("rotor.csv", 50.0)):
         rows = "".join(f"{0.01 * k},{speed * (0.01 * k - 0.01 * (0.01 * k) ** 2)}\n" for k in range(300))
         (tmp_path / name).write_text("t,angle\n" + rows)

@@ -12,7 +12,7 @@ from urllib.request import HTTPCookieProcessor, build_opener
 
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.apps.workbench._server import Laboratory, Workbench, numbers, serve, text
 
 

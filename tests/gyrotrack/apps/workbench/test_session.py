@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.study._history import Ledger
-from gyrotrack._errors import GyrotrackError
-from gyrotrack.apps._study import open_study
+from fitting import Ledger
+from gyrotrack import GyrotrackError, open_study
 from gyrotrack.apps.cli._app import run
 from gyrotrack.apps.workbench._session import Session, Step
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_case, summary
+from gyrotrack import DatasetError, UsageError, import_case
+from gyrotrack.io.readers._import_case import summary
 
 
 def motion(body, time):
@@ -115,7 +115,7 @@ def test_both_bodies_negative_are_turned_round(tables):
     assert any("sense -1" in warning for warning in case.warnings)
 
 
-def test_opposite_senses_are_told_not_mended(tmp_path, tables):
+def test_opposite_senses_are_reported_not_corrected(tmp_path, tables):
     _, rotors = tables()
     casing = write(tmp_path / "c.csv", "casing", np.arange(0, 20, 1 / 260), sign=-1)
     case = import_case(casing, rotors, I_rotor=5.54e-5, I_casing=2.06e-5)
@@ -123,7 +123,7 @@ def test_opposite_senses_are_told_not_mended(tmp_path, tables):
     assert any("opposite senses of rotation" in warning for warning in case.warnings)
 
 
-def test_exchanged_bodies_and_one_body_measured_twice_are_told(tmp_path, tables):
+def test_exchanged_bodies_and_one_body_measured_twice_are_reported(tmp_path, tables):
     times = [np.arange(0, 20, 1 / 260), np.arange(8.0, 9.5, 1e-3)]
     as_casing, twice = (
         write(tmp_path / f"{k}.csv", body, t)
@@ -142,7 +142,7 @@ def test_exchanged_bodies_and_one_body_measured_twice_are_told(tmp_path, tables)
         assert all(w.startswith(words) and "gyrotrack import --casing" in w for w in told)
 
 
-def test_windows_outside_and_overlapping_are_told(tmp_path, tables):
+def test_windows_outside_and_overlapping_are_reported(tmp_path, tables):
     casing, rotors = tables()
     late = write(tmp_path / "late.csv", "rotor", np.arange(19.5, 20.5, 1e-3))
     again = write(tmp_path / "again.csv", "rotor", np.arange(2.5, 3.0, 1e-3))
@@ -153,7 +153,7 @@ def test_windows_outside_and_overlapping_are_told(tmp_path, tables):
     assert "overlap in time" in warnings
 
 
-def test_a_short_piece_is_told(tmp_path, tables):
+def test_a_short_piece_is_reported(tmp_path, tables):
     casing, _ = tables()
     short = write(tmp_path / "short.csv", "rotor", np.arange(2, 2.05, 1e-3))
     assert any(

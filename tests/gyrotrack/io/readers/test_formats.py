@@ -10,10 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._contents import export_file
-from gyrotrack.io._hdf5 import write_case
-from gyrotrack.io.readers._import_case import import_body, import_case
+from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
@@ -98,7 +95,7 @@ def test_an_inertial_unit_is_not_a_table_of_points(tmp_path):
 
 
 @pytest.mark.parametrize(("bits", "low"), [(16, 0), (16, -(2**15)), (32, 0)])
-def test_the_overflows_of_a_binary_counter_are_no_motion(tmp_path, bits, low):
+def test_the_overflows_of_a_binary_counter_are_not_motion(tmp_path, bits, low):
     turns = -6e3 * TIME / TURN if bits == 16 else 2**32 / 360 - 1 + 20 * TIME
     count = (np.floor(360 * turns) - low) % 2**bits + low
     read = read_motion(

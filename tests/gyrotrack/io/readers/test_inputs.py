@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack import DatasetError, UsageError, import_body
 from gyrotrack.io.readers._inputs import UNITS, read_input_options
 from gyrotrack.io.readers._motion_table import ReadOptions
 
@@ -48,7 +47,7 @@ def test_a_column_of_mostly_equal_values_holds(tmp_path, repeated, kind):
     assert imported(path, "u=u").inputs[0].interpolation == kind
 
 
-def test_an_input_has_a_table_of_its_own(tmp_path):
+def test_an_input_has_a_separate_table(tmp_path):
     own = tmp_path / "drive.csv"
     np.savetxt(
         own, [[0, 0.0], [1000, 2.0], [2500, 1.0]], delimiter=",", header="t [ms],torque [N m]", comments=""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.apps._motion import motion_of_passages
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._registry import read_motion, read_passages
@@ -39,7 +39,7 @@ def test_period_and_decay_of_a_pendulum(tmp_path, pendulum, gates):
         read_motion(path, ReadOptions(pulses_per_turn=2))
 
 
-def test_a_wheel_that_slows_down_is_no_pendulum(tmp_path):
+def test_a_wheel_that_slows_down_is_not_a_pendulum(tmp_path):
     t = np.arange(0, 100, 1e-4)
     angle = 500 * (1 - np.exp(-t / 60))
     gates = [np.abs(np.angle(np.exp(1j * (angle - place)))) < 0.05 for place in (0.0, 0.5)]

@@ -12,7 +12,7 @@ import zlib
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers import _raw_table as limits
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._registry import read_motion

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fitting._errors import RecordError
+from fitting import RecordError
 from fitting.inference import _record
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers import _number_range as number_range
 from gyrotrack.io.readers._registry import read_motion
 
@@ -57,7 +57,7 @@ def test_a_record_is_refused_beyond_a_limit_and_made_within_it(name):
     assert len(record(shrunk(name)).casing) == N
 
 
-def test_a_body_at_rest_is_no_small_number():
+def test_a_body_at_rest_is_not_a_small_number():
     rest = TIME, np.zeros(N), np.ones(N)
     number_range.check_motion("body", "angle", *rest)
     assert len(record(rest).casing) == N

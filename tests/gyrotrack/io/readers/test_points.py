@@ -8,8 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers._import_case import import_case
+from gyrotrack import DatasetError, UsageError, import_case
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._point_files import listed_names
 from gyrotrack.io.readers._points import circle_centre
@@ -196,7 +195,7 @@ class Evil:
         b"I1\n.",
     ],
 )
-def test_what_is_no_list_of_names_is_refused_and_nothing_runs(stored, tmp_path, monkeypatch):
+def test_what_is_not_a_list_of_names_is_refused_and_nothing_runs(stored, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(DatasetError):
         listed_names(stored)
@@ -255,7 +254,7 @@ def test_a_case_of_points(tmp_path, places):
     assert np.median(case.casing.sigma) == pytest.approx(NOISE * np.sqrt(2) / ARM, rel=0.3)
 
 
-def test_a_path_that_is_no_circle_needs_a_centre(tmp_path):
+def test_a_path_that_is_not_a_circle_needs_a_centre(tmp_path):
     """A wandering point: its direction from the centre of a fitted circle is no angle of rotation."""
     x = 630 + 6 * np.sin(3 * TIME)
     y = 160 + 12 * np.sin(2 * TIME + 1)

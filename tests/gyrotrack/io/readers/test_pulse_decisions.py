@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _pulses as module
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._pulses import (
@@ -53,7 +53,7 @@ class TestSampled:
         step[:few] *= 1 + deviation * np.where(np.arange(few) % 2, 1, -1)
         assert is_sampled(np.cumsum(step)) is sampled
 
-    def test_repeated_times_are_no_clock(self):
+    def test_repeated_times_are_not_clock(self):
         assert not is_sampled(np.zeros(20))
         assert not is_sampled(np.zeros(1))
 
@@ -105,7 +105,7 @@ class TestEdges:
         assert edges[:3] == pytest.approx([1.5, 5.5, 9.5])
         assert after[:3].tolist() == [2, 6, 10]
 
-    def test_a_weak_part_of_the_signal_is_no_pulse(self):
+    def test_a_weak_part_of_the_signal_is_not_a_pulse(self):
         """Below a quarter of the typical height the body is at rest."""
         t = np.arange(0.0, 40.0, 0.01)
         for height, most in ((0.22, 21), (0.28, 41)):
@@ -118,6 +118,31 @@ class TestEdges:
         edges, _ = rising_edges(t, triangle(t) + 0.8 * np.sin(2 * np.pi * t / 60.0), "v", [])
         assert len(edges) >= 57
         assert np.abs(edges - np.round(edges)).max() < 0.15
+
+    @pytest.mark.parametrize(
+        ("drift", "tolerance"),
+        [
+            (lambda t: 0.0 * t, 0.001),
+            (lambda t: 10.0 * t / 20.0, 0.02),
+            (lambda t: 3.0 * np.exp(-t / 5.0), 0.02),
+            (lambda t: 3.0 * np.sin(2 * np.pi * t / 15.0), 0.02),
+        ],
+    )
+    def test_a_drift_larger_than_the_amplitude_hides_no_pulse(self, drift, tolerance):
+        """A sine of amplitude 0.5 with two periods a second rises through its middle at 0.5 s, 1 s ..."""
+        t = np.arange(0.0, 20.0, 0.01)
+        edges, _ = rising_edges(t, drift(t) + 0.5 * np.sin(4 * np.pi * t), "pulses", notes := [])
+        expected = 0.5 * np.round(2 * edges)
+        assert len(edges) >= 37
+        assert np.unique(expected).size == len(edges)
+        assert np.abs(edges - expected).max() < tolerance
+        assert not notes
+
+    def test_noise_without_pulses_stays_without_regular_edges(self):
+        random = np.random.default_rng(0)
+        for _ in range(5):
+            edges, _ = rising_edges(np.arange(2000) * 0.01, random.standard_normal(2000), "pulses", [])
+            assert not is_regular(edges)
 
     @pytest.mark.parametrize(("samples", "enough"), [(4.4, True), (3.4, False)])
     def test_a_pulse_needs_four_samples(self, samples, enough):
@@ -204,6 +229,19 @@ class TestEvents:
         time = np.arange(60.0)
         assert module._not_double(np.insert(time, 31, 30.0 + share)).all() is np.bool_(not double)
 
+    @pytest.mark.parametrize("early", [0.3, 0.64, 0.66, 0.7, 0.75, 0.9, -0.64, -0.66, -0.7, -0.75])
+    def test_a_displaced_pulse_is_still_one_turn(self, early):
+        """Beyond 0.65 of an interval it counts as a double pulse, and its place as a missed one."""
+        time = slowing()
+        moved = time.copy()
+        moved[40] -= early * (time[40] - time[39] if early > 0 else time[41] - time[40])
+        found, _ = read(moved)
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 79, abs=0.05)
+        said = " ".join(found.notes)
+        assert ("1 double pulses were excluded" in said) == ("1 missed pulses were added" in said)
+        assert ("1 missed pulses were added" in said) == (abs(early) > 0.65)
+        assert (moved[40] in found.time) == (abs(early) < 0.65)
+
     def test_the_more_regular_one_of_two_is_kept(self):
         time = np.arange(60.0)
         early, late = np.insert(time, 31, 30.2), np.insert(time, 30, 29.8)
@@ -264,6 +302,34 @@ class TestEvents:
         if driven:
             assert any("missed and double pulses are not looked for" in n for n in read(time)[1])
         assert not varies_both_ways(time[:15])
+
+    @pytest.mark.parametrize(
+        ("ratio", "steps"),
+        [
+            (0.59, [-1]),  # a short interval: a double pulse, and never more than one
+            (0.61, [0]),  # neither short nor long
+            (1.39, [0]),
+            (1.41, [1]),  # round(0.41 + 2 * 0.2) = 1 missed pulse at most
+            (2.3, [2]),  # round(1.3 + 0.4) = 2
+            (1.95, [1]),
+        ],
+    )
+    def test_steps_that_an_interval_allows(self, ratio, steps):
+        """All later counts are wrong by three, in the sense of the interval; its length limits the step."""
+        time, ratios = np.arange(200.0), np.ones(199)
+        ratios[99] = ratio
+        shift = 3.0 if ratio > 1 else -3.0
+        moved = time + shift * (np.arange(200) >= 100)
+        found = module._steps_of_part(moved, ratios, 0.2)
+        assert found[99] == steps[0]
+        assert np.count_nonzero(found) == (steps != [0])
+
+    def test_a_step_against_the_sense_of_its_interval_is_not_made(self):
+        for ratio, shift in ((0.5, 3.0), (1.5, -3.0)):
+            ratios = np.ones(199)
+            ratios[99] = ratio
+            moved = np.arange(200.0) + shift * (np.arange(200) >= 100)
+            assert not module._steps_of_part(moved, ratios, 0.2).any()
 
     def test_jittering_counts_are_described_together(self):
         """A fifth of an interval of jitter: single intervals show nothing, a spline through the counts does."""
@@ -386,7 +452,7 @@ class TestReading:
         found = read_pulses(table(t, np.arange(60.0) % 7, names=("t", "x")), self.options())
         assert (np.diff(found.time) > 0).all()
 
-    def test_the_numbers_of_the_rows_are_no_times(self):
+    def test_the_numbers_of_the_rows_are_not_times(self):
         with pytest.raises(DatasetError, match="numbers the rows"):
             read_pulses(table(np.arange(40.0), np.full(40, 0.3)), self.options())
 
@@ -440,7 +506,7 @@ class TestCounter:
         found = self.counted(t, np.arange(80.0), pulses_per_turn=4.0)
         assert found.value[-1] - found.value[0] == pytest.approx(TURN * 78 / 4.0, abs=0.01)
 
-    def test_a_false_pulse_is_no_turn(self):
+    def test_a_false_pulse_is_not_a_turn(self):
         t = np.insert(np.arange(60.0), 31, 30.1)
         found = self.counted(t, np.arange(61.0))
         assert len(found.time) == 59

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._plausibility import (
     are_intervals,
@@ -39,7 +39,7 @@ def test_two_lines_say_what_each_column_is_and_what_is_left_out(tmp_path):
     assert left_out == "run.csv: left out: 'mass'."
 
 
-def test_an_index_of_the_rows_is_no_counter(tmp_path):
+def test_an_index_of_the_rows_is_not_a_counter(tmp_path):
     index = np.arange(400)
     path = write(tmp_path / "a.csv", index, index, np.degrees(ANGLE))
     with pytest.raises(DatasetError, match="1 and 2 number the rows"):
@@ -72,7 +72,7 @@ def rowing():
     return 0.03 * (1 + 0.4 * np.sin(np.arange(600) / 12))
 
 
-def test_intervals_between_pulses_are_no_times(tmp_path):
+def test_intervals_between_pulses_are_not_times(tmp_path):
     read = read_motion(write(tmp_path / "a.csv", rowing()), options(pulses_per_turn=3.0))
     np.testing.assert_allclose(read.time, np.cumsum(rowing()), rtol=1e-6)
     np.testing.assert_allclose(np.diff(read.value), 2 * np.pi / 3, atol=2e-3)  # the marks are corrected
@@ -99,7 +99,7 @@ def test_no_pulse_is_added_where_the_speed_rises_and_falls(tmp_path):
 @pytest.mark.parametrize(
     ("noise", "swing", "driven"), [(0.2, 0.0, False), (0.2, 0.7, True), (0.01, 0.3, True)]
 )
-def test_scatter_of_the_intervals_is_no_drive(noise, swing, driven):
+def test_scatter_of_the_intervals_is_not_a_drive(noise, swing, driven):
     rng = np.random.default_rng(4)
     interval = 0.03 * np.exp(swing * np.sin(np.arange(5000) / 40) + np.arange(5000) / 5000)
     times = np.cumsum(interval) + noise * interval * rng.normal(size=5000)
@@ -112,7 +112,7 @@ def test_rises(least, count):
 
 
 @pytest.mark.parametrize("delay", [-0.04, 0.04])
-def test_a_step_of_the_clock_is_found_and_mended(tmp_path, delay):
+def test_a_step_of_the_clock_is_found_and_corrected(tmp_path, delay):
     stated = np.where(np.arange(400) < 200, TIME, TIME + delay)
     value = ANGLE + np.random.default_rng(1).normal(0, 1e-3, 400)
     read = read_motion(write(tmp_path / "a.csv", stated, value, head="t,angle"))
@@ -121,7 +121,7 @@ def test_a_step_of_the_clock_is_found_and_mended(tmp_path, delay):
     assert f"line 202: the clock steps by {delay:+.2g} s" in note
 
 
-def test_lost_rows_are_no_step_of_the_clock(tmp_path):
+def test_lost_rows_are_not_step_of_the_clock(tmp_path):
     keep = np.abs(np.arange(400) - 200) > 4
     value = ANGLE + np.random.default_rng(1).normal(0, 1e-3, 400)
     read = read_motion(write(tmp_path / "a.csv", TIME[keep], value[keep], head="t,angle"))
@@ -210,7 +210,7 @@ def test_a_centre_that_is_not_that_of_the_path_is_doubted_with_a_number(tmp_path
     assert not read_motion(path, ReadOptions(centre="orbit")).doubts
 
 
-def test_a_signal_in_volts_is_an_angle_only_if_the_user_says_so(tmp_path):
+def test_a_signal_in_volts_is_an_angle_only_if_the_user_states_it(tmp_path):
     text = "Voltage, ChA, Run #2\r\nTime ( s )\tVoltage ( V )\r\n" + "".join(
         f"{t:.3f}\t{np.cos(3 * t):.4f}\r\n" for t in TIME
     )
@@ -233,7 +233,7 @@ def passages(law, count=200):
 
 
 @pytest.mark.parametrize("law", ["viscous", "dry"])
-def test_increasing_intervals_are_asked_for(tmp_path, law):
+def test_increasing_intervals_must_be_confirmed(tmp_path, law):
     times = passages(law)
     path = write(tmp_path / "a.csv", np.diff(times))
     with pytest.raises(DatasetError, match="times of pulses or intervals") as caught:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack import import_body
 from gyrotrack.io.readers._motion_table import MotionTable
 from gyrotrack.io.readers._run import Limits, run_of, start_of_oscillation
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._registry import read_motion
 

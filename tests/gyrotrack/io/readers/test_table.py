@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
+from gyrotrack import DatasetError
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names, without_spikes
 from gyrotrack.io.readers._registry import read_motion
 
@@ -77,7 +77,7 @@ def test_units_in_the_header_are_obeyed(tmp_path, header, factor):
         ("Time,Winkel", "angle=Winkel [deg]", np.pi / 180),
     ],
 )
-def test_a_unit_that_is_not_stated_is_asked_for(tmp_path, header, column, unit):
+def test_a_unit_that_is_not_stated_must_be_stated(tmp_path, header, column, unit):
     path = table(tmp_path, text(header))
     with pytest.raises(DatasetError, match="is not stated") as caught:
         read_motion(path)
@@ -94,13 +94,13 @@ def test_a_stated_unit_or_a_symbol_is_enough(tmp_path, header):
 @pytest.mark.parametrize(
     ("step", "match"), [(10, "the unit of 'Time' is not stated"), (1, "'Time' numbers the rows")]
 )
-def test_whole_times_without_a_unit_are_asked_for(tmp_path, step, match):
+def test_whole_times_without_a_unit_must_be_confirmed(tmp_path, step, match):
     rows = [(step * k, 1.5 * k) for k in range(12)]
     with pytest.raises(DatasetError, match=match):
         read_motion(table(tmp_path, text("Time,angle", rows=rows)))
 
 
-def test_a_title_with_as_many_words_as_columns_is_no_header(tmp_path):
+def test_a_title_with_as_many_words_as_columns_is_not_a_header(tmp_path):
     samples = text("t angle sigma", " ").partition("\n")[2]
     with pytest.raises(DatasetError, match="the 3 columns have no header"):
         read_motion(table(tmp_path, "Schwingungsfrequenz ohne Kopplung\n\n" + samples))
@@ -117,7 +117,7 @@ def test_rows_without_a_value_are_left_out_and_told(tmp_path):
     assert any("2 rows" in note for note in read.notes)
 
 
-def test_a_column_that_is_ignored_is_told(tmp_path):
+def test_a_column_that_is_ignored_is_reported(tmp_path):
     read = read_motion(table(tmp_path, "t,angle,omega\n" + "".join(f"{t},{a},7\n" for t, a, _ in ROWS)))
     assert read.quantity == "angle"
     assert read.reading.lines()[1].endswith("left out: 'omega'.")
@@ -180,7 +180,7 @@ def test_single_samples_far_from_both_neighbours_are_excluded():
         assert "1 values of 'angle' far from both neighbours" in note
 
 
-def test_motion_after_rest_and_rare_steps_of_the_resolution_are_no_outliers():
+def test_motion_after_rest_and_rare_steps_of_the_resolution_are_not_outliers():
     rest_then_run = np.concatenate([np.zeros(900), 5.0 * np.arange(100)])
     toggles = np.zeros(2000)
     toggles[[100, 700, 701, 1500]] = 0.088
@@ -199,7 +199,7 @@ def test_contradicting_units_constant_angles_and_two_angles_are_refused(tmp_path
             read_motion(table(tmp_path, content))
 
 
-def test_a_unit_is_stated_behind_a_header_with_a_unit_of_its_own(tmp_path):
+def test_a_unit_is_stated_behind_a_header_with_a_separate_unit(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("Time ( s ),Voltage ( V )\n" + "".join(f"{k / 10},{60 - k}\n" for k in range(50)))
     assert read_names(["omega=Voltage ( V ) [rpm]"])["voltage ( v )"] == ("omega", "rpm")

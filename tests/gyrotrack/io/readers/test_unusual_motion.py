@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers._import_case import import_body
+from gyrotrack import DatasetError, import_body
 from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._registry import read_motion, read_passages
 
@@ -38,7 +37,7 @@ def named(*names):
         ("t,angle [deg]\n", 30.0, False),
     ],
 )
-def test_the_unit_of_a_wide_swing_is_asked_for(write, head, size, asked):
+def test_the_unit_of_a_wide_oscillation_must_be_stated(write, head, size, asked):
     path = write(head, TIME, size * SWING)
     if not asked:
         assert len(read_motion(path).time) == len(TIME)
@@ -50,7 +49,7 @@ def test_the_unit_of_a_wide_swing_is_asked_for(write, head, size, asked):
 
 
 @pytest.mark.parametrize(("step", "asked"), [(3.0, False), (3.3, True)])
-def test_the_unit_of_a_fast_rotation_is_asked_for(write, step, asked):
+def test_the_unit_of_a_fast_rotation_must_be_stated(write, step, asked):
     path = write("t,angle\n", TIME, step * (60 * TIME - 0.1 * TIME**2))
     if asked:
         with pytest.raises(DatasetError, match="turns between two samples"):
@@ -63,7 +62,7 @@ def test_the_unit_of_a_fast_rotation_is_asked_for(write, step, asked):
     ("head", "step", "asked"),
     [("t,angle\n", 0.39, False), ("t,angle\n", 0.41, True), ("t [s],angle\n", 5.0, False)],
 )
-def test_the_unit_of_slow_times_is_asked_for(write, head, step, asked):
+def test_the_unit_of_slow_times_must_be_stated(write, head, step, asked):
     time = step * np.arange(200)
     path = write(head, time, 0.1 * time - 1e-5 * time**2)
     if asked:
@@ -94,7 +93,7 @@ def test_an_angle_that_overflows_at_no_whole_turn_is_refused(write, size, refuse
 
 
 @pytest.mark.parametrize(("jump", "refused"), [(0.15, False), (0.35, True)])
-def test_an_angle_that_begins_again_is_refused_also_where_it_swings(write, jump, refused):
+def test_an_angle_that_begins_again_is_refused_also_where_it_oscillates(write, jump, refused):
     """The largest usual change is 0.083 rad: a step of 0.15 may be motion, one of 0.35 is none."""
     angle = SWING + np.random.default_rng(0).normal(0, 1e-3, len(TIME))
     path = write("t [s],angle [rad]\n", TIME, np.where(TIME > 5.03, angle + jump, angle))
@@ -132,7 +131,7 @@ def test_a_clock_without_digits_is_refused(write, same, refused):
 
 
 @pytest.mark.parametrize(("factor", "refused"), [(1, False), (1000, True)])
-def test_the_unit_of_whole_times_with_large_steps_is_asked_for(write, factor, refused):
+def test_the_unit_of_whole_times_with_large_steps_must_be_stated(write, factor, refused):
     time = np.rint(1e6 * np.cumsum(np.linspace(0.05, 0.2, 300))) * factor
     path = write("", time, np.arange(300), 0 * time + 3)
     if refused:
@@ -183,7 +182,7 @@ def test_a_pendulum_with_lost_passages_is_refused(write, lost, refused):
         ((np.arange(600), np.arange(600), SWING), "--casing-fps N --column 'angle=3 [deg]'"),
     ],
 )
-def test_the_hint_for_columns_without_header_names_one_that_is_no_index(write, columns, hint):
+def test_the_hint_for_columns_without_header_names_one_that_is_not_an_index(write, columns, hint):
     with pytest.raises(DatasetError, match="no header") as caught:
         read_motion(write("", *columns))
     assert hint in caught.value.hint

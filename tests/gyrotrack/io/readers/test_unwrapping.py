@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers._import_case import import_body, is_wrapped, unwrap
+from gyrotrack import DatasetError, import_body
+from gyrotrack.io.readers._import_case import is_wrapped, unwrap
 from gyrotrack.io.readers._motion_table import pieces
 from gyrotrack.io.readers._raw_table import TURN
 

@@ -1,0 +1,172 @@
+"""Docstrings, comments, messages, pages and names of tests are in plain English: subject, verb, object.
+
+Each entry of `PATTERNS` is a construction that has to be read twice, with what to write instead. Texts in which it is
+right are in `EXCEPTIONS`, each with its reason. `python tests/test_english.py [FILE...]` prints the findings.
+"""
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = sorted(p for package in ("gyrotrack", "fitting") for p in (ROOT / package).rglob("*.py"))
+TESTS = sorted(p for p in (ROOT / "tests").rglob("*.py") if p != Path(__file__))
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted(p for kind in ("*.md", "*.rst") for p in (ROOT / "docs").rglob(kind)),
+]
+
+_ONE = r"(?:a|an|the|two|several|all|each|one|such|many|some)"
+PATTERNS = {
+    r"so many": "the number itself, or its name",
+    r"that which|those which": "a noun",
+    r"(?:, |computed |serves )as (?:that|those) of": "like those of: name what is compared",
+    r"in place of": "instead of",
+    r"(?:is|are|was|were|be|been) told|told from": "is reported; distinguished from",
+    r"tells? (?:that|which|whether|how|of)": "return, state, show",
+    r"(?:cannot|can|could) tell": "distinguish",
+    r"should know": "warning",
+    r"(?<!there )(?:is|are|was|were) no (?!longer|more|less|better|different|sign)\w+": "is not a",
+    r"(?:goes?|turns?|moves?) (?:with |to )?neither": "is not supported with; is stationary",
+    r"(?:marker|markers|hub|camera|body|value)s? errs?": "has an error of",
+    r"looks? alike|alike (?:parts|markers|frames)|lights? alike": "the same, equal, similar",
+    r"(?:an?|no) (?:\w+ )?\w+ of (?:its|their) own": "its own, a separate",
+    r"a matter of (?!course|taste)": "decided by",
+    r"in vain": "needlessly",
+    r"own learnt": "averaged from this film",
+    r"if with|whose different": "a clause with a verb",
+    r"(?:is|are) wrong with which|with which (?:fewer|more|less) of": "the one with fewer",
+    r"with whose": "two sentences",
+    r"asked for": "requested, required, from the option",
+    r"says? so": "reports it",
+    r"the regular end": "the usual way to end",
+    r"another reading": "an alternative interpretation",
+    r"in the course of": "during",
+    r"at any score": "always",
+    r"pulls? .{1,40} beyond": "prefers a value outside",
+    r"no (?:physical )?reason to": "needs no",
+    r"such as": "for example, like",
+    r"mend\w*|excus\w*|guess\w*|swings?|swung|nobody|torn|twins?": "correct, absorb, initial value, oscillate",
+}
+# the first words of a sentence that is turned round: "Of a blank disc no rotation is measurable"
+INVERTED = re.compile(
+    rf"(?:^|[.;:!?] )(?:Of|From|About) {_ONE} [^.,;:]{{3,60}} (?:is|are|has|have|was|were|needs?|counts?|gives?) "
+)
+PATTERN = re.compile(rf"\b(?:{'|'.join(PATTERNS)})\b", re.IGNORECASE)
+
+# file: {text: reason}
+EXCEPTIONS: dict[str, dict[str, str]] = {
+    "gyrotrack/apps/_spindown.py": {"asked for": "a value in stored files"},
+    "gyrotrack/apps/cli/_tracking.py": {"asked for": "the same value, replaced on the screen"},
+    "gyrotrack/video/_time_base.py": {"asked for": "the same value"},
+    "docs/tutorial/walkthrough.md": {"(asked for)": "output of a command, from the stored value"},
+    "fitting/dynamics/_events.py": {"`guess` is a solution": "the name of an argument"},
+    "gyrotrack/io/_tracker_project.py": {
+        "no times of its own": "a plain sentence: the project contains none"
+    },
+    "fitting/effects/_user.py": {"no state of its own": "a plain sentence: the law has none"},
+}
+
+
+def texts_of(path):
+    """Return (line, text) of each docstring, message and comment of a module, or of each line of a page."""
+    source = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        return [(n, line) for n, line in enumerate(source.splitlines(), 1)]
+    found = [
+        (node.lineno, node.value)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    lines, last = source.splitlines(), 0
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            line, text = token.start[0], token.string.lstrip("#: ")
+            if last and line == last + 1 and lines[line - 1].lstrip().startswith("#"):
+                found[-1] = (found[-1][0], f"{found[-1][1]} {text}")
+            else:
+                found.append((line, text))
+            last = line
+    return found
+
+
+def names_of(path):
+    """Return (line, words) of the tests of a file, functions and classes."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    names = (
+        (n.lineno, n.name)
+        for n in ast.walk(tree)
+        if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name.lower().startswith("test")
+    )
+    return [(line, re.sub(r"_|(?<=[a-z])(?=[A-Z])", " ", name)) for line, name in names]
+
+
+def findings(texts, allowed=()):
+    """Return the constructions in texts, with their lines."""
+    found = []
+    for line, text in texts:
+        flat = " ".join(text.split())
+        if any(part in flat for part in allowed):
+            continue
+        found += [
+            f"line {line}: {flat[max(m.start() - 40, 0) : m.end() + 20]!r}"
+            for pattern in (PATTERN, INVERTED)
+            if (m := pattern.search(flat))
+        ]
+    return found
+
+
+def _name(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("path", [*MODULES, *PAGES], ids=_name)
+def test_texts_are_plain_english(path):
+    found = findings(texts_of(path), EXCEPTIONS.get(_name(path), ()))
+    assert not found, found
+
+
+def test_names_of_tests_are_plain_english():
+    found = {_name(path): findings(names_of(path), EXCEPTIONS.get(_name(path), ())) for path in TESTS}
+    assert not any(found.values()), {name: f for name, f in found.items() if f}
+
+
+def test_exceptions_are_needed():
+    """Each exception has a reason, and its text still exists."""
+    for name, parts in EXCEPTIONS.items():
+        path = ROOT / name
+        texts = names_of(path) if path in TESTS else texts_of(path)
+        flat = [" ".join(text.split()) for _, text in texts]
+        assert all(reason and any(part in text for text in flat) for part, reason in parts.items()), name
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("Return at most so many bands.", True),
+        ("Return at most `most` bands.", False),
+        ("A body that turns in place of one at rest.", True),
+        ("A body that turns instead of one at rest.", False),
+        ("A column of rows is no clock.", True),
+        ("There is no clock.", False),
+        ("Of a blank disc no rotation is measurable.", True),
+        ("The rotation of a blank disc is not measurable.", False),
+        ("Two films cannot be told from each other.", True),
+        ("a time constant of its own", True),
+        ("its own time constant", False),
+    ],
+)
+def test_the_linter_itself(text, found):
+    assert bool(findings([(1, text)])) is found
+
+
+if __name__ == "__main__":
+    for file in [Path(name).resolve() for name in sys.argv[1:]] or [*MODULES, *PAGES, *TESTS]:
+        shown = names_of(file) if file in TESTS else texts_of(file)
+        for line in findings(shown, EXCEPTIONS.get(_name(file), ())):
+            sys.stdout.write(f"{_name(file)}: {line}\n")
