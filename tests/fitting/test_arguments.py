@@ -41,7 +41,7 @@ def refused(function, wrong, *args, **kwargs):
 
 
 @pytest.mark.parametrize("name", ["budget", "certify", "diagnose", "first_order", "improve", "laws", "plan"])
-@pytest.mark.parametrize("wrong", WRONG, ids=str)
+@pytest.mark.parametrize("wrong", WRONG, ids=range(len(WRONG)))
 def test_functions_of_a_fit_refuse_anything_else(name, wrong):
     with pytest.raises(FittingError) as fault:
         getattr(fitting, name)(wrong)
@@ -49,7 +49,7 @@ def test_functions_of_a_fit_refuse_anything_else(name, wrong):
 
 
 @pytest.mark.parametrize("argument", ["extra", "criteria"])
-@pytest.mark.parametrize("wrong", [3, "x", ["x"], {"x": 1}, True], ids=str)
+@pytest.mark.parametrize("wrong", [3, "x", ["x"], {"x": 1}, True], ids=range(5))
 @pytest.mark.parametrize("name", ["diagnose", "improve", "laws", "plan"])
 def test_options_of_a_diagnosis_are_checked_before_it_begins(name, argument, wrong):
     with pytest.raises(FittingError, match=f"{argument} is"):
@@ -103,7 +103,7 @@ def test_a_wrong_argument_is_one_sentence(name, argument):
         (Ledger, {"path": "none.json"}),
         (Experiment, {"duration": 4.0, "casing_fps": 30.0, "windows": (1.0,), "sigma": 1e-3, "omega_rotor": 900.0}),
     ],
-    ids=str,
+    ids=range(12),
 )  # fmt: skip
 def test_a_wrong_argument_of_a_class_is_one_sentence(build, arguments):
     for argument in arguments:
@@ -111,7 +111,7 @@ def test_a_wrong_argument_of_a_class_is_one_sentence(build, arguments):
             refused(build, wrong, **(arguments | {argument: wrong}))
 
 
-@pytest.mark.parametrize("wrong", WRONG, ids=str)
+@pytest.mark.parametrize("wrong", WRONG, ids=range(len(WRONG)))
 def test_methods_of_a_fit_refuse_wrong_arguments(wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = fitted(seed=0)
