@@ -82,7 +82,12 @@ NUMBERS = Kind(
     lambda x: isinstance(x, Mapping) and all(isinstance(k, str) and _is_number(v) for k, v in x.items()),
     'for example {"bearing.power.g": 0.7}',
 )
-FIT = instance("Fit", "make one with fitting.fit")
+# a saved fit has no data
+FIT = Kind(
+    "a Fit",
+    lambda x: all(hasattr(x, n) for n in ("model", "estimates", "converged")),
+    "make one with fitting.fit",
+)
 EFFECTS = instance("Effect", "make one with fitting.effect").several
 MODEL = instance("Model", 'make one with fitting.Model.of("reduced")')
 DIAGNOSIS = instance("Diagnosis", "make one with fitting.diagnose")

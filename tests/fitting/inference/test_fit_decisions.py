@@ -312,7 +312,7 @@ class TestFit:
     ):
         calls = []
         data = [body([1.0, 2.0], label=f"run{i}", oscillation=oscillation) for i in range(cases)]
-        layout = SimpleNamespace(names=("a.k",))
+        layout = SimpleNamespace(tied=(), names=("a.k",))
         problem = Asked(calls, layout, tuple(data))
 
         def search(problem, theta, *, quick=False, active=None):
