@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
-from scipy.special import ndtr
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,50 +26,20 @@ _VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, over the white 
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # tau [bins]
 _HARMONIC_TIMES = (0.1, 0.3, 1.0, 3.0)  # T [lengths of the record]
 _MIN_BINS_PER_TURN = 8
-# level of the interval that determines an uncertainty, the quantile of a normal distribution, steps of its search
-_LEVEL, _QUANTILE, _BISECTIONS = 0.95, 1.959964, 40
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of a linear model under each noise model.
+    """Coefficients of a linear model, their covariance, and the Bayesian information criterion of the model."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (m, p)
-        Coefficients.
-    covariances : ndarray, shape (m, p, p)
-        Their covariances.
-    weights : ndarray, shape (m,)
-        Posterior probabilities of the noise models.
-    criterion : float
-        Bayesian information criterion of the linear model.
-    """
-
-    values: Floats
-    covariances: Floats
-    weights: Floats
+    value: Floats
+    covariance: Floats
     criterion: float
 
     def of(self, combination: Floats) -> tuple[float, float]:
-        """Return a linear combination of the coefficients and its standard uncertainty.
-
-        The uncertainty is the half-width of the interval of 95 % of the posterior over that of a standard normal
-        distribution. A noise model of small probability, whose uncertainty may be many times larger, would determine
-        the standard deviation of the posterior, but not its intervals.
-        """
-        variance = np.einsum("i,mij,j->m", combination, self.covariances, combination)
-        each, u = self.values @ combination, np.sqrt(np.maximum(variance, 0.0))
-        mean = float(self.weights @ each)
-        if not u.max() > 0:
-            return mean, 0.0
-        u = np.maximum(u, 1e-9 * u.max())
-        low, high = 0.0, float(np.max(np.abs(each - mean) + 6.0 * u))
-        for _ in range(_BISECTIONS):
-            half = 0.5 * (low + high)
-            inside = float(self.weights @ (ndtr((mean + half - each) / u) - ndtr((mean - half - each) / u)))
-            low, high = (half, high) if inside < _LEVEL else (low, half)
-        return mean, high / _QUANTILE
+        """Return a linear combination of the coefficients and its standard uncertainty."""
+        variance = float(combination @ self.covariance @ combination)
+        return float(combination @ self.value), math.sqrt(max(variance, 0.0))
 
 
 def correlated_least_squares(
@@ -136,9 +105,14 @@ def correlated_least_squares(
         inverse = np.linalg.inv(plain_normal + held + weak)
         covariances = size[:, None, None] * (inverse @ (of_noise + held * inflation[:, None, None]) @ inverse)
         values = inverse @ plain_products[model, -1] / scale[model]
+        weights = _weights(restricted, families)
+        value = weights @ values
+        spread = (weights[:, None] * (values - value)).T @ (values - value)
+        covariance = (
+            np.tensordot(weights, covariances, axes=1) / np.outer(scale[model], scale[model]) + spread
+        )
         criterion = -2 * float(likelihood.max()) + len(model) * math.log(n)
-        covariances /= np.outer(scale[model], scale[model])
-        estimates.append(Estimate(values, covariances, _weights(restricted, families), criterion))
+        estimates.append(Estimate(value, covariance, criterion))
     return estimates
 
 

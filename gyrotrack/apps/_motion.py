@@ -245,7 +245,7 @@ def motion_of_passages(passages: Passages) -> BodyMotion:
     for values in (when, size):
         fits = correlated_least_squares(count, design, values, np.ones(len(values)), models, free)
         best = min(fits, key=lambda fit: fit.criterion)
-        slopes.append(Value(*best.of(np.eye(best.values.shape[1])[1])))
+        slopes.append(Value(*best.of(np.eye(len(best.value))[1])))
     by_time, by_size = slopes
     period = 4 * by_time.value / (count[-1] - count[0])
     relative = by_time.stderr / by_time.value

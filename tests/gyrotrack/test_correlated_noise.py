@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack._correlated_noise import Estimate, correlated_least_squares, slow_variance
+from gyrotrack._correlated_noise import correlated_least_squares, slow_variance
 
 
 def correlated(rng, n, sigma, samples):
@@ -67,31 +67,3 @@ def test_a_prior_holds_what_the_data_do_not_determine():
     assert abs(value) < 0.1
     assert u == pytest.approx(0.1, rel=0.1)
     assert fit.of(np.array([1.0, 1.0]))[0] == pytest.approx(3, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("weight", "expected"),
-    [(0.0, 2.0), (1.0, 60.0), (0.02, 2.191), (0.5, 50.354)],
-)
-def test_the_uncertainty_is_that_of_an_interval_of_95_percent(weight, expected):
-    """With two noise models of equal values and u 2 and 60: solved by hand from the normal distribution.
-
-    The standard deviation of the posterior with the weight 0.02 would be 8.7.
-    """
-    fit = Estimate(
-        np.array([[1.0, 3.0], [1.0, 3.0]]),
-        np.array([np.diag([1.0, 9.0]), np.diag([900.0, 9.0])]),
-        np.array([1 - weight, weight]),
-        0.0,
-    )
-    value, u = fit.of(np.array([2.0, 0.0]))
-    assert value == pytest.approx(2.0)
-    assert u == pytest.approx(expected, rel=1e-3)
-
-
-def test_values_that_differ_between_noise_models_widen_the_interval():
-    fit = Estimate(np.array([[0.0], [10.0]]), np.full((2, 1, 1), 1e-6), np.array([0.5, 0.5]), 0.0)
-    value, u = fit.of(np.ones(1))
-    assert value == pytest.approx(5.0)
-    assert u == pytest.approx(5.0 / 1.96, rel=1e-3)
-    assert fit.of(np.zeros(1)) == (0.0, 0.0)
