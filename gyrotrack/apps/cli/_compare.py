@@ -50,10 +50,10 @@ def compare_command(
         ),
     ] = None,
     add: Annotated[list[str] | None, option("--add E", "Effect to add to the model.")] = None,
-    times: Annotated[
+    run_times: Annotated[
         Path | None,
         option(
-            "--times FILE",
+            "--run-times FILE",
             "Table (CSV) with the columns run and time ('time [h]', or dates); by default runs are numbered in order.",
         ),
     ] = None,
@@ -87,8 +87,8 @@ def compare_command(
         raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
     if add and model is None:
         raise UsageError("--add needs --model.", "Name the model to which the effect is added.")
-    check_picture(picture, force=force, reads=[*with_ledgers(files), times])
-    at = None if times is None else _read_times(times)
+    check_picture(picture, force=force, reads=[*with_ledgers(files), run_times])
+    at = None if run_times is None else _read_times(run_times)
     wanted: tuple[str, ...] | None = None
     failed: dict[str, str] = {}
     if model is not None:
@@ -112,10 +112,10 @@ def compare_command(
             raise DatasetError(f"{len(failed)} runs could not be fitted; {first[0]}: {first[1]}", "")
     fits = latest_fits(files, wanted)
     unit = "run"
-    run_times: Mapping[str, float] | None = None
+    times: Mapping[str, float] | None = None
     if at is not None:
-        run_times, unit = _times_of(fits, at[0]), at[1]
-    found = compare(fits, run_times, time_unit=unit)
+        times, unit = _times_of(fits, at[0]), at[1]
+    found = compare(fits, times, time_unit=unit)
     written = drawn(found, picture, force=force)
     out.result(found.document() | {"failed": failed})
     out.show(comparison_table(found), *(f"not fitted: {n}: {why}" for n, why in failed.items()), *written)
