@@ -1,4 +1,4 @@
-"""JSON files of fits, diagnoses and histories: one schema, from which writing and reading follow; atomic writing.
+"""JSON files of fits, diagnoses and histories: one schema for reading and writing; atomic writing.
 
 Numbers are in SI units. JSON has neither nan nor infinity: nan is written as null, infinity as "inf" (see
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
@@ -238,7 +238,7 @@ class MetricsDocument(Document):
 class AngleNoiseDocument(Document):
     """Correlated angle noise: standard deviation and its standard uncertainty [rad], correlation time [s].
 
-    The same of the part that repeats with the turn.
+    The same three for the part that is periodic in the angle.
     """
 
     sigma_rad: Number = Field(validation_alias=AliasChoices("sigma_rad", "sigma"))

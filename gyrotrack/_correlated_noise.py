@@ -119,10 +119,12 @@ def correlated_least_squares(
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
     """Return the spectral density of residuals at a low frequency over that of white noise of unit variance.
 
-    `residual` (n,) is in units of its uncertainty, as are the fitted columns of `design` (n, p), whose lost degrees of
-    freedom are accounted for; `period` and `t` in s. The density, at least 1, is s^2 (1 + q sinh(1 / tau) / (cosh(1 /
-    tau) - cos(2 pi / period))), times in bins; the geometric mean over the posterior of q and tau, which has a long
-    tail.
+    `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s.
+    The degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
+
+        s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))),
+
+    averaged geometrically over the posterior of q and tau, which has a long tail.
     """
     x, z, white, when = _binned(t, design, residual, np.ones(len(t)))
     scale = np.linalg.norm(x, axis=0)

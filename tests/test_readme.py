@@ -1,7 +1,9 @@
 """What the README and the documents show must exist: every command, every option, every link."""
 
+import ast
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,3 +89,17 @@ def test_python_in_the_pages_is_python():
     assert shown
     for text in shown:
         compile(text, "README.md", "exec")
+
+
+def test_the_libraries_that_fitting_imports_are_named():
+    """Those of the sentence "`fitting` needs no films: it imports ...", and no others."""
+    found = set()
+    for path in (ROOT / "fitting").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            found |= {name.partition(".")[0] for name in names}
+    found -= {"fitting", *sys.stdlib_module_names}
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    sentence = re.search(r"`fitting` needs no films: it imports (.*?)\.\n", text, re.DOTALL)[1]
+    assert found == set(re.findall(rf"\b(?:{'|'.join(found)}|\w+(?=, |, and ))\b", sentence.lower()))

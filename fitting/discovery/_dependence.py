@@ -38,17 +38,18 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_COLUMNS = 10
-_FINE = 36
-_PAIR = 4
-_CUBIC = 3
-_HARMONICS = (1, 2, 3, 4)
+_COLUMNS = 10  # splines of a torque of one variable in the test
+_FINE = 36  # splines of the curve that is shown
+_PAIR = 4  # splines along each of two variables
+_CUBIC = 3  # degree of the splines
+_HARMONICS = (1, 2, 3, 4)  # harmonics of the angle of the casing
 # of the rotor, as far as it turns by less than this between two frames of the casing [rad]
 _ROTOR_HARMONICS = (1, 2)
 _FASTEST = np.pi
-_DRAWS = 1000
-_RANK = 1e-5
-_CURVE = 120
+_DRAWS = 1000  # null data sets; p-values down to 0.001
+_RANK = 1e-5  # singular values below this share of the largest are rounding
+_CURVE = 120  # points of a curve that is shown
+# trial standard deviations of a torque, in units of the determined one
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 # correlation lengths over the range of the variable
 _LENGTHS = np.geomspace(0.03, 3.0, 9)

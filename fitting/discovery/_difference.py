@@ -41,7 +41,9 @@ class DifferentParameter:
     differences: dict[str, Estimate]  # value in each other recording minus that in the first, by label
     indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
     delta_bic: float  # BIC with a value for each recording minus BIC of the base
-    p_value: float  # of such a difference in any of the shared parameters if they are equal
+    p_value: (
+        float  # probability of such a difference in any shared parameter if all are equal in the recordings
+    )
 
     @property
     def sentence(self) -> str:

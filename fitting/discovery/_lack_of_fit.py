@@ -55,7 +55,7 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-KNOTS = (4, 8)
+KNOTS = (4, 8)  # knots of the piecewise linear torques of a speed, coarse and fine
 
 
 def speeds(times: Array, prediction: Prediction) -> Array:
@@ -83,10 +83,10 @@ def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     return max(found)
 
 
-_RANK = 1e-4
-_RANK_FREE = 1e-7
-_TINY = 1e-300
-_DRAWS = 2000
+_RANK = 1e-4  # singular values below this share of the largest are not tested
+_RANK_FREE = 1e-7  # the same for columns that are projected out
+_TINY = 1e-300  # avoids a division by zero
+_DRAWS = 2000  # null data sets for the smallest of several p-values
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _choices(values: Array) -> list[tuple[int, Array, int]]:
     ]
 
 
-_FEWEST_PERIODS = 10
+_FEWEST_PERIODS = 10  # periods within a record from which a frequency is tried; fewer are a trend
 # trial frequencies per peak, and of the finer search about the highest one
 _PER_PEAK = 2
 _FINER = 16
@@ -300,7 +300,7 @@ class _Periodogram:
         return orthogonal_to(self._basis, rows)
 
 
-_ORDERS = (3, 4, 5, 6)
+_ORDERS = (3, 4, 5, 6)  # harmonics of the angle that no law of the library has
 _HARMONIC_AMPLITUDE = "harmonic.k"
 # initial amplitude as a share of the largest torque; amplitude of a determined harmonic in standard errors
 _FIRST_SHARE, _DETERMINED = 0.01, 2.0

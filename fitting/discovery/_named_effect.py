@@ -59,13 +59,13 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-_KNOTS = 4
-_INNER_KNOTS = 5
-_POWER = 0.9
-_DRAWS = 4000
-_RANK = 1e-4
-_RANK_FREE = 1e-7
-_TINY = 1e-300
+_KNOTS = 4  # knots of the relative deviation of a law from the named one
+_INNER_KNOTS = 5  # inner knots of the spline in time
+_POWER = 0.9  # probability of detection, and share of the deviations, of the detection limit
+_DRAWS = 4000  # random deviations whose quantile is the limit
+_RANK = 1e-4  # singular values below this share of the largest are not tested
+_RANK_FREE = 1e-7  # the same for columns that are projected out
+_TINY = 1e-300  # avoids a division by zero
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "factor": "delta"}
 
 

@@ -2,8 +2,8 @@
 
 Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time: with the correlation r of
 neighbouring ones in the most general model, n residuals contain the information of n (1 - r) / (1 + r) (M. S. Bartlett,
-J. R. Stat. Soc. 98, 1935), and their chi-square counts by the same factor. What no set of laws describes, as a motion
-that is not plane, increases the errors in this way.
+J. R. Stat. Soc. 98, 1935), and their chi-square counts by the same factor. Anything that no set of laws describes, as a
+motion that is not plane, increases the errors in this way.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ class OscillatorLaws:
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
 
-        The sentence says that the restoring torques of the fit are none of these sets, or that a strength contradicts
-        that of the averaged equations, which then remains; else it is empty.
+        The sentence states a contradiction, and is empty without one: the restoring torques of the fit are not among
+        these sets, or a strength differs from that of the averaged equations, which is then kept.
         """
         names = {e.name for e in fit.model.effects}
         exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]

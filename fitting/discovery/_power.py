@@ -57,24 +57,24 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-POWER = 0.9
-CONFIDENCE = 0.95
+POWER = 0.9  # probability of detection at the detection limit
+CONFIDENCE = 0.95  # of upper limits
 # standard errors of a one-sided limit at this confidence
 _ONE_SIDED = 1.6448536
 # standard errors above a threshold at which it is exceeded with 90 % probability
 _POWER_SIGMA = 1.2815516
-_DRAWS = 1500
-_POWER_DRAWS = 600
+_DRAWS = 1500  # null data sets for thresholds
+_POWER_DRAWS = 600  # simulated data sets for a power; its standard error is 0.02 at most
 # dense where a parameter reaches its bound
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
 # share of the bearing's torque that is the size of an effect if none is given
 _SIZE = 0.01
-_MOST_RUNS = 10_000
+_MOST_RUNS = 10_000  # runs that are counted at most
 # thresholds are sought below this score
 _LARGEST_SCORE = 2000.0
 # effects in the sentence of an adequate fit
 _MOST_HIDDEN = 5
-_RANK = 1e-6
+_RANK = 1e-6  # eigenvalues below this share of the largest are not determined
 # share of the data sets, summed over the strengths, below which a parameter at its bound is neglected
 _RARE = 0.5
 

@@ -37,11 +37,12 @@ Array = NDArray[np.float64]
 _TIMES, _LEVELS = 8, 16
 # precision of the logarithms of time and level at the maximum of the likelihood, and its number of evaluations
 _PRECISION, _EVALUATIONS = 0.05, 8
-# correlation times in the shortest record of which at least this number passes
+# smallest length of a record, in correlation times of the random torque
 _FEWEST_TIMES = 6.0
 # inflation above all that were simulated (1.0 to 1.8): an effect that is established even so needs no simulation
 _CERTAIN = 3.0
-# simulated rows; times and levels of their random torque, from a share of the true ones to as many times them
+# seed and number of simulated recordings; factor by which trial times and levels differ at most from the true ones, to
+# either side, and numbers of them
 _SEED, _DRAWS, _RANGE, _NEAR_TIMES, _NEAR_LEVELS = 11, 200, 4.0, 7, 11
 # lowest level, as a share of the ceiling
 _LOWEST = 1e-3

@@ -37,8 +37,8 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_LAGS = 12
-_POWERS = 4
+_LAGS = 12  # lags of the test of independence at most [blocks]
+_POWERS = 4  # lowest rows of a block that are tested
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
 
 
 _LAWS = ("casing.unbalance", "casing.asymmetry")
-_ANGLE_POINTS = 73
-_RANK = 1e-6
+_ANGLE_POINTS = 73  # points of a curve over one turn: 5 degrees
+_RANK = 1e-6  # singular values below this share of the largest are rounding
 
 
 @dataclass(frozen=True, repr=False)

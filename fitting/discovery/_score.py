@@ -44,12 +44,12 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_LEVELS = 9
+_LEVELS = 9  # trial levels of the process noise
 # share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
 _ABSORBED = 1e-7
 # relative singular value below which a direction of the free columns is none
 RANK = 1e-10
-_SEED = 7
+_SEED = 7  # of the null data sets
 
 
 class Level(NamedTuple):
@@ -174,7 +174,7 @@ def _level_between(least: float, level: float, share: float) -> float:
 _PHASE_STEP = 1.5
 # highest trial frequency that the cells resolve [rad per cell]
 _FASTEST = 1.0
-_MAX_FREQUENCIES = 1500
+_MAX_FREQUENCIES = 1500  # trial frequencies at most
 # share of a law's torque that acts on rotor and casing; in the bearing and as a factor of its torque -1 and 1
 _ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
 # changepoints are tried on a grid this many times finer than declared
@@ -582,7 +582,7 @@ class FamilywiseNull:
 
 # refinements of a shape constant, points of each; largest number of cases whose shapes are chosen in turn
 _ROUNDS, _POINTS = 3, 9
-_MOST_SWEPT = 4
+_MOST_SWEPT = 4  # cases up to which the shapes of all are chosen in turn
 
 
 def score(

@@ -1,6 +1,6 @@
 """Recorded inputs of a motion: currents, voltages, commanded torques, temperatures.
 
-An input is a function of time, given by samples at times of its own. Between them it is linear, or it holds the last
+An input is a function of time, given by samples at its own times. Between them it is linear, or it holds the last
 value. A torque that depends on it changes abruptly at the samples: in value where a held value changes, in slope where
 the slope of a linear one changes. The equations of motion are integrated from one such time to the next, on which they
 are smooth. An input with more changes than can be followed is replaced by its means over short cells, which give the
@@ -124,7 +124,7 @@ class Input:
         return np.asarray(self.time + self.delay)
 
     def __call__(self, times: Array | float, late: float = 0.0) -> Array:
-        """Return its value at some times [s] if it acts `late` [s]; beyond its samples the first or the last one."""
+        """Return its value at some times [s] with the dead time `late` [s]; the nearest sample beyond them."""
         return self._interpolated(self.value, times, late)
 
     def slope(self, times: Array | float, late: float = 0.0) -> Array:
@@ -186,7 +186,7 @@ class Input:
     def followed(self, first: float, last: float, most: int = MOST_CHANGES) -> Input:
         """Return the input with at most `most` changes between two times [s].
 
-        One with more of them is replaced by its means over equal cells, each of which holds.
+        An input with more changes is replaced by its means over equal cells.
         """
         if len(self.changes(first, last)) <= most:
             return self

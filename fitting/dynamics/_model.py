@@ -191,7 +191,7 @@ class Model:
 
     @cached_property
     def per_case(self) -> tuple[str, ...]:
-        """The keys of the parameters of which each case of several has its own, unless requested otherwise."""
+        """The keys of the parameters that have a value for each case, unless requested otherwise."""
         return tuple(f"{e.name}.{p.symbol}" for e in self.effects if e.per_case for p in e.free)
 
     @cached_property
@@ -364,7 +364,7 @@ class Dynamics:
         return places
 
     def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
-        """Return places of the derivatives by dead times, d(rate)/dT = -d(rate)/du du/dt, but for jumps of u."""
+        """Return places of the derivatives by dead times, d(rate)/dT = -d(rate)/du du/dt, where u does not jump."""
         places = []
         for symbol, key in self._delays.items():
             if key not in self.parameters:
@@ -435,7 +435,7 @@ class Dynamics:
     def moving_breaks(
         self, first: float, last: float, numbers: Mapping[str, float]
     ) -> dict[str, list[float]]:
-        """Return the times between two others at which a torque jumps and that depend on a parameter, by its key."""
+        """Return the jumps of a torque whose times depend on a parameter, by its key, between two times [s]."""
         found = {k: [numbers[k]] for k in self.breakpoints if k in self.parameters}
         for i in self.inputs:
             key = self._delays.get(i.symbol)

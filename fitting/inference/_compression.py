@@ -24,7 +24,8 @@ from fitting.inference._record import Samples
 
 Array = NDArray[np.float64]
 
-HARMONICS = 4
+HARMONICS = 4  # rows for the first two harmonics of the angle, sine and cosine
+# amplitude orthogonal to the polynomials from which a harmonic has rows, relative to its amplitude
 _MIN_INDEPENDENCE = 0.2
 # change of an angle [rad] below which the integrals of its harmonics are series: the fourth power is 1e-12
 _SMALL_CHANGE = 1e-3
@@ -159,19 +160,19 @@ def harmonic_scatter(rows: Array) -> Array:
     return np.asarray(np.maximum(1.0, np.repeat(pairs, 2)))
 
 
-CASING_DEGREE = 7
-ROTOR_DEGREE = 7
-NOISE_ROWS = 14
-BLOCKS = 60
-_MIN_SAMPLES = 60
-_SPEED_RATIO = 1.6
+CASING_DEGREE = 7  # degree of the polynomial of a block of the casing
+ROTOR_DEGREE = 7  # the same for a window of the rotor
+NOISE_ROWS = 14  # further polynomials of a block, from which the white noise is measured
+BLOCKS = 60  # blocks of a record of angles
+_MIN_SAMPLES = 60  # samples of a block at least
+_SPEED_RATIO = 1.6  # ratio of the speeds in a block above which it is cut
 _AT_REST = 0.5  # rad/s
-_MOST_CUTS = 12
+_MOST_CUTS = 12  # cuts of a record at most
 # groups of samples of a block
 _BINS = 128
 # smallest range of a harmonic that is more than rounding
 _SAME = 1e-7
-_CLIP = 3.0
+_CLIP = 3.0  # standard deviations at which outliers are cut off in the scale of the noise
 _CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
 
 

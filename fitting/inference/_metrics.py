@@ -54,7 +54,7 @@ from fitting.inference._record import Record, Samples, median_width, speeds
 
 Array = NDArray[np.float64]
 
-_TERMS = 21
+_TERMS = 21  # orders of the series of Mehler below this are summed
 
 
 def as_velocities(record: Record) -> Record:
@@ -111,7 +111,7 @@ def median_noise(cutoff: Array) -> Array:
     return np.asarray(np.maximum(variance - 2 * opposed, 0.0) / inside**2)
 
 
-_POINTS = 2000
+_POINTS = 2000  # largest number of points of an energy balance
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,7 +158,7 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
 
 # initial over largest kinetic energy below which a motion begins at a turning point
 _SLOW_START = 0.1
-FOLDS = 6
+FOLDS = 6  # folds of the cross-validation
 
 
 def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dict[str, float]:
@@ -271,7 +271,7 @@ def _speed_quality(data: CaseData, path: Path, body: str) -> tuple[float, float]
     return 1 - float(error @ error) / spread if spread > 0 else 0.0, float(np.sqrt(np.mean(error**2)))
 
 
-_SEED = 1
+_SEED = 1  # of the simulated noise
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
 _THIRD_DIFFERENCE = 20.0  # 1 + 9 + 9 + 1: its variance for white noise of variance 1
 
@@ -297,7 +297,7 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
-_KNOTS = 21
+_KNOTS = 21  # knots of the slow torques of the lack-of-fit test
 _RANK = 1e-4
 _RANK_FREE = 1e-7
 # number of cases above which the slow torques of each case are projected out first

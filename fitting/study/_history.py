@@ -410,7 +410,7 @@ class Ledger:
     def _locked(self) -> Iterator[None]:
         """Read the file, let the block change the entries, and write them, under the lock of the file.
 
-        What is written has passed the checks of reading; the entries are unchanged if it does not.
+        The entries are checked before they are written; if the check fails, they stay unchanged.
         """
         with locked(self.path):
             before = _content(self.path)

@@ -603,8 +603,8 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a stored fit; None if it was made by another version of the code.
 
-    The noise is linearised where that of the original is, at the start of its last optimisation: where a model fails
-    grossly, the optimum may be far from there. The noise of a candidate is that of the fit without
+    The noise is linearised about the same motion as in the original fit: the start of its last optimisation. Where a
+    model fails grossly, the optimum may be far from it. The noise of a candidate is that of the fit without
     it, where its strengths are zero.
     """
     if stored.code != fingerprint():

@@ -368,7 +368,7 @@ def write_picture(
 
 
 def write_body_picture(path: Path, film: TrackedFilm, tracked: Tracked, *, force: bool = False) -> None:
-    """Write a PNG of four frames with hub, ring and angle of a body, and its learnt polar picture below."""
+    """Write a PNG of four frames with hub, ring and angle of a body, and its mean polar picture below."""
     _write_png(path, _body_rows(film, tracked, 1600), force=force)
 
 

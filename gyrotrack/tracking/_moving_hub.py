@@ -1,8 +1,8 @@
 """Tracking of a body whose hub moves: a table suspended by threads, a sliding puck, a rolling cylinder.
 
 The path of the hub is found first: from the features of a body that hardly moves, or from the outlines of the
-difference from the background. The picture of the body about this path is then registered against its learnt mean,
-which measures the angle and the remaining displacement together.
+difference from the background. The picture of the body about this path is then registered against a template averaged
+from the film, which measures the angle and the remaining displacement together.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _TRAVEL = 0.5  # diameters that a free body moves at least
 _SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
 _TURNING = 3.0  # ... rms change of its picture over the noise, and ...
 _TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest exceed the noise
-_STEADY = 9  # frames of which most show the motion
+_STEADY = 9  # frames of a window in which most must show the motion
 _WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
 _BODIES = 4  # paths of which the rotation is measured, at most
 # largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense

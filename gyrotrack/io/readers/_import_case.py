@@ -57,7 +57,7 @@ _JUMP = 20.0  # change of the angle [changes before, after and usual] above whic
 _CLEAR_JUMP, _UNSTEADY = (
     3.0,
     40.0,
-)  # the same of one that is not a continuation of the motion [changes, noise]
+)  # the same for one that does not continue the motion [changes, noise]
 # change of a wrapped angle whose sense is in doubt [rad], and largest share of them in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
 _MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow

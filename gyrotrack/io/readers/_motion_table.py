@@ -105,7 +105,7 @@ class MotionTable:
     counted: bool = False
     doubts: tuple[str, ...] = ()  # why the values may be wrong by more than their uncertainty
     drivers: tuple[Driver, ...] = ()
-    inputs: tuple[Input, ...] = ()  # those that the user records, with times of their own
+    inputs: tuple[Input, ...] = ()  # those that the user records, with their own times
     reading: Reading | None = None  # what each column was taken for
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
