@@ -20,9 +20,10 @@ on the rotor with law and on the casing with -n law, where `slip` is omega_r - n
 contacts. A *factor* multiplies the whole bearing torque. The law of a camera is an error [rad] added to the measured
 angle, a function of the angle `psi` and the angular velocity `omega` of the filmed body; it does not act on the motion.
 
-`gyrotrack fit --add` and `gyrotrack diagnose` use the names in the first column. User-defined laws may contain t,
-omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter. Times of events, for example t0
-in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
+`gyrotrack fit --add` and `--json` use the names in the first column. For a case of a single body the role may be
+left out (`air.quadratic`), and the touch point is its support (`support.constant`); its name replaces the casing's
+in words. User-defined laws may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter.
+Times of events, for example t0 in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
 """
 
 _JOINTS = {
@@ -46,7 +47,7 @@ def page() -> str:
     for joint, title in _JOINTS.items():
         parts.append(f"## {title}\n")
         parts.append(
-            "| name | law | parameters | observable effect | similar effects |\n|---|---|---|---|---|"
+            "| name | in words | law | parameters | observable effect | similar effects |\n|---|---|---|---|---|---|"
         )
         parts += [_row(e) for e in LIBRARY.values() if e.joint == joint]
         parts.append("")
@@ -63,7 +64,9 @@ def _row(e: Effect) -> str:
     law = f"`{e.law}`" + (f"; d({e.state.symbol})/dt = `{e.state.rate}`" if e.state else "")
     parameters = ", ".join(f"{p.symbol} [{p.unit}]" for p in e.parameters)
     similar = ", ".join(e.confused_with) or "-"
-    return f"| {e.name} | {law} | {parameters} | {e.signature} | {similar} |".replace("||", "\\|\\|")
+    return f"| {e.name} | {e.words} | {law} | {parameters} | {e.signature} | {similar} |".replace(
+        "||", "\\|\\|"
+    )
 
 
 if __name__ == "__main__":

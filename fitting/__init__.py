@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
     from fitting.effects._user import read_effects
     from fitting.effects._user import resolve as effect
+    from fitting.effects._words import EffectName, effect_name
     from fitting.inference._budget import budget
     from fitting.inference._case import Case
     from fitting.inference._case_data import CaseData
@@ -62,6 +63,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "EffectError",
+    "EffectName",
     "Estimate",
     "EstimationError",
     "Experiment",
@@ -84,6 +86,7 @@ __all__ = [
     "compare",
     "diagnose",
     "effect",
+    "effect_name",
     "first_order",
     "fit",
     "improve",
@@ -113,6 +116,7 @@ _MODULES = {
     "fitting.effects._effect": ("Effect", "Parameter"),
     "fitting.effects._library": ("GENERAL", "LIBRARY", "LINEAR", "REDUCED"),
     "fitting.effects._user": ("effect", "read_effects"),
+    "fitting.effects._words": ("EffectName", "effect_name"),
     "fitting.inference._budget": ("budget",),
     "fitting.inference._case": ("Case",),
     "fitting.inference._first_order": ("FirstOrder", "first_order"),

@@ -85,7 +85,7 @@ class Criteria:
     refit_reversals: int = _criterion(500, "reversals that all refits of a step integrate", "15 s of one core")
     refit_oscillation_p: float = _criterion(0.1,
         "family-wise p-value above which candidates of an oscillation are not refitted")
-    gross_misfit: float = _criterion(0.7, "rms phase drift by a torque like the residuals, of a gross misfit [rad]")
+    gross_misfit: float = _criterion(0.7, "rms phase drift by a torque like the residuals of a gross lack of fit")
     quieter: float = _criterion(0.8, "ratio below which process noise counts as reduced")
     angle_noise_ratio: float = _criterion(
         30.0, "correlated over white angle noise above which it is not noise")

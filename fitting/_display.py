@@ -6,7 +6,7 @@ matplotlib is imported only when a figure is made.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_ANSWERS = ("#0072B2", "#BBBBBB", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BLUE, VERMILLION, GREY, YELLOW = "#0072B2", "#D55E00", "#BBBBBB", "#F0E442"
 _VERDICTS = {
     "adequate": ("✓", "consistent with noise"),
@@ -155,7 +156,31 @@ def draw_candidates(
     ax.barh(places, np.sqrt(scores), color=colours, hatch=hatches, edgecolor="white")
     ax.set_yticks(places, [printable(n) for n in names])
     ax.invert_yaxis()
-    ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [standard deviations]; hatched: artefact, grey: not significant")
+    ax.set_xlabel(
+        r"$\sqrt{\mathrm{improvement\ of\ }\chi^2}$ [σ]; hatched: measurement effect, grey: not significant"
+    )
+
+
+def draw_answers(ax: Axes, groups: Sequence[tuple[str, Mapping[str, int]]], words: Mapping[str, str]) -> None:
+    """Draw a bar per simulated effect, divided into the shares of its answers.
+
+    `groups` are names of the bars with counts by answer, `words` the answers as they are shown.
+    """
+    colours = dict(zip(words, _ANSWERS * (1 + len(words) // len(_ANSWERS)), strict=False))
+    labelled: set[str] = set()
+    for row, (_, counts) in enumerate(groups):
+        total, left = max(sum(counts.values()), 1), 0.0
+        for answer, count in counts.items():
+            share = 100 * count / total
+            label = None if answer in labelled else printable(words[answer])
+            ax.barh(row, share, left=left, color=colours[answer], edgecolor="white", label=label)
+            labelled.add(answer)
+            left += share
+    ax.set_yticks(range(len(groups)), [printable(name) for name, _ in groups])
+    ax.invert_yaxis()
+    ax.set_xlim(0, 100)
+    ax.set_xlabel("answers to the simulated recordings [%]")
+    ax.legend(fontsize="small", frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
 
 
 def draw_history(

@@ -10,7 +10,7 @@ from typing import Any
 # number of digits above which a number with a power of ten is printed with all of them
 _LONG = 3
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
-_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AV](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
+_UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| m?rad| urad| s\b)")
@@ -25,6 +25,31 @@ PER_TORQUE = "kg-1 m-2"
 """Unit of a factor of a torque in N m that acts on a body whose moment of inertia is not known."""
 _STRENGTH = re.compile(r"N m(?: s(?:\^?([^ ]+))?)?((?: (?:A|V|K)(?:-?\d*\.?\d+)?)*)")
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_GREEK = {
+    "omega": "ω",
+    "phi": "φ",
+    "eps": "ε",
+    "tau": "τ",
+    "psi": "ψ",
+    "kappa": "κ",
+    "chi": "χ",
+    "delta": "D",
+}
+
+
+def symbol_parts(symbol: str) -> tuple[str, str]:
+    """Return the letter of a symbol and its index: b2 is b and 2, omega_c is ω and c."""
+    head, _, tail = symbol.partition("_")
+    letters = head.rstrip("0123456789")
+    found, index = (letters, head[len(letters) :] + tail) if letters else (symbol, "")
+    return _GREEK.get(found, found), index
+
+
+def symbol_text(symbol: str) -> str:
+    """Return a symbol in one line: b₂, ω_c, ε."""
+    head, index = symbol_parts(symbol)
+    return head + (f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS))
 
 
 def superscript(number: int) -> str:
@@ -39,8 +64,20 @@ def unit_text(unit: str) -> str:
     return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
 
 
+# what a terminal writes in ASCII
+_TYPESET = (
+    (re.compile(r"(?<=\d) u(?=(?:N m|rad)\b)"), " µ"),
+    (re.compile(r"(?<=\d) sigma\b"), " σ"),
+    (re.compile(r"(?<![\w.,*^(=-])-(?=\d+(?:\.\d+)?(?: \+-| [µmnp]?(?:N m|rad)\b| ×| x 10))"), "−"),
+    (re.compile(r"\bdBIC\b"), "ΔBIC"),
+    (re.compile(r"\bchi2\b"), "χ²"),
+)
+
+
 def typeset(text: str) -> str:
-    """Return a sentence or a rounded number with ±, × and raised exponents."""
+    """Return a sentence or a rounded number with ±, ×, σ, µ and raised exponents."""
+    for pattern, sign in _TYPESET:
+        text = pattern.sub(sign, text)
     text = _SCIENTIFIC.sub(lambda m: f"{m[1]} × 10{superscript(int(m[2]))}", text)
     text = _POWER.sub(lambda m: f"× 10{superscript(int(m[1]))}", text)
     return unit_text(text.replace(" +- ", " ± "))

@@ -168,7 +168,7 @@ def _remains(own: Path, path: Path) -> list[Path]:
 
 
 # fields of an effect that files of older versions do not contain
-_ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent")
+_ADDED_FIELDS = ("per_case", "per_surface", "nuisance", "equivalent", "words")
 
 
 def _with_added_fields(stored: Any) -> Any:
@@ -288,11 +288,19 @@ class FirstOrderDocument(Document):
     delays: dict[str, EstimateDocument]
 
 
+class NameDocument(Document):
+    """The name of an effect in words, and the symbol of its strength."""
+
+    words: str
+    symbol: str
+
+
 class FitDocument(Document):
     """What `fit --json` prints."""
 
     fit_id: str
     model: list[str]
+    names: dict[str, NameDocument] = {}
     parameters: dict[str, EstimateDocument]
     cases: list[CaseDocument] = []
     n_eff: Number = math.nan
@@ -333,6 +341,8 @@ class CandidateDocument(Document):
     """A candidate effect with its score."""
 
     effect: str
+    words: str
+    symbol: str
     kind: str
     score: Number
     delta_bic: Number
@@ -340,6 +350,7 @@ class CandidateDocument(Document):
     significant: Flag
     held_out_gain: Number
     indistinguishable_from: list[str]
+    indistinguishable_words: list[str]
     parameters: dict[str, EstimateDocument]
     law: str
 
@@ -362,6 +373,13 @@ class NuisanceDocument(Document):
     stderr: Number
     unit: str
     p_value: Number
+
+
+class NamedNuisance(NuisanceDocument):
+    """The same with the name of the effect in words, and the symbol of its amplitude."""
+
+    words: str
+    symbol: str
 
 
 class WhitenessDocument(Document):
@@ -403,6 +421,12 @@ class UpperLimitDocument(Document):
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
 
 
+class NamedUpperLimit(UpperLimitDocument):
+    """The same with the name of the effect in words."""
+
+    words: str
+
+
 class DifferenceBetweenRecordings(Document):
     """A parameter shared by the recordings that differs between them; its value in each of them, by label.
 
@@ -429,9 +453,9 @@ class DiagnosisDocument(Document):
     explained: float | None = None
     form_limit: float | None = None
     remainder: RemainderDocument | None = None
-    nuisance: list[NuisanceDocument] = []
+    nuisance: list[NamedNuisance] = []
     next_experiment: str
-    upper_limits: list[UpperLimitDocument] = []
+    upper_limits: list[NamedUpperLimit] = []
     differs: DifferenceBetweenRecordings | None = None
     whiteness: list[WhitenessDocument]
     energy_drift: dict[str, Number]
@@ -472,6 +496,7 @@ class EffectLimitsDocument(Document):
     """
 
     effect: str
+    words: str
     kind: str
     symbol: str
     unit: str
@@ -527,6 +552,7 @@ class StepDocument(Document):
 
     fit_id: str
     added: str
+    words: str = ""
     model: list[str]
     samples: int = 0
     n_eff: Number = math.nan
@@ -635,6 +661,7 @@ class StoredCertificate(Document):
     n: int
     seed: int
     film: bool = False
+    body: str = "casing"
     verdict: str
     named: tuple[str, ...] = ()
     score: Number = 0.0

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
     from gyrotrack.io._records import BodyTrack, Case, MarkerTrack, Recording, Series
     from gyrotrack.io.readers._import_case import import_body, import_case
+    from gyrotrack.plotting._ghost import Ghost, ghosts
     from gyrotrack.tracking._profile import Profile
     from gyrotrack.tracking._proposal import Proposal, propose
 
@@ -50,6 +51,7 @@ _MODULES = {
     "gyrotrack.apps._study": ("FitRequest", "Study", "open_study"),
     "gyrotrack.apps.report._page": ("write_report",),
     "gyrotrack.io._contents": ("export_file",),
+    "gyrotrack.plotting._ghost": ("Ghost", "ghosts"),
     "gyrotrack.io._hdf5": ("read_case", "read_recording", "write_case", "write_recording"),
     "gyrotrack.io._records": ("BodyTrack", "Case", "MarkerTrack", "Recording", "Series"),
     "gyrotrack.io.readers._import_case": ("import_body", "import_case"),
@@ -59,10 +61,10 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BodyTrack", "Case", "ConfigurationError", "DatasetError", "FitRequest", "GyrotrackError",
+    "BodyTrack", "Case", "ConfigurationError", "DatasetError", "FitRequest", "Ghost", "GyrotrackError",
     "MarkerTrack", "OutputError", "Profile", "ProfileError", "Proposal", "Recording", "Series",
     "SimulatedRun", "Study", "SyncError", "TrackingError", "UsageError", "VideoError", "export_file",
-    "extract", "import_body", "import_case", "open_study", "propose", "read", "read_case", "read_recording",
+    "extract", "ghosts", "import_body", "import_case", "open_study", "propose", "read", "read_case", "read_recording",
     "sync", "write_case", "write_recording", "write_report",
 ]  # fmt: skip
 

@@ -30,7 +30,7 @@ def test_a_made_page_is_up_to_date(name):
 def test_no_effect_is_left_out():
     rows = (DOCS / "reference/effects.md").read_text(encoding="utf-8").splitlines()
     for name in LIBRARY:
-        assert sum(row.startswith(f"| {name} | `") for row in rows) == 1, name
+        assert sum(row.startswith(f"| {name} | {LIBRARY[name].words} | `") for row in rows) == 1, name
 
 
 def test_the_manual_says_how_each_format_is_imported():

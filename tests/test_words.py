@@ -47,6 +47,58 @@ REPLACED = {
     r"slant": "view correction",
 }
 PATTERN = re.compile(rf"\b(?:{'|'.join(REPLACED)})\b", re.IGNORECASE)
+# wordings of the glossary's left columns that must not be on any screen, and what to write instead
+SENTENCES = {
+    r"what would mend it": "candidate effects",
+    r"one bar a fit|a bar a rung": "one bar per fit",
+    r"as good as can be": "noise limit",
+    r"run in circles": "corrupt string heap",
+    r"times do not grow": "not strictly increasing",
+    r"no friction does that": "negative dissipation",
+    r"What it goes about|Say more on the way|Of all noise": "Centre of rotation, Verbose output, Random seed",
+    r"wrong with which": "fewer co-rotating",
+    r"From a place that": "if the hub is displaced by",
+    r"raised if the supposed": "raised when",
+    r"it errs as if": "its error behaves as if",
+    r"Times this share": "multiplied by this factor",
+    r"motion that is told": "motion that triggers a warning",
+    r"as if the camera shakes": "suggesting camera shake",
+    r"looks? alike after": "looks the same when rotated by",
+    r"lamp lights alike": "taken at the same flicker phase",
+    r"nothing coloured turns": "no coloured region rotates",
+    r"Tell which": "return a mask of",
+    r"should know": "warnings",
+    r"its own learnt": "a template averaged from this film",
+    r"The rest is sought|solved in vain": "look for the stop",
+    r"than the torque that it shows": "for a useful upper limit",
+    r"residuals pull": "the fit prefers X outside its bounds",
+    r"range that has no physical reason": "an arbitrary bound",
+    r"whose different values in the recordings explain": "whose per-recording values explain",
+    r"need not be exact": "do not prove the form",
+    r"refitted at any score": "always refitted",
+    r"goes with neither": "is not supported with",
+    r"the line that says so": "a confirmation line",
+    r"the regular end": "Ctrl-C quits",
+    r"Of a blank disc": "a blank disc cannot be tracked",
+    r"no deviation smaller than its torque": "any law of similar size",
+    r"(?<![Tt]here )is no (?:column|body|parameter|rotation)\b": "is not a parameter",
+    r"effectively \d|effectively \{": "equivalent independent samples",
+    r"\(remainder: ": "unmodelled torque, rms",
+    r"\brate - 1\b(?!\))": "clock error [ppm]",
+    r"added law": "difference, final minus base model",
+    r"\bartefacts?\b": "measurement effect",
+    r"other initial values": "same fit",
+    r"Save this fit in the ledger": "Keep this fit",
+    r"energy drift": "energy balance error",
+    r"in the rise|in the tail": "while speeding up, while slowing down",
+    r"cv error": "prediction error / noise",
+    r"Missing effect:": "Missing:",
+    r"its rotation explains": "tracking quality",
+    r"class A\b": "indistinguishable group A",
+    r"library does not have": "another law",
+    r"another reading of|Another reading": "an alternative interpretation",
+}
+SENTENCE = re.compile("|".join(f"(?:{k})" for k in SENTENCES))
 KEYS = {"rung"}  # of stored JSON documents
 # names that a module must not have: what a stranger cannot read
 NAMES = re.compile(
@@ -83,6 +135,28 @@ def test_messages_use_the_terms_of_the_glossary(path):
 def test_pages_use_the_terms_of_the_glossary(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     found = [f"line {n}: {m[0]!r}" for n, line in enumerate(lines, 1) if (m := PATTERN.search(line))]
+    assert not found, found
+
+
+# pages of the report and the workbench, and what draws on them
+SCREENS = sorted(
+    p
+    for kind in ("jinja", "typ", "js")
+    for p in (ROOT / "gyrotrack").rglob(f"*.{kind}")
+    if "vendor" not in p.parts
+)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_messages_have_no_wording_that_the_glossary_replaces(path):
+    found = [f"line {line}: {m[0]!r}" for line, text in _messages(path) if (m := SENTENCE.search(text))]
+    assert not found, found
+
+
+@pytest.mark.parametrize("path", [*SCREENS, *PAGES], ids=lambda p: str(p.relative_to(ROOT)))
+def test_screens_and_pages_have_no_wording_that_the_glossary_replaces(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    found = [f"line {n}: {m[0]!r}" for n, line in enumerate(lines, 1) if (m := SENTENCE.search(line))]
     assert not found, found
 
 

@@ -25,11 +25,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, Self
 
 from fitting._criteria import Criteria
-from fitting._display import block, headline, table
+from fitting._display import block, draw_answers, figure, figure_of, headline, table
 from fitting._errors import EstimationError, FittingError
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.effects._effect import Effect
+from fitting.effects._words import effect_name
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
@@ -38,6 +39,9 @@ from fitting.inference._replica import replica
 from fitting.inference._result import Fit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from fitting.discovery._select import Candidate
 
 Kind = Literal["null", "truth", "rival"]
@@ -120,6 +124,7 @@ class Certificate:
     outcomes: tuple[Outcome, ...] = field(repr=False)
     film: bool = False
     seed: int = 0
+    body: str = "casing"
 
     @classmethod
     def of_answer(
@@ -142,7 +147,8 @@ class Certificate:
         named: tuple[str, ...] = ()
         if best is not None and found.verdict == "missing_effect":
             named = (best.effect.name, *best.indistinguishable_from)
-        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed)
+        body = found.fit.problem.data[0].record.body
+        return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed, body)
 
     def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
         """Return the outcomes under one kind of hypothesis, or under a single one.
@@ -214,7 +220,8 @@ class Certificate:
         """The result in words."""
         null = len(self.of("null"))
         low, high = self.interval
-        what = f"without {self.named[0]}" if self.named else "of the fitted model"
+        name = str(effect_name(self.named[0], self.body)) if self.named else ""
+        what = f"without the {name}" if self.named else "of the fitted model"
         what = f"{what}, from rendered films on" if self.film else what
         interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
@@ -222,7 +229,7 @@ class Certificate:
             parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
         if self.right_first is not None and self.in_class is not None:
             parts.append(
-                f"Of {len(self.of('truth'))} with {self.named[0]}, {100 * self.right_first:.0f} % name it first and "
+                f"Of {len(self.of('truth'))} with it, {100 * self.right_first:.0f} % name it first and "
                 f"{100 * self.in_class:.0f} % name it or its class."
             )
         return " ".join(parts)
@@ -230,18 +237,57 @@ class Certificate:
     @property
     def rows(self) -> list[tuple[str, str, str]]:
         """Simulated effect, number of recordings and counted answers of each hypothesis, as texts."""
-        rows = []
-        for kind, effect in dict.fromkeys((o.kind, o.effect) for o in self.outcomes):
-            found = [o for o in self.outcomes if (o.kind, o.effect) == (kind, effect)]
-            answers = ", ".join(f"{name} {count}" for name, count in _counted(found).items())
-            rows.append((effect or "none", str(len(found)), answers))
-        return rows
+        return [
+            (
+                effect or "none",
+                str(len(found)),
+                "; ".join(f"{self._words(a)} {n}" for a, n in _counted(found).items()),
+            )
+            for effect, found in self._simulated
+        ]
+
+    @property
+    def _simulated(self) -> list[tuple[str, list[Outcome]]]:
+        """Each simulated effect in words, empty for none, with its outcomes."""
+        kinds = dict.fromkeys((o.kind, o.effect) for o in self.outcomes)
+        return [
+            (self._words(key[1]) if key[1] else "", [o for o in self.outcomes if (o.kind, o.effect) == key])
+            for key in kinds
+        ]
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the answers to the recordings of each simulated effect as shares of a bar (matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The new figure, or that of `ax`.
+        """
+        groups = [(effect or "no effect", _counted(found)) for effect, found in self._simulated]
+        drawn = figure_of(ax) if ax is not None else figure(8.0, 1.4 + 0.5 * len(groups))
+        draw_answers(
+            ax if ax is not None else drawn.subplots(),
+            [(f"{name} ({sum(counts.values())})", counts) for name, counts in groups],
+            {answer: self._words(answer) for _, counts in groups for answer in counts},
+        )
+        return drawn
+
+    def _words(self, answer: str) -> str:
+        return _VERDICT_WORDS.get(answer) or effect_name(answer, self.body).words
 
     def _repr_html_(self) -> str:
         columns = ("simulated effect", "recordings", "answers")
         return block(
             headline("certificate", self.sentence), table("simulated recordings", columns, self.rows)
         )
+
+
+_VERDICT_WORDS = {"adequate": "no effect"}
 
 
 def _counted(outcomes: Sequence[Outcome]) -> dict[str, int]:

@@ -23,6 +23,7 @@ from fitting.discovery._grammar import description_length
 from fitting.discovery._refine import refitted_at
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score, score_of_columns
 from fitting.effects._effect import Effect
+from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
@@ -54,8 +55,9 @@ class DifferentParameter:
             f"{label} minus {first} {rounded(e.value, e.stderr, e.unit)}"
             for label, e in self.differences.items()
         ]
+        alike = " or ".join(str(effect_name(n)) for n in (self.name, *self.indistinguishable_from))
         return (
-            f"The recordings may differ in {' or '.join((self.name, *self.indistinguishable_from))} "
+            f"The recordings may differ in {alike} "
             f"({', '.join(values)}): with its own value in each recording the model "
             f"describes the data without another law; fit with `--per-case {self.name}`."
         )

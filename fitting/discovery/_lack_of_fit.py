@@ -381,7 +381,7 @@ def _harmonic_law(order: int) -> Effect:
 
 # rivals that are not effects of the library
 _SPEEDS: tuple[tuple[Joint, str], ...] = (("casing", "omega_c"), ("rotor", "omega_r"), ("bearing", "delta"))
-UNKNOWN_LAWS = {speed: f"a law of {speed} that the library does not have" for _, speed in _SPEEDS}
+UNKNOWN_LAWS = {speed: f"another law of {speed}" for _, speed in _SPEEDS}
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 
 

@@ -73,6 +73,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._library import GENERAL
+from fitting.effects._words import CASING, effect_name
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit, measured_with
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
@@ -287,8 +288,10 @@ def _laws(
     if named is not None and not search.improves_on(named):
         depends_on = tuple(dependence(base))
         steps.done()
+        members = (base.name(named.effect), *map(base.name, named.indistinguishable_from))
+        names = " or ".join(map(str, members))
         sentence = (
-            f"{' or '.join((named.effect.name, *named.indistinguishable_from))} of the library explains the "
+            f"{_capital(names)} explains the "
             "unmodelled torque, and nothing significant remains: no other law is needed."
         )
         return Laws(base, "library", sentence, (), named, depends_on, "", search.trials, diagnosis)
@@ -297,7 +300,10 @@ def _laws(
     depends_on = tuple(dependence(found[0].fit if found else base, without=terms))
     steps.done()
     if not found:
-        verdict, sentence = "none", _nothing_sentence(base.model, depends_on, criteria)
+        verdict, sentence = (
+            "none",
+            _nothing_sentence(base.model, depends_on, criteria, base.problem.data[0].record.body),
+        )
         known = None if separate is None else separate.parameter
         if known is not None:
             verdict, sentence = "parameter", known.sentence
@@ -787,18 +793,25 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
     return None
 
 
-def _nothing_sentence(model: Model, depends_on: Sequence[Dependence], criteria: Criteria) -> str:
+def _nothing_sentence(
+    model: Model, depends_on: Sequence[Dependence], criteria: Criteria, body: str = CASING
+) -> str:
     """Return what a search without a law means; effects that were added before may imitate the law."""
     if not depends_on or depends_on[0].p_value >= criteria.significance:
         return "No law is significant: this search finds nothing beyond noise."
     sentence = f"No law improves this fit, although its unmodelled torque depends on {depends_on[0].words}."
     added = [e.name for e in model.effects if e.kind == "physical" and e.name not in GENERAL]
     if added:
+        names = " and ".join(str(effect_name(n, body)) for n in added)
         sentence += (
-            f" It contains {' and '.join(added)}, which may imitate the law: search again from the fit without "
+            f" It contains {names}, which may imitate the law: search again from the fit without "
             "added effects (`--from f1`)."
         )
     return sentence
+
+
+def _capital(text: object) -> str:
+    return f"{str(text)[:1].upper()}{str(text)[1:]}"
 
 
 def _sentence(found: Laws, criteria: Criteria) -> str:
@@ -807,7 +820,8 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
         parts.append(found.differs.sentence)
     if found.library is not None:
         parts.append(
-            f"{found.library.effect.name} of the library describes the data as well as any law found: it comes first."
+            f"{_capital(found.fit.name(found.library.effect))} of the library describes the data as well as any law "
+            "found: it comes first."
         )
     best, depends_on = found.laws[0], found.depends_on
     # in a single run two variables may be nearly functions of each other: then the variable of the law is named

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting.discovery._score import Score, ScoreContext
-from fitting.effects._effect import Effect, Parameter
+from fitting.effects._library import SLIP, START
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to
@@ -36,16 +36,6 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-START = Effect(
-    "camera.start", "camera.rotor", "dt*omega", (Parameter("dt", "s", meaning="error of the start of a window"),),
-    kind="measurement", signature="each rotor window is shifted in time by its own amount",
-    confused_with=("camera.offset",), source="first order of psi(t + dt)", searched=False,
-)  # fmt: skip
-SLIP = Effect(
-    "camera.slip", "camera.rotor", "n*omega", (Parameter("n", "1", meaning="whole turns that slipped"),),
-    kind="measurement", signature="a step of whole turns between two samples", source="an integer of turns",
-    searched=False,
-)  # fmt: skip
 _LEVELS = 21
 
 

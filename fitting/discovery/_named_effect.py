@@ -45,6 +45,7 @@ from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY
+from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import (
     block_diagonal,
@@ -235,9 +236,10 @@ class InertiaRival:
         stated = (
             f"standard uncertainty {100 * self.stated:.2g} %" if self.stated > 0 else "no uncertainty stated"
         )
+        name = effect_name(self.effect)
         return (
-            f"With I_casing/I_rotor {_percent_off(self.share)} than given ({stated}), {self.effect} describes the data "
-            f"{'better' if self.better else 'as well'}: check the moments of inertia."
+            f"With I_casing/I_rotor {_percent_off(self.share)} than given ({stated}), the {name} describes the "
+            f"data {'better' if self.better else 'as well'}: check the moments of inertia."
         )
 
 

@@ -216,7 +216,7 @@ def fit_together(
     converged.
     """
     begin = base.values | initial_values_of(base, score)
-    how = "" if start is None else " from other initial values"
+    how = "" if start is None else " from another start of the search"
     with attempt(f"a candidate{' with its strength held at first' if hold_strength else how}"):
         found = fit(
             base.model.with_effect(score.effect),

@@ -369,9 +369,11 @@ def grade(
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:
             # where the base absorbs most of a law, a small deviation from it is a large part of the rest
-            share, rms, whole = of_law, difference, f"torque of {e.name}"
-    parts = [f"shape of {e.name}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free]
-    parts += [f"second effect {', '.join(others)}"] if others else []
+            share, rms, whole = of_law, difference, f"torque of the {end.name(e).words}"
+    parts = [
+        f"shape of the {end.name(e).words}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free
+    ]
+    parts += [f"second effect {'; '.join(str(end.name(n)) for n in others)}"] if others else []
     of_angle = torques.of_angle(selection.named) if slow else 0.0
     if of_angle > 0:
         parts.append(f"a torque of the angle of {format_torque(of_angle, unit=base.torque_unit)} rms")
@@ -491,6 +493,8 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
         for name, places in CAMERA_COLUMNS.items():
+            if not data.camera_columns[:, list(places)].any():
+                continue
             at = [first + i for i in places]
             pair, cov = value[at], covariance[np.ix_(at, at)]
             amplitude = float(np.hypot(*pair))

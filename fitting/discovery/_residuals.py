@@ -376,11 +376,17 @@ def _place(curve: ResidualTorque, a: int, b: int) -> str:
     if a == 0 and b == len(curve.time):
         return "throughout"
     if peak < _AT_START * len(curve.time):  # the body only slows down
-        return "at the start" if a <= peak else "in the tail" if a > len(curve.time) // 2 else "in the middle"
+        return (
+            "at the start"
+            if a <= peak
+            else "while slowing down"
+            if a > len(curve.time) // 2
+            else "in the middle"
+        )
     if a <= peak < b:
         near = np.abs(curve.omega_c[a:b]).min() > 0.9 * abs(curve.omega_c[peak])
         return "near the peak" if near else "around the peak"
-    return "in the rise" if b <= peak else "in the tail"
+    return "while speeding up" if b <= peak else "while slowing down"
 
 
 def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:

@@ -22,7 +22,7 @@ from fitting._errors import FittingError
 from fitting._numbers import rounded, short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
-from fitting.discovery._measurement import START, StartErrors, starts_are_unknown
+from fitting.discovery._measurement import StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._refine import (
     fit_from_scratch,
@@ -40,7 +40,7 @@ from fitting.discovery._refine import (
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
 from fitting.effects._effect import Effect
 from fitting.effects._expression import substitute, sym
-from fitting.effects._library import LIBRARY
+from fitting.effects._library import LIBRARY, START
 from fitting.effects._user import drives
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit, measured_with
@@ -427,7 +427,7 @@ def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
     """Return the reason why the strength of an effect is not determined, as a sentence; empty if it is."""
     name, amplitude = effect.name, effect.amplitude
     if not fit.converged:
-        return f"The fit with {name} did not converge"
+        return f"The fit with {fit.name(effect)} did not converge"
     for key, e in fit.estimates.items():
         is_strength = amplitude is not None and key.partition("@")[0] == f"{name}.{amplitude.symbol}"
         if is_strength and math.isfinite(e.stderr) and not abs(e.value) >= criteria.named_sigma * e.stderr:
@@ -507,7 +507,7 @@ class History(list[Step]):
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
-        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'cv error':>10}  verdict"]
+        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'prediction':>11}  verdict"]
         for s in self:
             numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.reduced_chi2:>11.4g}{s.fit.held_out:>10.4g}"
             lines.append(f"{s.change or 'base':<{width}}{numbers}  {s.fit.verdict}")

@@ -42,7 +42,7 @@ from fitting.discovery._lack_of_fit import (
     significant_peak,
     smooth_test,
 )
-from fitting.discovery._measurement import SLIP, START, slip_estimates
+from fitting.discovery._measurement import slip_estimates
 from fitting.discovery._named_effect import (
     FormTest,
     InertiaRival,
@@ -76,6 +76,8 @@ from fitting.discovery._select import (
     separate_values,
 )
 from fitting.effects._effect import Effect
+from fitting.effects._library import SLIP, START
+from fitting.effects._words import effect_name
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
 from fitting.inference._params import Estimate
@@ -198,7 +200,7 @@ class Diagnosis:
         if shown:
             draw_candidates(
                 axes[-1],
-                [c.effect.name for c in shown],
+                [self.fit.name(c.effect).words for c in shown],
                 [c.score for c in shown],
                 significant=[c.significant for c in shown],
                 physical=[c.physical for c in shown],
@@ -234,11 +236,11 @@ class Diagnosis:
         ]
         candidates = [
             (
-                c.effect.name + ("" if c.physical else " (artefact)"),
+                str(self.fit.name(c.effect)) + ("" if c.physical else ", measurement effect"),
                 short(c.score),
                 short(c.delta_bic),
                 probability(c.p_value),
-                ", ".join(c.indistinguishable_from) or "–",
+                "; ".join(self.fit.name(n).words for n in c.indistinguishable_from) or "–",
             )
             for c in self.candidates[:_MOST_CANDIDATES]
             if c.score > 0
@@ -255,7 +257,13 @@ class Diagnosis:
             )
             parts.append(table("significant lack of fit", where, failures))
         if candidates:
-            columns = ("effect", "score", "ΔBIC", "p", "indistinguishable from")
+            columns = (
+                "effect",
+                "improvement of χ²",
+                "ΔBIC",
+                "false-alarm probability",
+                "indistinguishable from",
+            )
             title = "tested, not needed" if self.verdict == "adequate" else "candidate effects"
             parts.append(table(title, columns, candidates))
         if self.next_experiment:
@@ -447,7 +455,7 @@ def _undetermined(selection: Selection, criteria: Criteria) -> str:
     if chosen is None or chosen.effect is START:
         return ""
     why = reason_undetermined(chosen.effect, selection.named, criteria)
-    return f"{why}, so {chosen.effect.name} is a hint only." if why else ""
+    return f"{why}, so {selection.final.name(chosen.effect)} is a hint only." if why else ""
 
 
 def _random_alternative(
@@ -492,8 +500,8 @@ def _undecided(
         parts.append(hint)
     if random is not None:
         chosen = selection.chosen
-        names = [] if chosen is None else [chosen.effect.name, *chosen.indistinguishable_from]
-        rivals = f" as well as {', '.join(names)}" if names else ""
+        names = [] if chosen is None else _class_names(selection, chosen)
+        rivals = f" as well as {'; '.join(names)}" if names else ""
         words = f"{random.words[0].upper()}{random.words[1:]}"
         level = (
             "without the model the recording does not establish its level"
@@ -615,13 +623,15 @@ def _sentence(
         parts = [f"The residuals are consistent with noise; {answer}."]
         if hidden:
             unit = fit.torque_unit
-            limits = ", ".join(f"{u.effect} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden)
+            limits = "; ".join(
+                f"{fit.name(u.effect)} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden
+            )
             parts.append(
                 f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
             )
         else:
             parts.append(
-                "The recording is too short or too noisy to limit another effect to less than the torque that it shows."
+                "The recording is too short or too noisy for a useful upper limit of another effect."
             )
     else:
         parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
@@ -641,16 +651,17 @@ def _unexplained(
     criteria: Criteria,
 ) -> list[str]:
     chosen = selection.chosen
+    name = "" if chosen is None else selection.final.name(chosen.effect)
     nothing = _nothing_explains(selection)
     if isinstance(doubt, PeriodogramPeak):
-        after = "" if chosen is None else f" after {chosen.effect.name}"
+        after = "" if chosen is None else f" after {name}"
         return [
             f"The residual torque{after} {doubt.words} (p = {doubt.p_value:.1g}).",
             f'{nothing}: add "{doubt.law}" as a hypothesis and diagnose again.',
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None and size.unknown:
         share = f"{percentage(max(size.explained, 0.0))} of the mean square unmodelled torque"
-        closest = f"the closest one, {chosen.effect.name} ({share})"
+        closest = f"the closest one, {name}, with {share}"
         return [
             f"No effect of the library explains it: a smooth law of {size.unknown} explains more than {closest}.",
             "`gyrotrack laws` lists such laws.",
@@ -668,9 +679,9 @@ def _unexplained(
         # its share alone would suffice if its strength were determined
         but = ", but with an undetermined strength" if size.form is not None else ""
         return [
-            f"No effect of the library explains it; the closest, {chosen.effect.name}, explains {share}{but}.",
+            f"No effect of the library explains it; the closest, {name}, explains {share}{but}.",
             size.remainder.sentence,
-            f"A second effect is missing, or a law that is not in the library: {chosen.effect.name} is a hypothesis.",
+            f"A second effect is missing, or a law that is not in the library: {name} is a hypothesis.",
         ]
     if doubt is not None:
         return [
@@ -696,31 +707,29 @@ def _nothing_explains(selection: Selection) -> str:
     waiting = max((c for c in selection.candidates if c.significant), key=lambda c: c.score, default=None)
     if waiting is None or any(c.fit is not None for c in selection.candidates):
         return "No effect of the library explains it"
-    return (
-        f"No effect of the library was fitted to it (`gyrotrack improve` begins with {waiting.effect.name})"
-    )
+    name = selection.final.name(waiting.effect)
+    return f"No effect of the library was fitted to it (`gyrotrack improve` begins with {name})"
 
 
 def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]:
     chosen = selection.chosen
     if chosen is None:
         return []
-    names = [chosen.effect.name, *chosen.indistinguishable_from]
+    names = _class_names(selection, chosen)
     if chosen.effect is START:
-        return _start_errors(chosen)
-    what = "effect" if chosen.physical else "measurement effect"
-    close = "close to " if size.form == "approximate" else ""
-    if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(names[1:]):
+        return _start_errors(chosen, names[1:])
+    what = "Missing" if chosen.physical else "Fault of the measurement"
+    close = "a law close to " if size.form == "approximate" else ""
+    if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(chosen.indistinguishable_from):
         others = ", or ".join(names[1:])
         parts = [
-            f"The missing effect is {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
+            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
         ]
     elif len(names) == 1:
-        parts = [f"The missing {what} is {close}{names[0]}{_strength(chosen)}."]
-    elif close:
-        parts = [f"A law close to {', '.join(names)} is missing; this data cannot separate them."]
+        parts = [f"{what}: {close}{names[0]}{_strength(chosen)}."]
     else:
-        parts = [f"One of {', '.join(names)} is missing; this data cannot separate them."]
+        one = f"{close}one of these effects, which this data cannot separate"
+        parts = [f"{what}: {one}: {'; '.join(names)}."]
     if chosen.own_phase:
         keys = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
         parts.append(
@@ -739,7 +748,14 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     return parts
 
 
-def _start_errors(chosen: Candidate) -> list[str]:
+def _class_names(selection: Selection, chosen: Candidate) -> list[str]:
+    """Return the chosen effect and those that are indistinguishable from it, in words with their keys."""
+    known = {c.effect.name: c.effect for c in selection.candidates}
+    alike = [known.get(n, n) for n in chosen.indistinguishable_from]
+    return [str(selection.final.name(e)) for e in (chosen.effect, *alike)]
+
+
+def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
     """Return the answer where the starts of the rotor windows, about which nothing is stated, may be wrong."""
     errors = [e.value for e in chosen.estimates.values()]
     rms = 1e3 * math.sqrt(sum(x**2 for x in errors) / len(errors))
@@ -747,10 +763,9 @@ def _start_errors(chosen: Candidate) -> list[str]:
         f"Errors of the starts of the rotor windows (camera.start) of {rms:.2g} ms rms explain it; nothing is stated "
         "about them: import the recording with --start-u."
     )
-    if not chosen.indistinguishable_from:
+    if not others:
         return [sentence]
-    others = ", ".join(chosen.indistinguishable_from)
-    return [sentence, f"This data cannot separate them from {others}: no effect is established."]
+    return [sentence, f"No effect is established; this data cannot separate them from: {'; '.join(others)}."]
 
 
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
@@ -758,12 +773,12 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
     if test.is_strong(criteria):
         return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
-        pulled = f"the residuals pull {', '.join(test.bounds)} beyond its bound"
+        pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
         return ["The form is not established: the other parameters absorb every deviation from it."]
     if test.limit >= 1:
-        return ["The form is not established: no deviation smaller than its torque itself would be detected."]
+        return ["The form is not established: any law of similar size and shape would fit equally well."]
     limit = f"{100 * test.limit:.2g} % of its torque"
     return [f"The form is not established: only a deviation above {limit} would be detected."]
 
@@ -779,12 +794,8 @@ def _active_bounds(fit: Fit) -> list[str]:
     return [f"Active bound: {', '.join(at_bound)}; the law there may be another one."] if at_bound else []
 
 
-_NUISANCE = {
-    "camera.centre": "Camera centre offset",
-    "camera.tilt": "Camera tilt",
-    "camera.shutter": "Rolling shutter",
-    "camera.blur": "Motion blur",
-}
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
@@ -795,7 +806,8 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_NUISANCE[n.effect]} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
+        f"{_capital(effect_name(n.effect).words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} "
+        "(nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

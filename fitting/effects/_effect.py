@@ -281,6 +281,8 @@ class Effect:
         Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
     inputs : tuple of (str, str)
         Names and units of the recorded inputs in the law.
+    words : str
+        The name in words, of the casing: "quadratic air drag of the casing".
     """
 
     name: str
@@ -302,6 +304,7 @@ class Effect:
     inputs: tuple[tuple[str, str], ...] = ()
     second: State | None = None
     contact: bool = False
+    words: str = ""
 
     def __repr__(self) -> str:
         units = ", ".join(f"{p.symbol} [{p.unit}]" for p in self.parameters)

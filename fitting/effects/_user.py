@@ -71,6 +71,7 @@ def formula(
     per_case: bool = False,
     rate: str = "",
     inputs: Mapping[str, str] | None = None,
+    words: str = "",
 ) -> Effect:
     """Return an effect from a law; parameters that are not declared are found in the law.
 
@@ -119,6 +120,7 @@ def formula(
         per_case=per_case,
         state=State("lag", rate) if rate else None,
         inputs=driving,
+        words=words,
     )
     _check(effect)
     return effect
@@ -303,6 +305,13 @@ def _hint() -> str:
     return "a law may contain t, omega_r, omega_c, psi_r, psi_c, delta, deflection and recorded inputs"
 
 
+_DRIVES = {
+    "rotor": "torque on the rotor proportional to {}",
+    "casing": "torque on the casing proportional to {}",
+    "bearing": "torque between the bodies proportional to {}",
+}
+
+
 def drive(joint: str, name: str, unit: str) -> Effect:
     """Return the torque on a body that is proportional to a recorded input, ``casing.input.current`` for example."""
     return Effect(
@@ -317,6 +326,7 @@ def drive(joint: str, name: str, unit: str) -> Effect:
                 meaning=f"torque per unit of {name}",
             ),
         ),
+        words=_DRIVES[joint].format(name),
         signature=f"the torque follows the recorded input {name}",
         inputs=((name, unit),),
     )
@@ -330,6 +340,7 @@ def dead_time(name: str, unit: str) -> Effect:
         "T",
         (Parameter("T", "s", lower=0.0, meaning=f"time after which {name} acts"),),
         kind="measurement",
+        words=f"dead time of the input {name}",
         signature=f"every change of the motion follows the recorded input {name} late by the same time",
         inputs=((name, unit),),
     )
@@ -351,7 +362,7 @@ _KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
 _PARAMETER_KEYS = dict.fromkeys(("lower", "upper", "start"), "") | {
     "unit": "text", "meaning": "text", "grid": "a list", "shape": "true or false"
 }  # fmt: skip
-_EFFECT_KEYS = dict.fromkeys(("name", "body", "law", "rate", "signature", "source"), "text") | {
+_EFFECT_KEYS = dict.fromkeys(("name", "body", "law", "rate", "signature", "source", "words"), "text") | {
     "parameters": "a table", "inputs": "a table", "per_case": "true or false"
 }  # fmt: skip
 
@@ -411,10 +422,11 @@ def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[st
 def read_effects(path: Path) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table an effect.
 
-    Each has ``name``, ``body``, ``law`` and optionally ``rate`` (of the state variable ``lag``), ``signature``,
-    ``source``, ``per_case``, ``inputs`` with the units of the recorded inputs in the law (``{current = "A"}``), and
-    ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``, ``start``, ``grid``, ``meaning``,
-    and ``shape = true`` for a parameter that is not to be taken as the law's strength.
+    Each has ``name``, ``body``, ``law`` and optionally ``words`` (the name in words), ``rate`` (of the state
+    variable ``lag``), ``signature``, ``source``, ``per_case``, ``inputs`` with the units of the recorded inputs in
+    the law (``{current = "A"}``), and ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``,
+    ``start``, ``grid``, ``meaning``, and ``shape = true`` for a parameter that is not to be taken as the law's
+    strength.
 
     Parameters
     ----------
@@ -467,7 +479,7 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         except ExpressionError as fault:
             raise EffectError(f"{where}, parameter {symbol}: {fault.message}", fault.hint) from None
         declared[symbol] = keys | ({"unit": unit} if "unit" in keys else {})
-    more = {k: table[k] for k in ("rate", "signature", "source", "per_case") if k in table}
+    more = {k: table[k] for k in ("rate", "signature", "source", "per_case", "words") if k in table}
     try:
         for name, unit in table.get("inputs", {}).items():
             refuse_input_name(name)

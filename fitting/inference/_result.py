@@ -32,7 +32,10 @@ from fitting._display import (
 from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
 from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect
+from fitting.effects._words import EffectName, effect_name
 from fitting.inference._angle_noise import AngleNoise
+from fitting.inference._angle_residuals import AngleResidual, angle_residuals
 from fitting.inference._case import outward
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import covariance_of
@@ -215,7 +218,7 @@ class FitSummary:
 
 def summary_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'cv error':>11}"]
+    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'prediction':>11}"]
     for case in fit.cases:
         single = math.isnan(case.rotor.rmse)
         for name, body in (("body" if single else "casing", case.casing), ("rotor", case.rotor)):
@@ -226,7 +229,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
                 f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
             )
     lines.append(
-        f"energy drift {max(c.energy_drift for c in fit.cases):.2g}, "
+        f"energy balance error {max(c.energy_drift for c in fit.cases):.2g}, "
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
     )
     noises = getattr(fit, "noise", ())
@@ -641,6 +644,27 @@ class Fit(FitSummary):
     def torque_unit(self) -> str:
         """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
         return self.problem.layout.torque_unit
+
+    def angle_residuals(self, case: int) -> tuple[AngleResidual, ...]:
+        """Return the residual angle of a case's casing, or single body, and of its rotor in each window.
+
+        Parameters
+        ----------
+        case : int
+            Index of the case.
+
+        Raises
+        ------
+        EstimationError
+            If speeds were fitted, not angles.
+        """
+        return angle_residuals(self, case)
+
+    def name(self, effect: Effect | str) -> EffectName:
+        """Return an effect or a parameter by its name, for a reader; see `fitting.effect_name`."""
+        own = () if isinstance(effect, str) else (effect,)
+        key = effect if isinstance(effect, str) else effect.name
+        return effect_name(key, self.problem.data[0].record.body, (*own, *self.model.effects))
 
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
         """Return the residual speed of a case's casing, and of its rotor in each window.

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 ROTOR, CASING = 0, 1
 
 
-class _Fitted(Protocol):
+class Fitted(Protocol):
     """The state of a `Fit`, on which all speeds depend."""
 
     @property
@@ -43,7 +43,7 @@ class _Fitted(Protocol):
     def covariance(self) -> Array: ...
 
 
-def modelled_speed(fit: _Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
+def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
     """Return the modelled speed of a body and its uncertainty sqrt(s' C s) by the sensitivities s [rad/s]."""
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
@@ -90,26 +90,34 @@ class SpeedMap:
             first = rows.stop
             self.parts.append((rows, *_slopes(run, _PARTS[body], is_angle=data.is_angle)))
 
+    def without_nuisance(self, rows: Array) -> Array:
+        """Return rows in their own units without the part that the nuisance columns explain."""
+        return self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
+
     def __call__(self, rows: Array) -> list[Array]:
         """Return the mean residual speed in each part of the casing, and of each rotor window [rad/s]."""
-        found = self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
+        found = self.without_nuisance(rows)
         return [d @ found[where] for where, _, _, d in self.parts]
 
 
-def speed_residuals(fit: _Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
+def speed_residuals(fit: Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
     """Return the residual speed of the casing, and of the rotor in each of its windows."""
-    data, noise = fit.problem.data[case], fit.noise[case]
-    prediction = fit.predictions[case]
-    moving = ~fit.problem.layout.at_bound(fit.theta)
-    free = np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1)
-    to_speeds = SpeedMap(fit.problem, noise, case)
-    values = to_speeds(data.z - prediction.rows)
-    spread = data.unwhitened(_spread(noise.whitener.at(noise.pure), free))
+    data, to_speeds = fit.problem.data[case], SpeedMap(fit.problem, fit.noise[case], case)
+    values = to_speeds(data.z - fit.predictions[case].rows)
+    spread = spread_of_rows(fit, case)
     found = [
         SpeedResidual(time, width, value, np.linalg.norm(d @ spread[rows], axis=1))
         for value, (rows, time, width, d) in zip(values, to_speeds.parts, strict=True)
     ]
     return found[0], tuple(found[1:])
+
+
+def spread_of_rows(fit: Fitted, case: int) -> Array:
+    """Return a root of the covariance of the residual rows of a case, in their own units (rows, rows)."""
+    data, noise = fit.problem.data[case], fit.noise[case]
+    moving = ~fit.problem.layout.at_bound(fit.theta)
+    free = np.concatenate([fit.predictions[case].jacobian[:, moving], data.nuisance], axis=1)
+    return data.unwhitened(_spread(noise.whitener.at(noise.pure), free))
 
 
 def _spread(whitener: Whitener, free: Array) -> Array:

@@ -156,7 +156,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _metrics_head() -> str:
-    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'chi2/n':>10}{'cv error':>10}{'predicted':>11}{'energy':>10}"
+    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'chi2/n':>10}{'predict.':>10}{'predicted':>11}{'energy':>10}"
 
 
 def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
@@ -317,7 +317,7 @@ _FIGURES_OF_MERIT = (
     r"$R^2$ for $\dot\psi_c$",
     r"reduced $\chi^2$ for $\dot\psi_c$",
     "cross-validation error",
-    "energy drift",
+    "energy balance error",
 )
 
 

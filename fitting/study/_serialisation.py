@@ -38,6 +38,7 @@ from fitting._schema import (
     EstimateDocument,
     FirstOrderDocument,
     FitDocument,
+    NameDocument,
     NoiseDocument,
     Number,
     ParameterBudgetDocument,
@@ -81,6 +82,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
+from fitting.effects._words import change_name, effect_name
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
@@ -128,6 +130,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
     document = FitDocument(
         fit_id=fit_id,
         model=list(fit.model.names),
+        names={e.name: NameDocument(**_in_words(fit, e)) for e in fit.model.effects},
         parameters={
             k: EstimateDocument.model_validate(e if reliable else replace(e, stderr=math.nan))
             for k, e in fit.estimates.items()
@@ -171,6 +174,7 @@ def certificate_document(found: Certificate) -> dict[str, Any]:
         "n": found.n,
         "verdict": found.verdict,
         "named": list(found.named),
+        "named_words": [effect_name(n, found.body).words for n in found.named],
         "sentence": found.sentence,
         "null": {
             "n": len(found.of("null")),
@@ -198,7 +202,14 @@ def restored_certificate(stored: StoredCertificate) -> Certificate | None:
         return None
     outcomes = tuple(Outcome(**o.model_dump()) for o in stored.outcomes)
     return Certificate(
-        stored.n, stored.verdict, stored.named, stored.score, outcomes, film=stored.film, seed=stored.seed
+        stored.n,
+        stored.verdict,
+        stored.named,
+        stored.score,
+        outcomes,
+        film=stored.film,
+        seed=stored.seed,
+        body=stored.body,
     )
 
 
@@ -207,7 +218,7 @@ def plan_document(found: Plan) -> dict[str, Any]:
     document = PlanDocument.model_validate(
         vars(found)
         | {
-            "effects": [_limits(e) for e in found.effects],
+            "effects": [_limits(e) | {"words": found.fit.name(e.effect).words} for e in found.effects],
             "next_run": _next_run(found.next_run) if found.next_run is not None else None,
             "power_wanted": POWER,
             "confidence": CONFIDENCE,
@@ -262,7 +273,9 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
         vars(d)
         | {
             "fit_id": fit_id,
-            "candidates": [_candidate(c) for c in d.candidates],
+            "candidates": [_candidate(c, d) for c in d.candidates],
+            "nuisance": [vars(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
+            "upper_limits": [vars(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
             "differs": difference_document(d.differs),
             "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
             "residual_torque": [_torque(t) for t in d.torques],
@@ -299,9 +312,25 @@ def _ripple(r: AngleHarmonics) -> dict[str, Any]:
     return {"label": r.label} | {k: to_json(v) for k, v in columns.items()}
 
 
-def _candidate(c: Candidate) -> dict[str, Any]:
-    law = f"{c.effect.joint}: {c.effect.law}"
-    return vars(c) | {"effect": c.effect.name, "kind": c.effect.kind, "parameters": c.estimates, "law": law}
+def _candidate(c: Candidate, d: Diagnosis) -> dict[str, Any]:
+    known = {o.effect.name: o.effect for o in d.candidates}
+    return (
+        vars(c)
+        | _in_words(d.fit, c.effect)
+        | {
+            "effect": c.effect.name,
+            "kind": c.effect.kind,
+            "parameters": c.estimates,
+            "law": f"{c.effect.joint}: {c.effect.law}",
+            "indistinguishable_words": [d.fit.name(known.get(n, n)).words for n in c.indistinguishable_from],
+        }
+    )
+
+
+def _in_words(fit: Fit, effect: Effect | str) -> dict[str, str]:
+    """Return the name of an effect in words and its symbol, as parts of a document."""
+    name = fit.name(effect)
+    return {"words": name.words, "symbol": name.symbol}
 
 
 class TermDocument(Document):
@@ -472,6 +501,7 @@ def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> di
         | {
             "fit_id": fit_id,
             "added": added,
+            "words": change_name(added, fit.problem.data[0].record.body, fit.model.effects),
             "model": fit.model.names,
             "delta_bic": fit.bic - previous.bic if previous is not None else 0.0,
             "energy_drift": max(c.energy_drift for c in fit.cases),

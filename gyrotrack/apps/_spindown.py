@@ -299,7 +299,7 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     if requested is not None:
         if not (math.isfinite(requested) and requested > 0):
             raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
-        return requested, "asked for", []
+        return requested, "--capture-fps", []
     if film.info.tag_fps is not None:
         return film.info.tag_fps, "tag of the camera", []
     fps = film.info.container_fps
@@ -738,10 +738,11 @@ def _drive(read: Source) -> Drive | None:
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
     """Raise an error for a rotation without acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
+    from fitting._numbers import rounded
 
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
         raise FittingError(
-            f"the angular acceleration, {motion.alpha.value:.2g} +- {motion.alpha.stderr:.1g} rad/s2, is consistent "
+            f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
             "with zero."
         )
     if motion.kind != "oscillation":

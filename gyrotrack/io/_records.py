@@ -539,13 +539,15 @@ def _part(labels: Mapping[str, str], table: Table, values: Mapping[str, Any]) ->
 
 _VALUE = r"[+]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _INERTIA = re.compile(
-    rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
+    rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?P<first>[a-zµ][^+±]*?)\s*(?=\+-|\+/-|±))?(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
     re.IGNORECASE,
 )
 _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
-_INERTIA_EXAMPLE = 'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2"; the uncertainty is optional.'
+_INERTIA_EXAMPLE = (
+    'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
+)
 
 # limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m
 SMALLEST, LARGEST = 1e-12, 1e5
@@ -573,7 +575,9 @@ class Inertia:
         if isinstance(text, Inertia):
             return text
         found = _INERTIA.fullmatch(str(text).strip())
-        unit = _UNIT.fullmatch((found["unit"] or "kg m2").strip()) if found else None
+        # "16 g cm2 +- 0.1 g cm2" and "16 g cm2 +- 0.1": the unit of the value is that of its uncertainty
+        stated = {s.strip() for s in (found["first"], found["unit"]) if s} if found else set()
+        unit = _UNIT.fullmatch(next(iter(stated), "kg m2")) if len(stated) < 2 else None
         if found is None or unit is None:
             what = f"'{str(text)[:40]}' is not a moment of inertia of the {body}."
             raise UsageError(what, _INERTIA_EXAMPLE)

@@ -44,6 +44,7 @@ _ALTERNATIVES = (GREEN, PURPLE, ORANGE)
 _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
+_RPM = 60 / (2 * np.pi)
 # a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
 _UNDETERMINED = 3.0
 # intervals of the deflection in which the unmodelled torque is averaged, smallest number of points in one
@@ -87,7 +88,7 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
         f"Angular velocity, median over {view.smoothing_width} points; bands: ±2 σ due to the parameters"
     )
     caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
-    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s."
+    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s ({short(largest * _RPM)} rpm)."
     return Chart(
         "speed" if body == "casing" else "rotor",
         f"Speed of the {_body_name(view, body)}",
@@ -185,7 +186,7 @@ def _determined(torque: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return the chart of the unmodelled torque on a body against time, with the added law and alternatives."""
+    """Return the chart of the unmodelled torque on a body against time, with the difference and alternatives."""
     factor, prefix = _torque_scale(view, body)
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -194,7 +195,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
     if view.added is not None and view.added.on(body).any():
         a = view.added
         law = factor * a.on(body)
-        traces.append(Trace("added law", a.time, law, _INK, dash=(2.0, 2.0), scale="none"))
+        traces.append(Trace("difference", a.time, law, _INK, dash=(2.0, 2.0), scale="none"))
     for a, colour in zip(view.alternatives, _ALTERNATIVES, strict=False):
         if a.on(body).any():
             law = factor * a.on(body)
@@ -206,14 +207,14 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         f"{prefix}{view.torque_unit}",
         tuple(traces),
         _torque_finding(view, body),
-        caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted (added "
-        "law): torque of the final model minus that of the base model; dashed: the same for other candidates after a "
-        "refit.",
+        caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted "
+        "(difference): torque of the final model minus that of the base model; dashed: the same for other candidates "
+        "after a refit.",
     )
 
 
 def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
-    """Return the chart of the unmodelled torque on the casing against its speed, with the added law."""
+    """Return the chart of the unmodelled torque on the casing against its speed, with the difference."""
     factor, prefix = _torque_scale(view, "casing")
     traces: list[Trace] = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -225,7 +226,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
             name, dash = (f"{label}, accelerating", (4.0, 2.0)) if rising else (label, ())
             band = factor * torque[part], colour, factor * sigma[part]
             traces.append(Trace(name, curve.omega_c[part], *band, dash=dash))
-    laws = [("added law", view.added, _INK, 1.8)] if view.added is not None else []
+    laws = [("difference", view.added, _INK, 1.8)] if view.added is not None else []
     for a, colour in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False):
         laws.append((a.name, a, colour, 1.2))
     for name, a, colour, width in laws:
@@ -244,7 +245,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         x_label=f"speed of the {view.body} [rad/s]",
         caption="Unmodelled torque against speed, inferred from the residual without assuming a law; bands: ±2 σ. "
         f"Dashed: acceleration of the {view.body}. For friction that depends on speed only, both curves coincide. "
-        "Dotted: the added law, after a refit of the other parameters.",
+        "Dotted: the difference, final minus base model, after a refit of the other parameters.",
     )
 
 
@@ -430,7 +431,12 @@ def windows_picture(view: CaseView, name: str) -> Picture:
             draw(pair[1], residual, intervals, window=window)
             for ax in pair:
                 ax.set_visible(True)
-                ax.set_ylabel(ax.get_ylabel() if column == 0 else "", fontsize=9)
+                ax.set_ylabel(
+                    ax.get_ylabel().replace(" of the", "\nof the").replace(", ", ",\n")
+                    if column == 0
+                    else "",
+                    fontsize=9,
+                )
             pair[0].set_title(f"window {i + 1}", fontweight="normal")
             pair[0].set_xticklabels([])
             pair[0].set_xlabel("")

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
 from itertools import pairwise
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -142,6 +143,12 @@ def plain(text: str, most: int = 34) -> str:
     text = "".join(c if 32 <= ord(c) < 127 or c in _DRAWN else "?" for c in text)
     text = text if len(text) <= most else text[: most - 3] + "..."
     return text.replace("$", r"\$")
+
+
+def in_lines(text: str, width: int = 26) -> str:
+    """Return words for a label of a figure in at most two lines, which break between words."""
+    lines = wrap(plain(text, 2 * width + 10), width)
+    return "\n".join(lines if len(lines) < 3 else [lines[0], " ".join(lines[1:])])
 
 
 def legend(axes: Axes, **changes: Any) -> None:

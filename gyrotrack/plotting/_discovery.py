@@ -31,6 +31,7 @@ from gyrotrack.plotting._charts import (
     beside,
     canvas,
     draw,
+    in_lines,
     markup,
     picture_file,
     plain,
@@ -52,9 +53,9 @@ _LOGARITHMIC = 20.0
 _CLEAR_CHANGE = 0.05  # relative
 
 
-def candidates_picture(candidates: tuple[Candidate, ...]) -> Picture | None:
+def candidates_picture(view: StudyView) -> Picture | None:
     """Draw the scores of candidate effects; None if no score is positive."""
-    shown = [c for c in candidates if c.score > 0][:_MAX_CANDIDATES]
+    shown = [c for c in view.candidates if c.score > 0][:_MAX_CANDIDATES]
     if not shown:
         return None
     letters = equivalence_classes(shown)
@@ -69,30 +70,29 @@ def candidates_picture(candidates: tuple[Candidate, ...]) -> Picture | None:
         else:
             colours.append(_CLASSES[(ord(letter) - ord("A")) % len(_CLASSES)] if letter else "#777777")
     with style():
-        figure = canvas(WIDTH, 1.0 + 0.36 * len(shown))
+        figure = canvas(WIDTH, 1.0 + 0.42 * len(shown))
         ax = figure.subplots()
         roots = np.sqrt([c.score for c in shown])
         hatches = ["" if c.physical else "////" for c in shown]
         ax.barh(np.arange(len(shown)), roots, color=colours, hatch=hatches, edgecolor="#ffffff", height=0.66)
         ax.set_xlim(0, 1.42 * float(roots.max()))
         for i, c in enumerate(shown):
-            text = f"score {short(c.score)}"
-            if np.isfinite(c.delta_bic):
-                text += rf"   $\Delta$BIC {short(c.delta_bic)}"
+            text = rf"$\chi^2$ −{short(c.score)}"
+            text += rf"   $\Delta$BIC {short(c.delta_bic)}" if np.isfinite(c.delta_bic) else "   not refitted"
             text += "" if c.significant else "   not significant"
             beside(ax, text, (roots[i], i), fontsize=9)
-        as_rows(ax, [plain(c.effect.name) for c in shown])
-        ax.set_xlabel(r"$\sqrt{\mathrm{score}}$ [σ]")
+        as_rows(ax, [in_lines(view.name(c.effect).words) for c in shown])
+        ax.set_xlabel(r"$\sqrt{\mathrm{improvement\ of\ }\chi^2}$ [σ]")
         _brackets(ax, shown, letters)
         caption = (
-            "Score: decrease of the deviance of the base model by the candidate (after a refit if ΔBIC is given, "
-            "otherwise predicted); its square root is about the significance in σ. Pale: not significant."
+            "Improvement of χ²: decrease of the deviance of the base model by the candidate (after a refit if ΔBIC is "
+            "given, otherwise predicted); its square root is about the significance in σ. Pale: not significant."
         )
         if letters:
             caption += " Bracket and common colour: equivalence class, indistinguishable with these data."
         if any(not c.physical for c in shown):
             caption += " Hatched: measurement effect."
-        finding = _candidates_finding(shown)
+        finding = _candidates_finding(view, shown)
         return Picture("candidates", markup(figure, "candidates", finding), caption, finding)
 
 
@@ -110,15 +110,16 @@ def _brackets(ax: Axes, shown: list[Candidate], letters: dict[str, str]) -> None
         ax.text(x + 0.006, 0.5 * (first + last), letter, transform=transform, **bold)
 
 
-def _candidates_finding(shown: list[Candidate]) -> str:
+def _candidates_finding(view: StudyView, shown: list[Candidate]) -> str:
     best = shown[0]
     if not best.significant:
         return "No candidate effect is significant."
-    text = f"Highest score: {best.effect.name}, {short(best.score)}"
+    text = f"Largest improvement of χ²: {view.name(best.effect).words}, {short(best.score)}"
     if best.indistinguishable_from:
-        text += f" (indistinguishable from {', '.join(best.indistinguishable_from)})"
+        alike = "; ".join(view.name(n).words for n in best.indistinguishable_from)
+        text += f" (indistinguishable from {alike})"
     rest = [c for c in shown[1:] if c.effect.name not in best.indistinguishable_from]
-    return text + (f"; next: {rest[0].effect.name}, {short(rest[0].score)}." if rest else ".")
+    return text + (f"; next: {view.name(rest[0].effect).words}, {short(rest[0].score)}." if rest else ".")
 
 
 # title, unit, attribute of a step, whether the unit has a prefix
@@ -127,7 +128,7 @@ _KINDS = (
     ("reduced χ²", "", "reduced_chi2", False),
     ("cross-validation error", "noise", "held_out", False),
     ("unmodelled torque, rms", "{torque}", "torque_left", True),
-    ("energy drift", "", "energy_drift", True),
+    ("energy balance error", "", "energy_drift", True),
     ("change of BIC", "", "delta_bic", False),
 )
 _PHRASES = (
@@ -161,7 +162,7 @@ def history_picture(view: StudyView) -> Picture:
             heading = title.replace("{body}", view.body)
             ax.set_title(f"{heading} [{measure}]" if measure else heading, fontweight="normal")
         for ax in axes[:, 0]:
-            ax.set_yticks(range(len(steps)), [plain(s.change, 30) for s in steps])
+            ax.set_yticks(range(len(steps)), [in_lines(s.words, 24) for s in steps])
         axes[0, 0].invert_yaxis()
         finding = history_finding(view)
         caption = (
@@ -231,10 +232,7 @@ def history_finding(view: StudyView) -> str:
 
 def _change_phrase(view: StudyView) -> str:
     """Return the changes after the first step as a phrase."""
-    parts = []
-    for step in view.steps[1:]:
-        added, _, dropped = step.change.removeprefix("+").partition(" -")
-        parts.append(added + (f" (without {dropped})" if dropped else ""))
+    parts = [step.words.removeprefix("+ ").replace(" − ", " without ") for step in view.steps[1:]]
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
@@ -287,7 +285,7 @@ def _merit(ax: Any, view: StudyView) -> None:
     values, limit = kinds[title]
     figures_of_merit(ax, values, limit, [""] * len(steps))
     ax.invert_yaxis()
-    ax.set_yticks(range(len(steps)), [plain(s.change, 60).replace(".", ".\n", 1) for s in steps])
+    ax.set_yticks(range(len(steps)), [in_lines(s.words) for s in steps])
     ax.set_xlabel(title)
     ax.set_title("3  figure of merit (dashed: noise limit)")
 
@@ -343,7 +341,8 @@ def correlation_picture(view: StudyView) -> Picture | None:
         return None
     cases = [v.label for v in view.cases]
     symbols = [symbol(n, cases) for n in names]
-    effects = [plain(n.partition("@")[0].rpartition(".")[0].rpartition(".")[2], 12) for n in names]
+    keys = [n.partition("@")[0].rpartition(".")[0] for n in names]
+    effects = [plain(view.name(k).key.rpartition(".")[2] or k, 12) for k in keys]
     # effects distinguish equal symbols
     labels = [f"{s} {e}" if symbols.count(s) > 1 else s for s, e in zip(symbols, effects, strict=True)]
     with style({"axes.grid": False}):
@@ -375,7 +374,7 @@ def correlation_picture(view: StudyView) -> Picture | None:
         strong = int((np.triu(off, 1) > _STRONG).sum())
         finding = (
             f"Strongest correlation {matrix[i, j]:.4f}".replace("-", "−")
-            + f", between {names[i]} and {names[j]}; {strong} pairs exceed {_STRONG}."
+            + f", between {view.name(names[i]).words} and {view.name(names[j]).words}; {strong} pairs exceed {_STRONG}."
         )
         letters = ", ".join(f"({chr(ord('A') + i)}) {label}" for i, label in enumerate(cases))
         caption = (

@@ -412,8 +412,8 @@ def _body_rows(film: TrackedFilm, tracked: Tracked, width: int) -> list[Picture]
     learnt = np.asarray(cv2.resize(cv2.cvtColor(learnt, cv2.COLOR_GRAY2BGR), (width, 160)), dtype=np.uint8)
     x, y = ring.hub
     text = (
-        f"picture of a body about ({x:.0f}, {y:.0f}) px, radius {ring.inner:.0f} to {ring.outer:.0f} px; its rotation "
-        f"explains {100 * tracked.explained:.0f} % of the change of brightness. Below: its polar picture."
+        f"picture of a body about ({x:.0f}, {y:.0f}) px, radius {ring.inner:.0f} to {ring.outer:.0f} px; tracking "
+        f"quality {100 * tracked.explained:.0f} %. Below: its polar picture."
     )
     return [_text_panel([text], width), row, learnt]
 

@@ -28,6 +28,7 @@ from gyrotrack.plotting._charts import (
     as_rows,
     beside,
     canvas,
+    in_lines,
     legend,
     picture_file,
     plain,
@@ -190,14 +191,15 @@ def _plan_figure(found: Plan) -> Figure:
     top, bottom = parts
     left, right = top.subplots(1, 2, width_ratios=(1.25, 1.0))
     unit = unit_text(found.fit.torque_unit)
-    _limits(left, shown, found.size, unit)
-    _power(right, shown, found.size, unit)
+    names = [found.fit.name(e.effect).words for e in shown]
+    _limits(left, shown, names, found.size, unit)
+    _power(right, shown, names, found.size, unit)
     if found.next_run is not None:
         _run(bottom.subplots(), found.next_run)
     return figure
 
 
-def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
+def _limits(ax: Axes, shown: list[EffectLimits], names: list[str], size: float, unit: str) -> None:
     rows = np.arange(len(shown))
     low = np.array([e.detection_range[0] for e in shown])
     high = np.array([e.detection_range[1] for e in shown])
@@ -209,19 +211,19 @@ def _limits(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None
         beside(ax, "found", (shown[i].detection_torque, i), 8, color=GREEN)
     ax.axvline(size, color=GREY, linestyle="--", linewidth=1, label=f"effect of {size:.1e} {unit}")
     ax.set_xscale("log")
-    as_rows(ax, [plain(e.effect.name) for e in shown])
+    as_rows(ax, [in_lines(n) for n in names])
     ax.set_xlabel(f"rms torque along the motion [{unit}]")
     narrow: dict[str, Any] = {"ncols": 3, "fontsize": 8.5, "handletextpad": 0.3, "columnspacing": 0.9}
     ax.legend(loc="lower left", bbox_to_anchor=(-0.3, 1.0), **narrow)
 
 
-def _power(ax: Axes, shown: list[EffectLimits], size: float, unit: str) -> None:
+def _power(ax: Axes, shown: list[EffectLimits], names: list[str], size: float, unit: str) -> None:
     # evenly distributed over the range of limits
     places = sorted({round(x) for x in np.linspace(0, len(shown) - 1, len(_CURVES))}) if shown else []
-    chosen = [shown[i] for i in places]
-    for e, colour in zip(chosen, _CURVES, strict=False):
+    chosen = [(shown[i], names[i]) for i in places]
+    for (e, name), colour in zip(chosen, _CURVES, strict=False):
         torque = e.curve[1:, 0] * e.stderr * e.torque
-        ax.plot(torque, 100 * e.curve[1:, 1], color=colour, label=plain(e.effect.name))
+        ax.plot(torque, 100 * e.curve[1:, 1], color=colour, label=plain(name, 44))
     ax.axhline(90, color=GREY, linewidth=1)
     ax.axvline(size, color=GREY, linestyle="--", linewidth=1)
     ax.set_xscale("log")

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from fitting.discovery._select import Candidate
     from fitting.discovery._select import Step as FitStep
     from fitting.discovery._verdict import Diagnosis
+    from fitting.effects._effect import Effect
+    from fitting.effects._words import EffectName
     from fitting.inference._result import Fit
 
 
@@ -121,17 +123,27 @@ class CaseView:
         for f in failures:
             text = f"{'–'.join(f.times)} s, {f.called}, {f.size_sigma:.0f} σ"
             found.append(Interval(f.t_start, f.t_stop, text, f.body))
-        noise = self.models[-1]
+        found += self._outside_of_bands(model, found)
+        return tuple(found)
+
+    @property
+    def speed_intervals(self) -> tuple[Interval, ...]:
+        """Intervals in which only the residual of the speed is outside of its band, without an unmodelled torque."""
+        return self.intervals[len(self.failures) :]
+
+    def _outside_of_bands(self, model: CaseModel, covering: Sequence[Interval]) -> list[Interval]:
+        """Return the intervals in which the residual of a speed is outside of its band, without the covering ones."""
+        noise, found = self.models[-1], []
         bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
             ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
         ]
         for key, called, residual, band in bodies:
-            covered = [(i.start, i.stop) for i in found if i.body == key]
+            covered = [(i.start, i.stop) for i in covering if i.body == key]
             found += [
                 Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
                 for a, b, size in _outside(residual, band.sigma, covered)
             ]
-        return tuple(found)
+        return found
 
 
 def _outside(
@@ -207,7 +219,7 @@ def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Case
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
     """Return the torques of the best candidates that were refitted and are not in the final model."""
     found = [
-        added_torque(c.effect.name, base, c.fit, index)
+        added_torque(base.name(c.effect).words, base, c.fit, index)
         for c in (diagnosis.candidates if diagnosis is not None else ())
         if c.fit is not None
         and c.physical
@@ -254,6 +266,7 @@ class Step:
     """One step of the history: change and figures of merit."""
 
     change: str
+    words: str
     rmse: float
     reduced_chi2: float
     held_out: float
@@ -300,6 +313,10 @@ class StudyView:
         return tuple(
             residual_rms([v.models[i].casing_residual for v in self.cases], noise) for i in range(count)
         )
+
+    def name(self, effect: Effect | str) -> EffectName:
+        """Return an effect or a parameter by its name, for a reader."""
+        return self.final.name(effect)
 
     @property
     def improved(self) -> bool:
@@ -351,8 +368,9 @@ def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
         d = step_document(step.fit, "", step.change, history[i - 1].fit if i else None)
         merits = {k: d[k] for k in ("reduced_chi2", "held_out", "delta_bic", "energy_drift", "verdict")}
         change, pure = step.change or "base model", max(n.pure for n in step.fit.noise)
+        words = d["words"] or change
         torques: dict[str, Any] = {"torque_left": step.fit.torque_noise, "torque_pure": pure}
-        steps.append(Step(change=change, rmse=d["rmse_casing"], **torques, **merits))
+        steps.append(Step(change=change, words=words, rmse=d["rmse_casing"], **torques, **merits))
     return tuple(steps)
 
 

@@ -613,8 +613,8 @@ def _measure(
     angle, share = -alias.angle, share_of(alias.angle)
     if share < _EXPLAINED:
         raise TrackingError(
-            f"The body in {film.path.name} is tracked through a part of the film only: its rotation explains "
-            f"{100 * max(share, 0):.0f} % of the change of brightness; {100 * _EXPLAINED:.0f} % are required.",
+            f"The body in {film.path.name} is tracked through a part of the film only: tracking quality "
+            f"{100 * max(share, 0):.0f} %; {100 * _EXPLAINED:.0f} % are required.",
             "Cut the film to the motion"
             + (". Check --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )

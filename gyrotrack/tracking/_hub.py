@@ -151,14 +151,14 @@ def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
     steps = _robust_rms(np.diff(centre.centre[known], axis=0))
     if centre.reach in _SHORT_HALVES and steps > limit:
         return (
-            f"The disc of the hub moves by {steps:.2g} px rms from frame to frame, as if the camera shakes; it is "
+            f"The disc of the hub moves by {steps:.2g} px rms from frame to frame, suggesting camera shake; it is "
             f"followed with an uncertainty of {np.median(centre.sigma[known]):.2g} px, which those of the angles "
             "contain."
         )
     rest = _robust_rms((measured - centre.centre)[known])
     if rest > limit:
         return (
-            f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, as if the camera shakes, and no "
+            f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, suggesting camera shake, and no "
             "background shows its motion; the uncertainties of the angles contain this."
         )
     return None

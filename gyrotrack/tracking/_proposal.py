@@ -479,7 +479,7 @@ def propose(
     del moving  # large
     if orbit is None:
         raise TrackingError(
-            f"No markers found in {video}: nothing coloured turns about "
+            f"No markers found in {video}: no coloured region rotates about "
             + ("a centre." if hub is None else f"({hub[0]:g}, {hub[1]:g}) px."),
             "Film coloured markers on a turning body. If the film starts at rest, cut off the start.",
         )

@@ -34,7 +34,11 @@ class CaptureRate:
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
     """Return the requested rate [1/s], else the profile's, the camera's tag's, or the container's from 100 fps."""
-    for fps, source in ((requested, "asked for"), (profile, "profile"), (info.tag_fps, "tag of the camera")):
+    for fps, source in (
+        (requested, "--capture-fps"),
+        (profile, "profile"),
+        (info.tag_fps, "tag of the camera"),
+    ):
         if fps is not None:
             if not (np.isfinite(fps) and fps > 0.0):
                 raise VideoError(f"A capture rate of {fps:g} fps is not possible.", "Give a positive number.")

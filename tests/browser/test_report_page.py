@@ -28,12 +28,12 @@ def visit(chromium, report, request):
 @pytest.mark.slow
 def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.locator("h1").inner_text() == HOSTILE
-    assert "Missing effect" in visit.locator(".answer").inner_text()
+    assert "Missing:" in visit.locator(".answer").inner_text()
     # the answer and its three figures are in sight at once on a wide screen
     bottom = visit.evaluate("document.querySelector('.overview').getBoundingClientRect().bottom")
     if visit.viewport_size["width"] == 1280:
         assert bottom < 800
-    assert visit.locator("details.part[open]").count() == 0
+    assert visit.locator("details.part[open]:not(#ghost)").count() == 0
     visit.click("#expand") if visit.locator("#expand").is_visible() else _open_all(visit)
     visit.locator(".board canvas").nth(10).wait_for()
     assert visit.locator(".board canvas").count() == 11
@@ -130,3 +130,19 @@ def test_the_scale_of_the_browser_is_that_of_the_figures(chromium):
     nulls = page.evaluate(f"(d) => ({read})(d)[0].value.filter((v) => v === null).length", document)
     assert nulls == int(np.isnan(gap).sum())
     page.close()
+
+
+@pytest.mark.slow
+def test_the_ghosts_are_shown_and_speeds_change_their_unit(visit):
+    assert visit.locator("#ghost img").first.is_visible()
+    assert visit.locator("#ghost img").first.evaluate("(i) => i.complete && i.naturalWidth > 300")
+    assert "film minus model" in visit.locator("#ghost figcaption").first.inner_text()
+    _open_all(visit)
+    visit.locator(".board canvas").nth(10).wait_for()
+    board = visit.locator(".board").first
+    assert "[rad/s]" in board.inner_text()
+    visit.click("#rpm")
+    assert visit.locator("#rpm").get_attribute("aria-pressed") == "true"
+    assert "[rpm]" in board.inner_text()
+    visit.click("#rpm")
+    assert "[rpm]" not in board.inner_text()

@@ -385,12 +385,14 @@ def _inertia(summary: dict[str, Any]) -> str:
 
 
 def _placement_line(p: dict[str, Any]) -> str:
+    from fitting._numbers import rounded
+
     if not p["clock_rate_sigma"]:
         return f"clock    {p['method']}"
     doubt = ", AMBIGUOUS" if p["ambiguous"] else ""
     sign = "+" if p["clock_rate"] >= 1 else "-"
     return (
-        f"clock    starts at {p['clock_offset']:.6f} s +- {1e3 * p['clock_offset_sigma']:.3f} ms, "
+        f"clock    starts at {rounded(p['clock_offset'], p['clock_offset_sigma'], 's')}, "
         f"rate 1 {sign} {abs(p['clock_rate'] - 1):.1e}{doubt}"
     )
 

@@ -304,15 +304,16 @@ def _plan_table(found: Plan) -> str:
         "",
         f"  {'effect':<28}{'detection limit':>18}{f'{unit} rms':>12}{'upper limit':>13}{'power':>8}{'runs':>8}",
     ]
-    lines += [_row(e) for e in found.effects]
+    for e in found.effects:
+        lines += [f"  {found.fit.name(e.effect).words}", _row(e)]
     if any(not e.effect.mechanical for e in found.effects):
         lines.append("  * measurement effect, no torque")
     if any(math.isnan(e.upper_limit) for e in found.effects):
         lines.append("  found: significant in these recordings, no upper limit; run `gyrotrack diagnose`")
-    absorbed = [e.effect.name for e in found.effects if e.absorbed]
+    absorbed = [str(found.fit.name(e.effect)) for e in found.effects if e.absorbed]
     if absorbed:
         lines += textwrap.wrap(
-            f"absorbed by the model, no limit: {', '.join(absorbed)}",
+            f"absorbed by the model, no limit: {'; '.join(absorbed)}",
             _WIDTH,
             initial_indent="  ",
             subsequent_indent="    ",
@@ -320,7 +321,12 @@ def _plan_table(found: Plan) -> str:
     if found.classes:
         lines += ["", "indistinguishable near these limits:"]
         for c in found.classes:
-            lines += textwrap.wrap(", ".join(c), _WIDTH, initial_indent="  ", subsequent_indent="    ")
+            lines += textwrap.wrap(
+                "; ".join(str(found.fit.name(n)) for n in c),
+                _WIDTH,
+                initial_indent="  ",
+                subsequent_indent="    ",
+            )
     if found.next_run is not None:
         lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
         body = found.fit.problem.data[0].record.body

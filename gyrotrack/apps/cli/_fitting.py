@@ -451,14 +451,21 @@ def effects_command(
         return
     every = [*LIBRARY.values(), *own.values()]
     out.result({"effects": [_effect_document(e) for e in every]})
-    out.show("\n".join(f"{e.name:<22} {_where(e)}: {e.law}" for e in every))
+    out.show(
+        "\n".join(
+            f"{e.name:<27} {e.words or _where(e)}" + chr(10) + f"{'':<29}{_where(e)}: {e.law}" for e in every
+        )
+    )
 
 
 def _effect_document(e: Effect) -> dict[str, Any]:
     from fitting.effects._expression import latex
+    from fitting.effects._words import effect_name
 
     return {
         "name": e.name,
+        "words": effect_name(e.name, effects=[e]).words,
+        "symbol": effect_name(e.name, effects=[e]).symbol,
         "kind": e.kind,
         "joint": e.joint,
         "law": e.law,
@@ -483,7 +490,7 @@ def _where(e: Effect) -> str:
 
 
 def _effect_text(e: Effect) -> str:
-    lines = [f"{e.name} ({e.kind})", f"  {_where(e)}: {e.law}"]
+    lines = [f"{e.name} ({e.kind})", *([f"  {e.words}"] if e.words else []), f"  {_where(e)}: {e.law}"]
     if e.state is not None:
         lines.append(f"  d({e.state.symbol})/dt = {e.state.rate}")
     lines += [f"  {p.symbol:<7}[{p.unit}]  {p.meaning}" for p in e.parameters]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
+    from fitting.discovery._select import Candidate
     from fitting.discovery._verdict import Diagnosis
     from fitting.inference._profile import Interval
     from fitting.inference._record import Record
@@ -334,19 +335,44 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
         head = "tested, not significant:" if d.verdict == "adequate" else "candidate effects:"
-        lines += ["", head, f"  {'effect':<28}{'score':>9}{'dBIC':>9}{'p':>9}  class"]
-        from fitting.discovery._select import equivalence_classes
-
-        classes = equivalence_classes(shown)
-        for c in shown:
-            name = c.effect.name[:25] + (" *" if c.effect.kind == "measurement" else "")
-            score, bic = (_fitting(x) if math.isfinite(x) else "-" for x in (c.score, c.delta_bic))
-            lines.append(f"  {name:<28}{score:>9}{bic:>9}{c.p_value:>9.1g}  {classes.get(c.effect.name, '')}")
-        if any(c.effect.kind == "measurement" for c in shown):
-            lines.append("  * measurement effect")
+        lines += ["", head, *_candidate_lines(d, shown)]
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]
     return ["\n".join(lines)]
+
+
+_WORDS = 42
+
+
+def _candidate_lines(d: Diagnosis, shown: Sequence[Candidate]) -> list[str]:
+    """Return the candidates as a table: the name in words with its numbers, its key beneath."""
+    import textwrap
+
+    from fitting.discovery._select import equivalence_classes
+
+    lines = [
+        f"  {'':<{_WORDS}}{'improved':>9}{'':>9}{'false':>9}  indistin-",
+        f"  {'effect':<{_WORDS}}{'chi2 by':>9}{'dBIC':>9}{'alarm':>9}  guishable",
+    ]
+    classes = equivalence_classes(shown)
+    for c in shown:
+        name = d.fit.name(c.effect)
+        *first, last = textwrap.wrap(name.words + " *" * (not c.physical), _WORDS - 1) or [""]
+        score, bic = (_fitting(x) if math.isfinite(x) else "-" for x in (c.score, c.delta_bic))
+        lines += [f"  {text}" for text in first]
+        group = classes.get(c.effect.name, "")
+        lines.append(
+            f"  {last:<{_WORDS}}{score:>9}{bic:>9}{c.p_value:>9.1g}  {group and f'group {group}'}".rstrip()
+        )
+        lines += [f"    {name.key}"] if name.key else []
+    lines += textwrap.wrap(
+        "false alarm: probability, for the whole list of effects.", 79, initial_indent="  "
+    )
+    if any(not math.isfinite(c.delta_bic) for c in shown):
+        lines.append("  dBIC -: not refitted.")
+    if not all(c.physical for c in shown):
+        lines.append("  * measurement effect")
+    return lines
 
 
 def _fitting(x: float) -> str:
@@ -385,15 +411,18 @@ def _curves(d: Diagnosis) -> list[str]:
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     """Return a history of fits as text, one bar per fit; `record` is the record of any of the cases."""
+    from fitting.effects._words import change_name
+
     lines = [
-        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'cv error':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
+        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'predict.':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
         "",
     ]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
     previous = ""
     for r, size in zip(steps, sizes, strict=True):
         bar = "#" * max(1, round(_BAR * size / max(sizes)))
-        added = r["added"] or "base"
+        words = r.get("words") or change_name(r["added"], record.body)
+        added = words or "base"
         if r.get("parent") and r["parent"] != previous:
             added += f"  (from {r['parent']})"
         previous = r["fit_id"]
@@ -402,8 +431,9 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         if left := r.get("torque_left_Nm"):
-            added += f"  (remainder: {left:.2g} {record.torque_unit})"
-        lines.append(f"      {added}")
+            added += f"  (unmodelled torque {left:.2g} {record.torque_unit} rms)"
+        lines += [f"      {line}" for line in _wrapped(added)]
+        lines += [f"        {r['added']}"] if words != r["added"] else []
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"      {line}" for line in _wrapped(comment)]
     last = steps[-1]
@@ -412,8 +442,11 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     lines += [
         f"{'noise':<6}{rmse:>9} {1:>9} {1:>9} {bic:>10}  expected for noise alone",
         "",
-        f"rmse of the angular rate of the {record.body} [rad/s]; cross-validation error in units",
-        "of the noise" + (f"; {last['samples']} samples, effectively {last['n_eff']:.0f}" if counted else ""),
+        f"rmse of the angular rate of the {record.body} [rad/s]; prediction: cross-validation",
+        "error / noise"
+        + (
+            f"; {last['samples']} samples, {last['n_eff']:.0f} equivalent independent ones" if counted else ""
+        ),
     ]
     return ["\n".join(lines)]
 

@@ -27,6 +27,17 @@ def report_command(
         "report.html"
     ),
     films: shared.Films = None,
+    overlay: Annotated[
+        Path | None,
+        option(
+            "--overlay OUT.mp4",
+            "Also write a film in slow motion of each lack of fit, with the marker where the model says that it should "
+            "be; .webp: an animated picture of the whole run.",
+        ),
+    ] = None,
+    appendix: Annotated[
+        bool, option("--appendix", "Add all tables and figures to the four pages of a PDF.")
+    ] = False,
     effects: shared.EffectsFile = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
@@ -34,19 +45,22 @@ def report_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Write a report of the latest fit and its history: one self-contained HTML file or a PDF.
+    """Write a report of the latest fit and its history: one self-contained HTML file or a PDF of four pages.
 
     Frames of the films are included if the films are found.
 
     Example: gyrotrack report case1.h5 -o report.html
     """
     from fitting._workers import WorkerPool
-    from gyrotrack.apps.report._page import write_report
+    from gyrotrack.apps.report._page import write_overlay, write_report
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import read_case
+    from gyrotrack.plotting._ghost import check_ghost_film
 
     out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force, reads=with_ledgers(cases, ledger, effects))
+    if overlay is not None:
+        check_ghost_film(overlay, force=force)
     study = open_study(cases, ledger)
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
@@ -62,10 +76,16 @@ def report_command(
             films=shared.film_folders(cases, films),
             provenance=where,
             certificate=study.certificate(start, diagnosis),
+            appendix=appendix,
             force=force,
         )
-    out.result({"output": output, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})
-    out.show(f"written: {output}")
+    written = {"output": output} | ({"overlay": overlay} if overlay is not None else {})
+    if overlay is not None:
+        with out.progress("writing the film", "frame") as progress:
+            folders = shared.film_folders(cases, films)
+            write_overlay(overlay, steps, diagnosis, recordings, folders, force=force, progress=progress)
+    out.result({**written, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})
+    out.show(*(f"written: {path}" for path in written.values()))
 
 
 def figures_command(

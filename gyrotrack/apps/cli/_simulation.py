@@ -391,8 +391,10 @@ def _step_summary(verb: str, document: dict[str, Any]) -> str:
             for n, b in document["body"].items()
         )
         return f"  {document['frames']} frames at {document['fps']:.0f}/s: {bodies}"
+    from fitting._numbers import rounded
+
     lines = [
-        f"  {Path(c['source']).name} starts at {c['offset_s']:.5f} s +- {1e3 * c['offset_sigma_s']:.2g} ms"
+        f"  {Path(c['source']).name} starts at {rounded(c['offset_s'], c['offset_sigma_s'], 's')}"
         + (" (ambiguous)" if c["ambiguous"] else "")
         for c in document.get("clips", [])
     ]

@@ -119,7 +119,7 @@ def _body_sentence(reading: dict[str, Any], video: Path) -> str:
         else f"One body turns about ({x:.1f}, {y:.1f}) px"
     )
     return (
-        f"{where}; its rotation explains {100 * reading['explained']:.0f} % of the change of brightness.\n"
+        f"{where}; tracking quality {100 * reading['explained']:.0f} %.\n"
         f"`gyrotrack spindown {video.name}` measures it without markers."
     )
 
@@ -500,7 +500,7 @@ def _clip(path: Path, match: Match) -> dict[str, Any]:
     }
 
 
-_HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'rate - 1':>12}{'+-':>10}"
+_HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'clock error [ppm]':>20}{'+-':>8}"
 
 
 def _line(clip: dict[str, Any]) -> str:
@@ -509,7 +509,7 @@ def _line(clip: dict[str, Any]) -> str:
     name = name if len(name) < 24 else "..." + name[-20:]
     return (
         f"{name:<24}{clip['offset_s']:>12.5f}{1e3 * clip['offset_sigma_s']:>10.3f}"
-        f"{clip['rate'] - 1:>12.2e}{clip['rate_sigma']:>10.1e}  {doubt}"
+        f"{1e6 * (clip['rate'] - 1):>20.1f}{1e6 * clip['rate_sigma']:>8.1f}  {doubt}"
     ).rstrip()
 
 
@@ -689,7 +689,7 @@ def _law_lines(document: dict[str, Any]) -> list[str]:
 
     known = () if document["oscillator"] is None else document["oscillator"].parameters
     return [
-        f"{'law':<9}  {law.parameter}"
+        f"{'law':<9}  {law.words}"
         + ("" if law.parameter in known else f" = {rounded(law.value, law.stderr, law.unit)}")
         + f": {law.meaning}"
         for law in document["laws"]

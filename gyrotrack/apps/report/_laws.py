@@ -16,6 +16,7 @@ class LawOfBody:
     """A strength or shape constant of a fitted law, in `unit`, and what it means."""
 
     parameter: str
+    words: str
     value: float
     stderr: float
     unit: str
@@ -37,6 +38,8 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
     """Return the parameters of the laws of a single body; none for a rotor in its casing."""
+    from fitting.effects._words import of_body
+
     record = fit.problem.data[0].record
     if not record.single:
         return ()
@@ -46,9 +49,9 @@ def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
         key = name.partition("@")[0]
         if key not in parameters or not key.rpartition(".")[0] or key.startswith("initial."):
             continue
-        words = parameters[key].meaning.replace("the casing", "the body").replace(" at the touch point", "")
+        words = of_body(parameters[key].meaning, record.body)
         in_motion = _IN_MOTION.get(key)
         if in_motion is not None and e.value > _SIGNIFICANT * e.stderr:
             words = f"{words}; {in_motion(e.value / record.I_casing)}"
-        found.append(LawOfBody(key, e.value, e.stderr, e.unit, words))
+        found.append(LawOfBody(key, str(fit.name(key)), e.value, e.stderr, e.unit, words))
     return tuple(found)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import nonbreaking, probability, rounded, scaled, short, typeset, unit_text
+from fitting._numbers import interval, nonbreaking, probability, rounded, scaled, short, typeset, unit_text
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
@@ -30,6 +30,7 @@ from gyrotrack.plotting._discovery import (
     history_finding,
     history_picture,
 )
+from gyrotrack.plotting._ghost import Animation, Stretch, animated, stretches, write_ghost_film
 from gyrotrack.plotting._study_data import CaseView, StudyView, gather
 from gyrotrack.plotting._tracking import Tile, Tracks, contact_sheets, sync_picture, tracks_of
 
@@ -41,15 +42,17 @@ if TYPE_CHECKING:
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Case
     from gyrotrack.plotting._tracking import Sheet
+    from gyrotrack.tracking._film_tracker import Progress
 
 
 _SMALL_P = 0.01
-_MAX_INTERVALS = 3
+# animated pictures of a case
+_MAX_GHOSTS = 4
 # sizes of the overview figures [inch]: two stacked, one as high as both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
-    "missing_effect": ("found", "✚", "Missing effect"),
+    "missing_effect": ("found", "✚", "Missing"),
     "unexplained": ("open", "!", "Unexplained torque"),
     "undecided": ("open", "?", "Undecided"),
 }
@@ -73,6 +76,7 @@ class Section:
     sync: Picture | None
     dashboard: Dashboard
     sheets: tuple[Sheet, ...]
+    ghosts: tuple[Animation, ...]
 
 
 @dataclass(frozen=True)
@@ -85,14 +89,16 @@ class Equation:
 
 @dataclass(frozen=True)
 class Added:
-    """An added effect: joint, law (twice, because SVG ids must be unique), signature, parameters."""
+    """An added effect: words, key, joint, law (twice, because SVG ids must be unique), signature, parameters."""
 
     name: str
+    key: str
     joint: str
     above: Equation
     below: Equation
     signature: str
     values: str
+    meanings: tuple[tuple[str, str], ...]
 
 
 _UNPHYSICAL = "Negative dissipation, unphysical: {}. The parameters of this model are not physical constants."
@@ -129,13 +135,14 @@ def report_parts(
         "failures": _failures(view),
         "sections": sections,
         "history": history_picture(view),
-        "candidates": candidates_picture(view.candidates),
+        "candidates": candidates_picture(view),
         "candidate_rows": tables.candidate_rows(view),
         "limit_rows": tables.limit_rows(view),
         "parameters": tables.parameter_rows(view),
         "correlation": correlation_picture(view),
         "plausibility": plausibility,
         "base_equations": _equations(view.base, "base"),
+        "base_meanings": _meanings(view),
         "final_equations": _equations(view.final, "final") if view.improved else [],
         "added": _added(view),
         "whiteness": _whiteness(view),
@@ -150,7 +157,7 @@ def _section(
     view: StudyView, index: int, case: Case | None, films: Sequence[Path], *, static: bool
 ) -> Section:
     v = view.cases[index]
-    steps = [s.change for s in view.steps]
+    steps = [s.words for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
     intervals = [i for i in v.intervals if i.body == "casing"]
     overview = (
@@ -172,7 +179,21 @@ def _section(
         sheets=tuple(contact_sheets(case, films, [(f.t_start, f.t_stop) for f in v.failures]))
         if case is not None and films
         else (),
+        ghosts=tuple(a for s in ghost_stretches(view, index, case, films) if (a := animated(s)) is not None)
+        if case is not None
+        else (),
     )
+
+
+def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:
+    """Return the stretches of the films of a case with the ghosts of the base and of the final model."""
+    fits, names = [view.base], ["base model"]
+    if view.improved:
+        fits.append(view.final)
+        words = " and ".join(view.name(n).words for n in view.added)
+        names.append(f"with {words}" if words else "final model")
+    intervals = [(f.body, f.t_start, f.t_stop) for f in view.cases[index].failures if f.kind != "ripple"]
+    return stretches(case, fits, names, intervals, films, index)[:_MAX_GHOSTS]
 
 
 def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | None) -> tuple[Picture, ...]:
@@ -191,7 +212,7 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
-        return "found", "≠", f"The recordings differ in {view.differs.name}"
+        return "found", "≠", f"The recordings differ in {view.name(view.differs.name).words}"
     if view.verdict != "missing_effect":
         return kind, sign, words
     best = next((c for c in view.candidates if c.significant), None)
@@ -199,39 +220,64 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     if best is not None and not view.added and not best.physical:
         words = "Fault of the measurement"
     rivals = {c.effect.name: c.indistinguishable_from for c in view.candidates}
-    classes = [f"one of {', '.join((n, *rivals[n]))}" if rivals.get(n) else n for n in names]
+    known = {c.effect.name: c.effect for c in view.candidates}
+
+    def called(key: str) -> str:
+        return view.name(known.get(key, key)).words
+
+    classes = [
+        f"one of {'; '.join(called(m) for m in (n, *rivals[n]))}" if rivals.get(n) else called(n)
+        for n in names
+    ]
     return kind, sign, f"{words}: {' and '.join(classes)}" if classes else words
 
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:
     """Return location and size of the lack of fit, and significance of the result."""
-    rows = []
-    failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
-    if failures:
-        named = len(view.cases) > 1
-        parts = [_interval(f, named=named) for f in failures[:_MAX_INTERVALS]]
-        parts += [f"{len(failures) - _MAX_INTERVALS} more"] if len(failures) > _MAX_INTERVALS else []
-        rows.append(("Where", f"Unmodelled torque {'; '.join(parts)}"))
+    rows = _where(view)
     best = next((c for c in view.candidates if c.significant), None)
     tested = f"{len(view.candidates)} candidate effects tested, none"
     text = f"{tested} significant" if view.candidates else ""
     if view.differs is not None:
-        text = f"ΔBIC {short(view.differs.delta_bic)}, p {_equal(probability(view.differs.p_value))}"
+        p = _equal(probability(view.differs.p_value))
+        text = f"ΔBIC {short(view.differs.delta_bic)}, false-alarm probability {p}"
     elif best is not None:
-        p = f"p {_equal(probability(best.p_value))}"
-        alike = ", ".join(best.indistinguishable_from)
+        p = f"false-alarm probability {_equal(probability(best.p_value))}"
+        alike = "; ".join(view.name(n).words for n in best.indistinguishable_from)
         alike = f"indistinguishable from {alike}" if alike else "no indistinguishable candidate"
         bic = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
         text = f"{bic}{p}; {alike}"
         if view.verdict == "adequate":
-            text = f"{tested} accepted; most significant: {best.effect.name}, {p}"
+            text = f"{tested} accepted; most significant: {view.name(best.effect).words}, {p}"
     return [*rows, ("Significance", text)] if text else rows
+
+
+def _where(view: StudyView) -> list[tuple[str, str]]:
+    """Return what is shaded in the charts: each unmodelled torque, and where else the speed is outside of its band."""
+    named = len(view.cases) > 1
+    rows = []
+    failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
+    if failures:
+        rows.append(("Where", f"Unmodelled torque {'; '.join(_interval(f, named=named) for f in failures)}"))
+    speeds: dict[str, list[str]] = {}
+    for v in view.cases:
+        for i in v.speed_intervals:
+            body = f"{v.body if i.body == 'casing' else i.body}{f' of {v.label}' if named else ''}"
+            speeds.setdefault(body, []).append("–".join(interval(i.start, i.stop)))
+    parts = [f"{body} {', '.join(spans)} s" for body, spans in speeds.items()]
+    if parts:
+        title = "" if failures else "Where"
+        rows.append((title, f"Speed alone, due to an earlier torque: {'; '.join(parts)}"))
+    return rows
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
     """Return the strengths of the laws of a single body and what they mean, and its speed in the unit of the file."""
     rows = [
-        (law.parameter, typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"))
+        (
+            view.name(law.parameter).words.capitalize(),
+            typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
+        )
         for law in laws_of_body(view.final)
     ]
     readings = [r for case in recordings for r in case.extra.get("reading", [])]
@@ -251,7 +297,7 @@ def _interval(f: Failure, *, named: bool) -> str:
     of = f" of {f.label}" if named else ""
     first, last = f.times
     largest = f"(≤ {f.size_sigma:.0f} σ)".replace(" ", "\N{NO-BREAK SPACE}")
-    return f"{size} on the {f.called}{of}, {first} s to {last} s {largest}"
+    return f"{size} on the {f.called}{of}, {first}–{last} s {largest}"
 
 
 def _failures(view: StudyView) -> list[str]:
@@ -278,9 +324,22 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
+def _meanings(view: StudyView) -> list[tuple[str, str]]:
+    """Return the symbols of the equations of the base model with their meanings."""
+    from fitting.effects._words import of_body, symbol_meanings
+
+    torque = () if view.body != "casing" else (("τ_cr", "torque of the bearing, between rotor and casing"),)
+    inertias: tuple[tuple[str, str], ...] = (("I_c", "moment of inertia of the casing"),)
+    if view.body == "casing":
+        inertias = (("I_r", "moment of inertia of the rotor"), *inertias)
+    found = (*inertias, *torque, *symbol_meanings(view.base.model.effects, view.body))
+    return [(s, of_body(text, view.body)) for s, text in found]
+
+
 def _added(view: StudyView) -> list[Added]:
     """Return the added effects."""
     from fitting.effects._expression import latex
+    from fitting.effects._words import of_body, symbol_meanings
 
     found = []
     for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
@@ -294,13 +353,28 @@ def _added(view: StudyView) -> list[Added]:
             if k.partition("@")[0].rpartition(".")[0] == effect.name
         ]
         joint = (tables.JOINTS | {"casing": view.body}).get(effect.joint, effect.joint)
-        signature = effect.signature.replace("the casing", f"the {view.body}")
-        found.append(Added(effect.name, joint, above, below, signature, ", ".join(values)))
+        name = view.name(effect)
+        signature = of_body(effect.signature, view.body)
+        found.append(
+            Added(
+                name.words,
+                name.key,
+                joint,
+                above,
+                below,
+                signature,
+                ", ".join(values),
+                symbol_meanings([effect], view.body),
+            )
+        )
     return found
 
 
-def pdf(parts: Mapping[str, Any]) -> bytes:
-    """Return the report, a result of `report_parts`, as PDF; text is data for Typst and never parsed as markup."""
+def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
+    """Return the report, a result of `report_parts`, as PDF of four pages, and all tables in an `appendix`.
+
+    Text is data for Typst and never parsed as markup.
+    """
     try:
         import typst
     except ImportError:
@@ -313,6 +387,9 @@ def pdf(parts: Mapping[str, Any]) -> bytes:
         document = images.plain({k: v for k, v in parts.items() if k != "view"})
         view = parts["view"]
         document |= {
+            "appendix": appendix,
+            "budget": tables.budget_rows(view),
+            "experiment": tables.experiment_rows(view),
             "improved": view.improved,
             "body": view.body,
             "torque_unit": view.torque_unit,
@@ -345,6 +422,9 @@ class _Images:
         if isinstance(value, Picture):
             file = self._write(".svg", value.svg.encode("utf-8", "replace"))
             return {"file": file, "caption": value.caption, "finding": value.finding}
+        if isinstance(value, Animation):
+            still = self._write(".jpg", value.jpeg)
+            return {"file": still, "finding": value.finding, "caption": value.caption}
         if isinstance(value, Tile):
             return {"file": self._write(".jpg", value.jpeg), "text": value.text}
         if is_dataclass(value) and not isinstance(value, type):
@@ -375,6 +455,7 @@ def write_report(
     films: Sequence[Path] = (),
     provenance: Mapping[str, str] | None = None,
     certificate: Certificate | None = None,
+    appendix: bool = False,
     force: bool = False,
 ) -> Path:
     """Write the report of a history of fits.
@@ -395,6 +476,8 @@ def write_report(
         Further lines of provenance, for example ``command`` and ``date``.
     certificate : Certificate, optional
         The test of the diagnosis on simulated recordings.
+    appendix : bool
+        Add all tables and figures to the four pages of a PDF.
     force : bool
         Replace an existing file.
 
@@ -415,12 +498,49 @@ def write_report(
     parts = report_parts(view, recordings, films, provenance or {}, static=is_pdf, certificate=certificate)
     # file names may contain bytes that are not valid UTF-8
     try:
-        document = pdf(parts) if is_pdf else html(parts).encode("utf-8", "replace")
+        document = pdf(parts, appendix=appendix) if is_pdf else html(parts).encode("utf-8", "replace")
     except OSError as error:  # the parts of a PDF are written to the temporary folder first
         raise refusal(Path(tempfile.gettempdir()), error) from error
     with new_file(path, force=force) as stream:
         stream.write(document)
     return path
+
+
+def write_overlay(
+    path: Path,
+    history: Sequence[Step],
+    diagnosis: Diagnosis | None,
+    recordings: Sequence[Case],
+    films: Sequence[Path],
+    *,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a film of the ghosts of the base and the final model around every lack of fit of a study.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write, ``.mp4`` or ``.webp``.
+    history, diagnosis, recordings, films, force
+        As for `write_report`.
+    progress : callable, optional
+        Called with (frames written, frames in total).
+
+    Raises
+    ------
+    OutputError
+        There is no film, or the file exists and `force` is not set.
+    """
+    view = gather(history, diagnosis)
+    by_label = {case.label: case for case in recordings}
+    shown = [
+        s
+        for i, v in enumerate(view.cases)
+        if v.label in by_label
+        for s in ghost_stretches(view, i, by_label[v.label], films)
+    ]
+    return write_ghost_film(path, shown, force=force, progress=progress)
 
 
 _GENERATOR = b'<meta name="generator" content="gyrotrack">'
@@ -441,6 +561,7 @@ def is_report(path: Path) -> bool:
 def html(parts: Mapping[str, Any]) -> str:
     """Return the report as one self-contained HTML page."""
     from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
 
     folder = resources.files("gyrotrack.apps.report")
     environment = Environment(
@@ -451,6 +572,8 @@ def html(parts: Mapping[str, Any]) -> str:
         finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never markup
     )
     environment.filters["themed"] = themed
+    # a long key breaks at its dots
+    environment.filters["breakable"] = lambda key: Markup(".<wbr>").join(key.split("."))
     template = environment.from_string(folder.joinpath("page.html.jinja").read_text("utf-8"))
     scripts = (*widgets.scripts(), folder.joinpath("page.js").read_text("utf-8"))
     return template.render(

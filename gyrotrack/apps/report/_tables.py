@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._numbers import TORQUE, probability, scaled, short, unit_text, with_uncertainty
+from fitting._numbers import (
+    TORQUE,
+    percentage,
+    probability,
+    scaled,
+    short,
+    symbol_parts,
+    symbol_text,
+    unit_text,
+    with_uncertainty,
+)
 from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
@@ -37,8 +47,6 @@ JOINTS = {
     "camera.rotor": "camera (rotor)",
 }
 _LARGE_CHANGE = 3.0
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_GREEK = {"omega": "ω", "phi": "φ", "eps": "ε", "tau": "τ", "psi": "ψ", "kappa": "κ", "chi": "χ"}
 
 
 Row = dict[str, Any]  # cells by the names that the templates of the report use
@@ -49,6 +57,7 @@ class LimitRow:
     """95 % upper limit of the rms torque and strength of an effect that was not found."""
 
     effect: str
+    key: str
     joint: str
     torque: str
     strength: str
@@ -63,13 +72,14 @@ def parameter_rows(view: StudyView) -> list[Row]:
     for name, e in view.final.estimates.items():
         key, _, label = name.partition("@")
         effect, _, symbol = key.rpartition(".")
-        head, index = _split(symbol)
+        head, index = symbol_parts(symbol)
         before = view.base.estimates.get(name) if view.improved else None
         fixed = key in view.final.model.constants
         row = {
-            "symbol": _GREEK.get(head, head),
+            "symbol": head,
             "index": index + ("0" if effect == "initial" else ""),
-            "effect": "initial value" if effect == "initial" else effect,
+            "effect": "initial value" if effect == "initial" else view.name(effect).words,
+            "key": view.name(key).key,
             "case": label if len(view.cases) > 1 else "",
             "value": with_uncertainty(e.value, e.stderr, e.unit),
             "relative": _relative(e),
@@ -94,6 +104,7 @@ def _response_rows(view: StudyView) -> list[Row]:
                     "symbol": symbol,
                     "index": index,
                     "effect": "first-order response",
+                    "key": "",
                     "case": response.label if len(view.cases) > 1 else "",
                     "value": with_uncertainty(e.value, e.stderr, e.unit),
                     "relative": _relative(e),
@@ -103,13 +114,6 @@ def _response_rows(view: StudyView) -> list[Row]:
                 }
             )
     return rows
-
-
-def _split(symbol: str) -> tuple[str, str]:
-    """Split a symbol and its index: b2 into b and 2, omega_c into omega and c."""
-    head, _, tail = symbol.partition("_")
-    letters = head.rstrip("0123456789")
-    return (letters, head[len(letters) :] + tail) if letters else (symbol, "")
 
 
 def _relative(e: Estimate) -> str:
@@ -140,14 +144,15 @@ def candidate_rows(view: StudyView) -> list[Row]:
 
     return [
         {
-            "effect": c.effect.name,
+            "effect": view.name(c.effect).words,
+            "key": view.name(c.effect).key,
             "kind": "physics" if c.physical else "measurement",
             "joint": (JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
             "score": short(c.score),
             "delta_bic": short(c.delta_bic),
             "p_value": probability(c.p_value),
             "held_out_gain": short(c.held_out_gain, 2),
-            "rivals": ", ".join(c.indistinguishable_from),
+            "rivals": "; ".join(view.name(n).words for n in c.indistinguishable_from),
             "parameters": [with_symbol(k, e) for k, e in c.estimates.items()] if c.significant else [],
             "law": c.effect.law,
             "svg": formula(latex(c.effect.expression), f"law{i}", size=11.5),
@@ -169,10 +174,11 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
         factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
         rows.append(
             LimitRow(
-                effect=u.effect,
+                effect=view.name(u.effect).words,
+                key=view.name(u.effect).key,
                 joint=joints.get(joint, joint),
                 torque=f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
-                strength=f"{u.symbol} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
+                strength=f"{symbol_text(u.symbol)} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
             )
         )
     return rows
@@ -180,11 +186,10 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
 
 def with_symbol(key: str, e: Estimate) -> str:
     """Return ``k = (9.996 ± 0.002) × 10⁻¹¹ N m s²`` for a parameter."""
-    head, index = _split(key.partition("@")[0].rpartition(".")[2])
-    index = f"_{index}" if index and not index.isdigit() else index.translate(_SUBSCRIPTS)
+    symbol = symbol_text(key.partition("@")[0].rpartition(".")[2])
     at = f" ({key.partition('@')[2]})" if "@" in key else ""
     end = " (at a bound)" if e.at_bound else ""
-    return f"{_GREEK.get(head, head)}{index}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}{end}"
+    return f"{symbol}{at} = {with_uncertainty(e.value, e.stderr, e.unit)}{end}"
 
 
 def clip_row(r: Recording, placement: Placement | None) -> Row:
@@ -245,6 +250,7 @@ class Plausibility:
     """One effect in one case: largest torques on both bodies, dissipated energy, its share, and an assessment."""
 
     effect: str
+    key: str
     case: str
     rotor: str
     casing: str
@@ -315,7 +321,8 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
         )
         rows.append(
             Plausibility(
-                effect=effect.name,
+                effect=fit.name(effect).words,
+                key=fit.name(effect).key,
                 case=record.label if named else "",
                 rotor=short(float(np.abs(tau[:, 0]).max())),
                 casing=short(float(np.abs(tau[:, 1]).max())),
@@ -349,6 +356,67 @@ def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -
     return "supplies energy" if may_supply else UNPHYSICAL
 
 
+# contributions of one parameter that are shown, and the least share of the variance
+_MOST_PARTS, _LEAST_SHARE = 3, 0.005
+
+
+def budget_rows(view: StudyView) -> list[Row]:
+    """Return the parameters of the final model with their combined uncertainties and the largest contributions."""
+    from fitting._errors import FittingError
+    from fitting.inference._budget import budget
+
+    try:
+        found = budget(view.final)
+    except FittingError:  # of a fit that did not converge
+        return []
+    rows = []
+    for name, b in found.items():
+        key, _, label = name.partition("@")
+        effect, _, own = key.rpartition(".")
+        symbol, index = symbol_parts(own)
+        shown = [c for c in b.contributions[:_MOST_PARTS] if c.share >= _LEAST_SHARE]
+        case = f" ({label})" if label and len(view.cases) > 1 else ""
+        called = view.name(key)
+        rows.append(
+            {
+                "symbol": symbol,
+                "index": index + ("0" if effect == "initial" else ""),
+                "value": with_uncertainty(b.value, b.u, b.unit),
+                "effect": (called.words if effect == "initial" else view.name(effect).words) + case,
+                "key": called.key,
+                "parts": [f"{c.source} (type {c.type}) {percentage(c.share)}" for c in shown],
+            }
+        )
+    return rows
+
+
+def experiment_rows(view: StudyView) -> list[tuple[str, str]]:
+    """Return what was measured in each case: bodies with their moments of inertia, samples, surface."""
+    rows = []
+    for data in view.base.problem.data:
+        r = data.record
+        at = f" of {r.label}" if len(view.cases) > 1 else ""
+        inertias = [] if r.single else [("rotor", r.I_rotor, r.I_rotor_u)]
+        inertias += [] if r.per_inertia else [(r.body, r.I_casing, r.I_casing_u)]
+        rows += [(f"Moment of inertia of the {body}{at}", _inertia(value, u)) for body, value, u in inertias]
+        if r.per_inertia:
+            rows.append((f"Moment of inertia{at}", "not given: torques are per unit of inertia"))
+        rotor = f", rotor {sum(map(len, r.rotor))} in {len(r.rotor)} windows" if r.rotor else ""
+        count = f"{r.body} {len(r.casing)}{rotor}; {data.n_effective:.0f} equivalent independent samples"
+        rows.append((f"Samples of the {r.quantity}{at}", count))
+        first, last = r.span
+        rows.append((f"Time{at}", f"{first:.2f} s to {last:.2f} s"))
+    rows.append(
+        ("Method", "Films and laws: the method page of the documentation; all tables: the HTML report.")
+    )
+    return rows
+
+
+def _inertia(value: float, u: float) -> str:
+    stated = math.isfinite(u)
+    return with_uncertainty(value, u, "kg m²") if stated else f"{short(value, 4)} kg m², no uncertainty given"
+
+
 _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
 
 
@@ -379,4 +447,6 @@ def _samples(data: CaseData) -> str:
         inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
         count = sum(len(w) for w in r.rotor)
         samples = f"casing {len(r.casing)}, rotor {count} in {len(r.rotor)} windows"
-    return f"{samples}; {data.n_effective:.0f} effective; {inertia}; measured: {r.quantity}"
+    return (
+        f"{samples}; {data.n_effective:.0f} equivalent independent samples; {inertia}; measured: {r.quantity}"
+    )

@@ -116,7 +116,7 @@ class Session:
                 words.append(f"-{drop}")
             if values:
                 start |= values
-                words.append("other initial values")
+                words.append("fitted again")
             if not words:
                 raise GyrotrackError("No change was requested.", "Enter the name of an effect, or a formula.")
             noise = self.fit.noise

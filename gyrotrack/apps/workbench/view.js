@@ -223,7 +223,7 @@ const Laboratory = (() => {
     };
     at("ranking").replaceChildren(...shown.map((c) => row(c, element("tr", c.significant ? {} : { class: "pale" },
       element("th", { scope: "row", title: laws.get(c.effect) || c.effect }, c.effect, element("span", { class: "more" }, [
-        ...(c.kind === "measurement" ? ["artefact"] : []),
+        ...(c.kind === "measurement" ? ["measurement effect"] : []),
         ...(c.indistinguishable_from.length ? [`indistinguishable from ${c.indistinguishable_from.join(", ")}`] : []),
       ].join("; "))),
       element("td", {}, format(c.score, 3)), element("td", {}, c.delta_bic === null ? "\u2013" : format(c.delta_bic, 3)),

@@ -112,7 +112,8 @@ class TestRates:
 
     def test_the_sentence_tells_rate_p_value_and_shares(self):
         text = made(outcome(), outcome("truth", effect=NAME, named=(NAME,))).sentence
-        assert "Of 1 simulated recordings without casing.air.quadratic, 0 end in a false alarm" in text
+        drag = "quadratic air drag of the casing (casing.air.quadratic)"
+        assert f"Of 1 simulated recordings without the {drag}, 0 end in a false alarm" in text
         assert "p-value of this answer is 0.5" in text
         assert "100 % name it first" in text
         assert "named" not in made(outcome(), named=(), verdict="adequate").sentence
@@ -235,3 +236,25 @@ class TestStored:
         stored = ledger.find(entry.fit_id)
         stored.document["certificate"] |= change
         assert stored.certificate(adequate) is None
+
+
+def test_the_answers_are_drawn_on_given_axes():
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("agg")
+    from matplotlib.figure import Figure
+
+    found = made(
+        outcome(),
+        outcome(),
+        outcome("truth", effect=NAME, named=(NAME,)),
+        outcome("rival", effect="bearing.drift"),
+    )
+    figure = Figure()
+    ax = figure.subplots()
+    assert found.plot(ax) is figure
+    assert [t.get_text() for t in ax.get_yticklabels()] == [
+        "no effect (2)", "quadratic air drag of the casing (1)", "drift of the bearing friction (1)",
+    ]  # fmt: skip
+    # each bar has 100 %
+    assert sum(p.get_width() for p in ax.patches) == pytest.approx(300)
+    assert found.plot() is not figure

@@ -8,9 +8,10 @@ from cases import data, fitted
 
 from fitting import LIBRARY, Candidate, diagnose, fit
 from fitting._criteria import DEFAULT
-from fitting.discovery._measurement import START, StartErrors, _fall, starts_are_unknown, with_start_u
+from fitting.discovery._measurement import StartErrors, _fall, starts_are_unknown, with_start_u
 from fitting.discovery._score import Score
 from fitting.discovery._select import _to_refit, ordered
+from fitting.effects._library import START
 from fitting.inference._case_data import CaseData
 from fitting.inference._record import Samples
 

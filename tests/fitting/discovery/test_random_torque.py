@@ -204,7 +204,7 @@ def test_an_effect_of_less_than_three_standard_uncertainties_is_a_hint(value, st
     effect = LIBRARY["bearing.drift"]
     (strength,) = effect.parameters
     estimates = {f"bearing.drift.{strength.symbol}": Estimate(value, stderr, "s-1", at_bound=False)}
-    named = SimpleNamespace(converged=converged, estimates=estimates)
+    named = SimpleNamespace(converged=converged, estimates=estimates, name=lambda e: e.name)
     found = _undetermined(Selection((), SimpleNamespace(effect=effect), named, named), DEFAULT)
     assert (hint in found) if hint else found == ""
 
@@ -263,7 +263,8 @@ def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, w
 
     random = SimpleNamespace(words="a random torque of 2e-7 N m", is_raised=raised)
     chosen = SimpleNamespace(effect=LIBRARY["bearing.drift"], indistinguishable_from=())
-    assert words in _undecided(Selection([], chosen, None, None), random, "", [], DEFAULT)
+    final = SimpleNamespace(name=lambda e: e.name)
+    assert words in _undecided(Selection([], chosen, None, final), random, "", [], DEFAULT)
 
 
 def test_starts_and_slips_are_found_without_a_model():

@@ -9,7 +9,7 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
-from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError
+from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effect_name
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
@@ -188,6 +188,10 @@ def estimate(value=1.0, stderr=0.1, unit="1"):
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit, as far as a grade depends on it."""
+
+    @staticmethod
+    def name(effect):
+        return effect_name(getattr(effect, "name", effect))
 
     model: object
     bic: float = 100.0
@@ -409,7 +413,10 @@ class TestGrade:
     def test_a_second_effect_is_a_remainder(self, monkeypatch):
         end = found(DRAG, "touchpoint.step", deviance=60.0, theta=(0,) * 4)
         size = self.graded(monkeypatch, share=0.02, end=end)
-        assert "second effect touchpoint.step" in size.remainder.sentence
+        assert (
+            "second effect step of the friction at the touch point (touchpoint.step)"
+            in size.remainder.sentence
+        )
         assert size.remainder.p_value == pytest.approx(chi2(2).sf(20.0))
         assert size.form == "approximate"
         assert self.asked[0] == (end, False)
@@ -437,7 +444,7 @@ class TestGrade:
     @pytest.mark.parametrize(
         ("share", "shape", "explained", "whole"),
         [
-            (0.30, (0.25, 0.01, 3e-6), 0.99, "torque of casing.air.quadratic"),
+            (0.30, (0.25, 0.01, 3e-6), 0.99, "torque of the quadratic air drag of the casing"),
             (0.30, (0.25, 0.06, 3e-6), 0.75, "unmodelled torque"),
             (0.30, (0.35, 0.06, 3e-6), 0.70, "unmodelled torque"),
             (0.03, (0.04, 0.01, 3e-6), 0.97, "unmodelled torque"),
@@ -450,7 +457,10 @@ class TestGrade:
         size = self.graded(monkeypatch, share=share, shape=shape, end=end)
         assert size.explained == pytest.approx(explained)
         assert f"of the mean square {whole}" in size.remainder.sentence
-        assert "shape of casing.air.quadratic: exponent 1.900 +- 0.010" in size.remainder.sentence
+        assert (
+            "shape of the quadratic air drag of the casing: exponent 1.900 +- 0.010"
+            in size.remainder.sentence
+        )
         # of a significant lack of fit only the unmodelled torque counts
         if whole.endswith("quadratic"):
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)

@@ -7,10 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import LIBRARY, Candidate, Criteria, Estimate, EstimationError, SimulationError, improve
+from fitting import (
+    LIBRARY,
+    Candidate,
+    Criteria,
+    Estimate,
+    EstimationError,
+    SimulationError,
+    effect_name,
+    improve,
+)
 from fitting._criteria import DEFAULT
 from fitting.discovery import _select as module
-from fitting.discovery._measurement import START
 from fitting.discovery._score import Score
 from fitting.discovery._select import (
     Step,
@@ -26,6 +34,7 @@ from fitting.discovery._select import (
     select,
     separate_values,
 )
+from fitting.effects._library import START
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]
@@ -67,6 +76,10 @@ def held_out(value):
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit, as far as a decision depends on it."""
+
+    @staticmethod
+    def name(effect):
+        return effect_name(getattr(effect, "name", effect))
 
     bic: float = 100.0
     deviance: float = 100.0

@@ -310,7 +310,7 @@ class TestAnswer:
             1.0,
             None,
         )
-        assert f"The missing effect is {NAME}, k = " in found.sentence
+        assert "Missing: quadratic air drag of the body (air.quadratic), k = " in found.sentence
         assert found.upper_limits == ()
         assert found.form_limit is None or 0.0 < found.form_limit < 1.0
 
@@ -407,7 +407,7 @@ class TestKindsOfTorque:
         size = remainder.grade(base(), selection, None, DEFAULT, misfit=False)
         assert size.explained > 0.95
         assert size.form == "approximate"
-        assert "second effect casing.asymmetry" in size.remainder.sentence
+        assert "second effect asymmetry of the body (asymmetry)" in size.remainder.sentence
         assert "a torque of the angle of 1.41 mN m rms" in size.remainder.sentence
 
     @pytest.mark.parametrize(("alone", "explained"), [(0.02, 0.98), (0.3, 0.7), (0.6, 0.6)])
@@ -545,9 +545,9 @@ class TestGrade:
         [
             (0.5, True, 1.0, None),
             (0.5, False, 0.5, "only a deviation above 50 % of its torque"),
-            (1.5, False, 0.5, "no deviation smaller than its torque itself"),
+            (1.5, False, 0.5, "any law of similar size and shape"),
             (np.inf, False, 0.5, "the other parameters absorb every deviation"),
-            (0.5, False, 0.001, "the residuals pull x beyond its bound"),
+            (0.5, False, 0.001, "the fit prefers x outside its bounds"),
         ],
     )
     def test_why_a_form_is_not_established(self, limit, strong, bounds_p, words):
@@ -558,7 +558,9 @@ class TestGrade:
     def test_noise_of_the_fit_that_the_recording_does_not_show_is_stated(self):
         most = (SimpleNamespace(level=5e-6, pure=4e-6), SimpleNamespace(level=3e-6, pure=1e-6))
         selection = SimpleNamespace(
-            chosen=ranked()[0], final=SimpleNamespace(noise=most, torque_unit="N m"), candidates=ranked()
+            chosen=ranked()[0],
+            final=SimpleNamespace(noise=most, torque_unit="N m", name=lambda e: e.name),
+            candidates=ranked(),
         )
         (_, text) = verdict._missing(selection, Grade(None, 1.0, None, noisy=True), DEFAULT)
         assert "a random torque of 3 uN m rms, the recording shows 1 uN m" in text
@@ -614,7 +616,11 @@ def test_a_second_effect_of_the_library_completes_an_answer(
 @pytest.mark.parametrize(
     ("fitted", "significant", "words"),
     [
-        (False, True, f"was fitted to it (`gyrotrack improve` begins with {NAME})"),
+        (
+            False,
+            True,
+            "was fitted to it (`gyrotrack improve` begins with quadratic air drag of the body (air.quadratic))",
+        ),
         (False, False, "explains it"),
         (True, True, "explains it"),
     ],

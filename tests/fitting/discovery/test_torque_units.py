@@ -69,7 +69,7 @@ def test_a_lack_of_fit_in_words(torque, sigma, times, text):
         "casing",
         *times,
         "gains torque",
-        "in the tail",
+        "while slowing down",
         300.0,
         1.0,
         torque,
@@ -78,7 +78,7 @@ def test_a_lack_of_fit_in_words(torque, sigma, times, text):
         sigma,
         "rad/s2",
     )
-    assert str(failure) == f"unmodelled torque on the body {text}, in the tail (up to 300 sigma)"
+    assert str(failure) == f"unmodelled torque on the body {text}, while slowing down (up to 300 sigma)"
 
 
 def test_the_torque_of_an_interval_weighs_each_moment_by_its_variance():
@@ -127,7 +127,7 @@ def test_numbers_of_sentences(value, text):
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "where"), [(0, 10, "at the start"), (20, 40, "in the middle"), (70, 90, "in the tail")]
+    ("a", "b", "where"), [(0, 10, "at the start"), (20, 40, "in the middle"), (70, 90, "while slowing down")]
 )
 def test_a_body_that_only_slows_down_has_no_peak(a, b, where):
     curve = SimpleNamespace(time=np.arange(100.0), omega_c=-50 * np.exp(-np.arange(100) / 30))
@@ -138,8 +138,8 @@ def test_a_speed_that_rises_and_falls_has_a_peak():
     time = np.arange(100.0)
     curve = SimpleNamespace(time=time, omega_c=time * (100 - time))
     assert [_place(curve, *ab) for ab in ((0, 20), (45, 55), (30, 70), (80, 100))] == [
-        "in the rise",
+        "while speeding up",
         "near the peak",
         "around the peak",
-        "in the tail",
+        "while slowing down",
     ]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose
+from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose, effect_name
 from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery import _verdict as module
@@ -19,12 +19,14 @@ from fitting.discovery._lack_of_fit import (
     PeriodogramPeak,
     SmoothTest,
 )
-from fitting.discovery._measurement import SLIP, START
 from fitting.discovery._remainder import Grade, Nuisance, Remainder
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import slipped
+from fitting.effects._library import SLIP, START
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
+NAMED = f"quadratic air drag of the casing ({DRAG})"
+BOTH = f"{NAMED}; laminar disc drag of the casing ({LAMINAR})"
 LEFT = Remainder(1e-6, 0.03, 1e-5, "Remainder 1 uN m rms.")
 
 
@@ -52,6 +54,10 @@ def named(*effects):
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit, as far as an answer depends on it."""
+
+    @staticmethod
+    def name(effect):
+        return effect_name(getattr(effect, "name", effect))
 
     model: Any = field(default_factory=named)
     wrong: bool = False
@@ -142,7 +148,7 @@ class TestVerdict(Answer):
         limit = SimpleNamespace(effect=DRAG, torque_Nm=3e-7)
         found = self.answer(Found(), brief=False, largest_hidden=(limit,))
         assert found.upper_limits == (limit,)
-        assert f"95 % upper limits of the rms torque: {DRAG} 0.3 uN m." in found.sentence
+        assert f"95 % upper limits of the rms torque: {NAMED} 0.3 uN m." in found.sentence
 
     def test_effects_of_the_user_and_criteria_are_passed_on(self):
         own, strict = candidate().effect, Criteria(significance=0.001)
@@ -181,7 +187,7 @@ class TestVerdict(Answer):
         chosen = candidate(estimates={f"{DRAG}.k": estimate()})
         found = self.answer(select=selection(chosen), grade=COMPLETE)
         assert (found.verdict, found.form, found.explained) == ("missing_effect", "exact", 1.0)
-        assert f"The missing effect is {DRAG}, k = " in found.sentence
+        assert f"Missing: {NAMED}, k = " in found.sentence
         assert found.next_experiment == ""
         assert self.answer(brief=False).next_experiment == "next run"
 
@@ -204,9 +210,9 @@ class TestVerdict(Answer):
         chosen = candidate()
         found = self.answer(select=selection(chosen), contradiction=peak, significant_peak=peak)
         assert found.verdict == "unexplained"
-        assert f"after {DRAG}" not in found.sentence
+        assert f"after {NAMED}" not in found.sentence
         found = self.answer(significant_peak=None)
-        assert f"after {DRAG}" in found.sentence
+        assert f"after {NAMED}" in found.sentence
         # with an approximate form the effect is part of the answer
         found = self.answer(grade=Grade("approximate", 0.97, LEFT), significant_peak=peak)
         assert found.verdict == "missing_effect"
@@ -227,7 +233,7 @@ class TestVerdict(Answer):
         weak = Found(estimates={f"{DRAG}.k": estimate(2e-9, 1e-9)})
         found = self.answer(select=selection(candidate(), named=weak), grade=COMPLETE)
         assert (found.verdict, found.form, found.explained) == ("undecided", None, None)
-        assert f"so {DRAG} is a hint only." in found.sentence
+        assert f"so {NAMED} is a hint only." in found.sentence
         assert "with_random_torque" not in self.asked
         found = self.answer(select=selection(candidate(), named=weak, final=Found(wrong=True)))
         assert found.verdict == "unexplained"
@@ -250,10 +256,7 @@ class TestVerdict(Answer):
         )  # fmt: skip
         assert found.verdict == verdict
         if verdict == "undecided":
-            assert (
-                f"A random torque of 1 uN m rms describes the data as well as {DRAG}, {LAMINAR}"
-                in found.sentence
-            )
+            assert f"A random torque of 1 uN m rms describes the data as well as {BOTH}" in found.sentence
             assert "Repeat the recording" in found.sentence
 
     def test_a_random_torque_that_describes_an_unexplained_lack_of_fit(self):
@@ -412,7 +415,7 @@ class TestWords:
         ("explained", "words"),
         [
             (0.04, "No effect of the library explains more than 5 % of it."),
-            (0.06, f"the closest, {DRAG}, explains 6 % of the mean square unmodelled torque."),
+            (0.06, f"the closest, {NAMED}, explains 6 % of the mean square unmodelled torque."),
         ],
     )
     def test_the_closest_effect_is_a_hypothesis_from_five_percent(self, explained, words):
@@ -420,9 +423,7 @@ class TestWords:
 
     def test_a_law_of_another_speed_explains_more(self):
         text = self.unexplained(candidate(), Grade(None, 0.7, LEFT, unknown="omega_r"))
-        assert (
-            "a smooth law of omega_r explains more than the closest one, casing.air.quadratic (70 %" in text
-        )
+        assert f"a smooth law of omega_r explains more than the closest one, {NAMED}, with 70 %" in text
 
     def test_a_form_with_an_undetermined_strength(self):
         text = self.unexplained(candidate(), Grade("approximate", 0.97, LEFT))
@@ -443,8 +444,8 @@ class TestWords:
 
     def test_candidates_that_were_not_fitted(self):
         waiting = [candidate(fit=None, score=10.0), candidate(LAMINAR, fit=None, score=20.0)]
-        text = module._nothing_explains(Selection(waiting, None, None, None))
-        assert f"begins with {LAMINAR}" in text
+        text = module._nothing_explains(Selection(waiting, None, None, Found()))
+        assert f"begins with laminar disc drag of the casing ({LAMINAR})" in text
         assert module._nothing_explains(Selection([*waiting, candidate()], None, None, None)) == (
             "No effect of the library explains it"
         )
@@ -457,17 +458,21 @@ class TestWords:
     def test_names_of_one_effect_and_of_a_class(self, monkeypatch):
         monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
         assert self.missing(None) == ""
-        assert self.missing(candidate()) == f"The missing effect is {DRAG}."
-        assert self.missing(candidate("setup.inertia")).startswith("The missing measurement effect is")
+        assert self.missing(candidate()) == f"Missing: {NAMED}."
+        assert self.missing(candidate("setup.inertia")).startswith("Fault of the measurement: ")
         approximate = Grade("approximate", 0.97, LEFT)
-        assert self.missing(candidate(), approximate).startswith(f"The missing effect is close to {DRAG}.")
+        assert self.missing(candidate(), approximate).startswith(f"Missing: a law close to {NAMED}.")
         both = candidate(alike=(LAMINAR,))
-        assert self.missing(both) == f"One of {DRAG}, {LAMINAR} is missing; this data cannot separate them."
-        assert self.missing(both, approximate).startswith(f"A law close to {DRAG}, {LAMINAR} is missing")
+        assert (
+            self.missing(both) == f"Missing: one of these effects, which this data cannot separate: {BOTH}."
+        )
+        assert self.missing(both, approximate).startswith(
+            f"Missing: a law close to one of these effects, which this data cannot separate: {BOTH}."
+        )
         unknown = (UNKNOWN_IN_TIME, next(iter(UNKNOWN_LAWS.values())))
         text = self.missing(candidate(alike=unknown))
-        assert text.startswith(f"The missing effect is {DRAG}, or {unknown[0]}, or {unknown[1]};")
-        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("One of")
+        assert text.startswith(f"Missing: {NAMED}, or {unknown[0]}, or {unknown[1]};")
+        assert self.missing(candidate(alike=(*unknown, LAMINAR))).startswith("Missing: one of these effects")
 
     def test_the_remainder_the_noise_or_the_test_is_stated(self, monkeypatch):
         monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {})
@@ -490,7 +495,7 @@ class TestWords:
         text = self.missing(candidate(effect=START, estimates=own))
         assert "of 3.5 ms rms" in text
         assert "cannot separate" not in text
-        assert f"from {DRAG}: no effect" in self.missing(
+        assert f"No effect is established; this data cannot separate them from: {NAMED}." in self.missing(
             candidate(effect=START, estimates=own, alike=(DRAG,))
         )
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from fitting import effect_name
 from gyrotrack.apps.report._page import _headline
 
 
@@ -16,14 +17,17 @@ def candidate(name, *, physical):
 @pytest.mark.parametrize(
     ("name", "physical", "added", "words"),
     [
-        ("bearing.drift", True, (), "Missing effect: bearing.drift"),
-        ("camera.slip", False, (), "Fault of the measurement: camera.slip"),
-        ("camera.slip", False, ("bearing.drift",), "Missing effect: bearing.drift"),
+        ("bearing.drift", True, (), "Missing: drift of the bearing friction"),
+        ("camera.slip", False, (), "Fault of the measurement: slipped turns"),
+        ("camera.slip", False, ("bearing.drift",), "Missing: drift of the bearing friction"),
     ],
 )
 def test_a_fault_of_the_measurement_is_called_so(name, physical, added, words):
     found = candidate(name, physical=physical)
-    view = SimpleNamespace(verdict="missing_effect", differs=None, candidates=(found,), added=added)
+    view = SimpleNamespace(
+        verdict="missing_effect", differs=None, candidates=(found,), added=added,
+        name=lambda e: effect_name(getattr(e, "name", e)),
+    )  # fmt: skip
     assert _headline(view)[2] == words
 
 

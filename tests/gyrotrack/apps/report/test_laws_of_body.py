@@ -5,15 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Model
+from fitting import Model, effect_name
 from gyrotrack.apps.report._laws import laws_of_body
 from gyrotrack.io.readers._reading import units_of_file
 
 
 def fitted(values, inertia=2.0, single=True):
-    record = SimpleNamespace(single=single, I_casing=inertia)
+    record = SimpleNamespace(single=single, I_casing=inertia, body="body")
     return SimpleNamespace(
         problem=SimpleNamespace(data=[SimpleNamespace(record=record)]),
+        name=lambda key: effect_name(key, "body"),
         model=Model.of(dict.fromkeys(k.rpartition(".")[0] for k in values)),
         estimates={
             k: SimpleNamespace(value=v, stderr=u, unit="") for k, (v, u) in values.items()

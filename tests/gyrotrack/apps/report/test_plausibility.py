@@ -33,7 +33,7 @@ def test_all_dissipation_is_the_loss_of_kinetic_energy(story):
 
 def test_the_uncertainty_is_that_of_the_amplitude(story):
     fit = story.rungs[-1].fit
-    (row,) = [r for r in plausibility_rows(fit) if r.effect == ADDED]
+    (row,) = [r for r in plausibility_rows(fit) if r.key == ADDED]
     energy, sigma = _number(row.energy)
     k = fit.estimates[f"{ADDED}.k"]
     assert sigma / energy == pytest.approx(k.stderr / k.value, rel=0.3)
@@ -45,7 +45,7 @@ def test_a_negative_friction_is_called_unphysical(story):
     theta = fit.theta.copy()
     at = fit.problem.layout.names.index(f"{ADDED}.k")
     theta[at] = -theta[at]
-    (row,) = [r for r in plausibility_rows(replace(fit, theta=theta)) if r.effect == ADDED]
+    (row,) = [r for r in plausibility_rows(replace(fit, theta=theta)) if r.key == ADDED]
     assert row.is_unphysical
     assert row.judgement == UNPHYSICAL == "negative dissipation: unphysical"
     assert row.energy.startswith(("−", "(−"))
@@ -53,7 +53,7 @@ def test_a_negative_friction_is_called_unphysical(story):
     covariance = fit.covariance.copy()
     covariance[at, at] = (10 * theta[at]) ** 2
     (row,) = [
-        r for r in plausibility_rows(replace(fit, theta=theta, covariance=covariance)) if r.effect == ADDED
+        r for r in plausibility_rows(replace(fit, theta=theta, covariance=covariance)) if r.key == ADDED
     ]
     assert row.judgement == "not distinguished from zero"
 
