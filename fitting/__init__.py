@@ -1,7 +1,7 @@
 """Friction models of two spinning bodies: fit them, test them, find the missing effect.
 
->>> from fitting import Model, fit, load  # doctest: +SKIP
->>> result = fit(Model.of("reduced"), load("case1.h5"))  # doctest: +SKIP
+>>> from fitting import Case, fit  # doctest: +SKIP
+>>> result = fit("reduced", Case.load("case1.h5"))  # doctest: +SKIP
 
 Public names are imported on first use; ``import fitting`` alone imports nothing else.
 """
@@ -37,11 +37,13 @@ if TYPE_CHECKING:
     from fitting.effects._user import resolve as effect
     from fitting.effects._words import EffectName, effect_name
     from fitting.inference._budget import budget
+    from fitting.inference._case import Case
     from fitting.inference._case_data import CaseData
     from fitting.inference._first_order import FirstOrder, first_order
+    from fitting.inference._params import Estimate, Params
     from fitting.inference._profile import profile as profile_interval
     from fitting.inference._record import Record, make_record
-    from fitting.inference._result import Estimate, Fit
+    from fitting.inference._result import Fit
     from fitting.inference._simulation import Experiment, simulate
     from fitting.study._comparison import compare
     from fitting.study._history import Ledger
@@ -55,6 +57,7 @@ __all__ = [
     "LINEAR",
     "REDUCED",
     "Candidate",
+    "Case",
     "Certificate",
     "Criteria",
     "Diagnosis",
@@ -73,6 +76,7 @@ __all__ = [
     "LedgerError",
     "Model",
     "Parameter",
+    "Params",
     "Record",
     "RecordError",
     "Scan",
@@ -114,10 +118,12 @@ _MODULES = {
     "fitting.effects._user": ("effect", "read_effects"),
     "fitting.effects._words": ("EffectName", "effect_name"),
     "fitting.inference._budget": ("budget",),
+    "fitting.inference._case": ("Case",),
     "fitting.inference._first_order": ("FirstOrder", "first_order"),
+    "fitting.inference._params": ("Estimate", "Params"),
     "fitting.inference._profile": ("profile_interval",),
     "fitting.inference._record": ("Record", "make_record"),
-    "fitting.inference._result": ("Estimate", "Fit"),
+    "fitting.inference._result": ("Fit",),
     "fitting.inference._simulation": ("Experiment", "simulate"),
     "fitting.study._comparison": ("compare",),
     "fitting.study._history": ("Ledger",),
@@ -133,7 +139,12 @@ def __getattr__(name: str) -> Any:
     """Import a public name where it is first used."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_PLACES[name]), _ALIASES.get(name, name))
+    from fitting._arguments import PUBLIC, checked, of_function
+
+    value = getattr(import_module(_PLACES[name]), _ALIASES.get(name, name))
+    if name in PUBLIC:
+        value = checked(value, name, of_function(name))
+    globals()[name] = value
     return value
 
 
@@ -164,8 +175,12 @@ def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -
     RecordError
         If the file is missing or damaged, or has no angles where angles are requested.
     """
+    from fitting._arguments import PATH, TEXT, require
     from fitting.inference._case_file import read_record
 
+    require("path", path, PATH)
+    require("data", data, TEXT.optional)
+    require("rotor", rotor, TEXT)
     record = read_record(path)
     if data is None and rotor == "windows":
         return record
@@ -175,9 +190,10 @@ def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -
 
 
 def fit(
-    model: Model | str,
-    cases: Record | CaseData | Sequence[Record | CaseData],
+    model: Model | str | Sequence[str],
+    cases: Case | Record | CaseData | Sequence[Case | Record | CaseData],
     *,
+    params: Mapping[str, Any] | None = None,
     fixed: Mapping[str, float] | None = None,
     loss: str = "linear",
     share: Iterable[str] = (),
@@ -190,11 +206,15 @@ def fit(
 
     Parameters
     ----------
-    model : Model or str
-        The model, or the name of one of the paper's models: "reduced", "general", "linear"
-        (for a record of a single body: the part of it that acts on this body).
-    cases : Record, or sequence of Record
+    model : Model, str or sequence of str
+        The model; names of laws or formulas (``"support.constant + air.linear"``); or one of the paper's models:
+        "reduced", "general", "linear" (for a record of a single body: the part of it that acts on this body).
+    cases : Case or Record, or a sequence of them
         The experiments. With several, touch point, casing drag and initial angular rates have a value for each.
+    params : Params, or mapping of str to mapping, optional
+        Settings of parameters by name: ``{"k": {"value": 0.7, "vary": False}}``, with value (initial, or held), vary,
+        min, max, and expr, an expression of other parameters that it follows: ``{"k": {"expr": "2*d"}}``. The
+        `params` of an earlier fit are such settings.
     fixed : mapping of str to float, optional
         Parameters held at a value [SI]: ``{"bearing.power.g": 0.7}``.
     loss : {"linear", "huber", "cauchy"}
@@ -218,58 +238,100 @@ def fit(
     FittingError
         If an argument is wrong, or the model cannot be fitted to these data.
     """
-    from fitting._errors import EffectError, EstimationError
+    from fitting._arguments import CRITERIA, NUMBERS, TEXT, require
+    from fitting._errors import EstimationError
     from fitting._workers import single_blas_thread
-    from fitting.dynamics._model import Model
     from fitting.inference._case_data import CaseData
     from fitting.inference._fit import robust_fit
+    from fitting.inference._params import Names, Settings, settings_of
 
+    require("loss", loss, TEXT)
+    require("criteria", criteria, CRITERIA.optional)
     several = _cases(cases)
-    if not isinstance(model, Model | str):
-        raise EffectError(
-            f"a {type(model).__name__} is not a model", 'use a Model or one of "reduced", "general", "linear"'
-        )
-    chosen = Model.of(model) if isinstance(model, str) else model
     records = [c.record if isinstance(c, CaseData) else c for c in several]
-    if isinstance(model, str) and records and all(r.single for r in records):
-        chosen = chosen.alone
+    chosen = _model(model, records)
     for name, mapping in (("fixed", fixed), ("start", start), ("ranges", ranges)):
         if not isinstance(mapping, Mapping | None):
             raise EstimationError(
                 f"{name} is a {type(mapping).__name__}; use a mapping", 'for example {"bearing.power.g": 0.7}'
             )
+    for name, mapping in (("fixed", fixed), ("start", start)):
+        require(name, mapping, NUMBERS.optional)
     for key, pair in (ranges or {}).items():
-        if not isinstance(pair, Sequence) or len(pair) != 2 or not pair[0] <= pair[1]:
+        if not _is_range(pair):
             raise EstimationError(f"the range of {key!r} is {pair!r}", "use a pair (lower, upper)")
+    names = Names.of(chosen, records)
+    asked = Settings(
+        {names(k): float(v) for k, v in (fixed or {}).items()},
+        # values of another fit are initial values of the parameters that both have
+        {k if names.missing(k) else names(k): float(v) for k, v in (start or {}).items()},
+        {names(k): (float(a), float(b)) for k, (a, b) in (ranges or {}).items()},
+    )
+    asked = settings_of(params, chosen, records).joined(asked)
     options: dict[str, Any] = {
         "share": _names(share),
         "per_case": _names(per_case),
-        "start": start,
-        "ranges": ranges,
+        "start": asked.start or None,
+        "ranges": asked.ranges or None,
+        "ties": {k: names.tie(text) for k, text in asked.ties.items()} or None,
     }
     if criteria is not None:
         several = [c.with_criteria(criteria) if isinstance(c, CaseData) else c for c in several]
         options["criteria"] = criteria
     with single_blas_thread():
-        return robust_fit(chosen.with_fixed(fixed or {}), several, loss, **options)
+        return robust_fit(chosen.with_fixed(asked.fixed), several, loss, **options)
+
+
+def _model(model: object, records: Sequence[Record]) -> Model:
+    from fitting._errors import EffectError
+    from fitting.dynamics._model import Model
+    from fitting.inference._case import model_of
+
+    if isinstance(model, Model):
+        return model
+    if not isinstance(model, str | Sequence) or not model:
+        raise EffectError(
+            f"a {type(model).__name__} is not a model",
+            'use a Model, names of laws ("air.linear + support.constant") or one of "reduced", "general", "linear"',
+        )
+    if not records:
+        return Model.of(model)
+    return model_of(model, records[0])
+
+
+def _is_range(pair: object) -> bool:
+    from numbers import Real
+
+    if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+        return False
+    return all(isinstance(x, Real) for x in pair) and bool(pair[0] <= pair[1])
 
 
 def _cases(cases: object) -> list[Record | CaseData]:
     from fitting._errors import EstimationError
+    from fitting.inference._case import Case
     from fitting.inference._case_data import CaseData
     from fitting.inference._record import Record
 
     several: list[Any] = (
         list(cases) if isinstance(cases, Iterable) and not isinstance(cases, str) else [cases]
     )
+    several = [c.record if isinstance(c, Case) else c for c in several]
     wrong = [type(c).__name__ for c in several if not isinstance(c, Record | CaseData)]
     if wrong:
         raise EstimationError(
             f"a case is a {wrong[0]}, not a Record",
-            "read a file with fitting.load or use fitting.make_record",
+            "read a file with fitting.load or use fitting.Case.from_arrays",
         )
     return several
 
 
 def _names(names: Iterable[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
+    from fitting._errors import EffectError
+
+    found = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Iterable) else (names,)
+    if not all(isinstance(n, str) for n in found):
+        raise EffectError(
+            "share and per_case are names of parameters", 'write for example ["casing.air.linear"]'
+        )
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from typing import Any
 
 # number of digits above which a number with a power of ten is printed with all of them
@@ -182,6 +183,25 @@ def per_inertia(unit: str) -> str:
     if power in {"0", "-1"}:
         return f"rad/s{-exponent:g}{tail}"
     return (f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1") + tail
+
+
+# lines and columns of the repr of a result
+_LINES, _COLUMNS = 20, 120
+
+
+def on_screen(lines: Iterable[str]) -> str:
+    """Return lines as the repr of a result: at most 20, of at most 120 columns."""
+    cut = [x if len(x) <= _COLUMNS else f"{x[: _COLUMNS - 3]}..." for x in lines]
+    if len(cut) > _LINES:
+        cut = [*cut[: _LINES - 1], f"... {len(cut) - _LINES + 1} more lines"]
+    return "\n".join(cut)
+
+
+def span_of(name: str, values: Any, unit: str) -> str:
+    """Return an array in words, by its number of values and its range."""
+    if not len(values):
+        return f"{name}: no values"
+    return f"{name}: {len(values)} values from {min(values):.4g} to {max(values):.4g} {unit}".rstrip()
 
 
 def to_json(value: Any) -> Any:

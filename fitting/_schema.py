@@ -208,11 +208,12 @@ class EstimateDocument(Document):
 
 
 class StoredEstimate(EstimateDocument):
-    """A parameter with its bounds, and whether it is varied."""
+    """A parameter with its bounds, whether it is varied, and the expression that it follows."""
 
     vary: bool = True
     min: Number = -math.inf
     max: Number = math.inf
+    expr: str | None = None
 
 
 class BodyDocument(Document):

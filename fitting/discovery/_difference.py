@@ -25,7 +25,8 @@ from fitting.discovery._score import CaseColumns, Score, ScoreContext, score, sc
 from fitting.effects._effect import Effect
 from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
 
 # shared parameters with the largest scores that are fitted with a value for each recording

@@ -30,12 +30,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
+from fitting._numbers import on_screen, rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
 from fitting.discovery._difference import (
@@ -76,7 +78,8 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit, measured_with
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.inference._trace import Refit, attempt, recorded_map, recording
 
 Array = NDArray[np.float64]
@@ -110,7 +113,11 @@ class Difference:
     omega_r: tuple[float, float]
 
 
-@dataclass(frozen=True)
+# lines of a repr: laws, and columns of a sentence
+_SHOWN, _WIDTH = 6, 100
+
+
+@dataclass(frozen=True, repr=False)
 class Law:
     """A law that explains the unmodelled torque, and the evidence for it."""
 
@@ -128,6 +135,13 @@ class Law:
     differences: tuple[Difference, ...]  # where it differs from the others
     fit: Fit = field(repr=False)  # the refit of base and law
 
+    def __repr__(self) -> str:
+        values = ", ".join(
+            f"{k.rpartition('.')[2]} = {rounded(e.value, e.stderr, e.unit)}"
+            for k, e in self.estimates.items()
+        )
+        return f"{self.formula}: score {self.score:.4g}; {values}"
+
     @property
     def body(self) -> str:
         """The body or joint on which it acts."""
@@ -139,7 +153,7 @@ class Law:
         return self.fit.bic + self.description_length
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Laws:
     """The answer of `laws`.
 
@@ -160,6 +174,11 @@ class Laws:
     trace: tuple[Refit, ...] = field(
         default=(), repr=False
     )  # every fit of the search, also those that failed
+
+    def __repr__(self) -> str:
+        shown = [f"  {law!r}" for law in self.laws[:_SHOWN]]
+        more = [f"  ... {len(self.laws) - _SHOWN} more"] if len(self.laws) > _SHOWN else []
+        return on_screen([f"laws: {self.verdict}", *wrap(self.sentence, _WIDTH)[:_SHOWN], *shown, *more])
 
     @property
     def answer(self) -> tuple[Law, ...]:

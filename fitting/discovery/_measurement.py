@@ -28,8 +28,9 @@ from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to
 from fitting.inference._noise import Noise
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem, recording_noise, refine_level
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
 from fitting.inference._trace import attempt
 
@@ -119,7 +120,7 @@ def with_start_u(base: Fit, u: float) -> Fit:
     """Return a fit with unstated starts replaced by starts of this standard uncertainty [s]."""
     data = [d.with_start_u(u) for d in base.problem.data]
     old = base.problem.layout
-    layout = ParameterLayout.of(base.model, [d.record for d in data], *old.choices, old.ranges)
+    layout = ParameterLayout.of(base.model, [d.record for d in data], *old.choices, old.ranges, old.ties)
     problem = Problem.of(layout, data)
     predictions = problem.predict(base.theta)
     noise: Sequence[Noise] = [recording_noise(d, p) for d, p in zip(data, predictions, strict=True)]

@@ -54,7 +54,8 @@ from fitting.inference._linear_algebra import (
     piecewise_linear,
 )
 from fitting.inference._metrics import FewRows
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]

@@ -30,7 +30,8 @@ from fitting._errors import FittingError
 from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]

@@ -41,6 +41,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Annotated, Any
 
 import numpy as np
@@ -48,6 +49,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError, FittingError
+from fitting._numbers import on_screen
 from fitting._workers import single_blas_thread
 from fitting.discovery._information import Information, rivals
 from fitting.discovery._next_run import Bounds, NextRun, next_run
@@ -70,6 +72,10 @@ Pair = tuple[Finite, Finite]
 _SEED = 1
 _LARGEST = 1_000_000
 _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
+
+
+# lines of a repr: effects, and columns of a sentence
+_SHOWN, _WIDTH = 8, 100
 
 
 class _Table(BaseModel):
@@ -278,7 +284,7 @@ _EVALUATIONS = 60
 _SIMULATIONS, _ESTIMATES = 2, 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """Detection limits and power of some recordings, and the next run."""
 
@@ -289,6 +295,19 @@ class Plan:
     classes: tuple[tuple[str, ...], ...]  # effects that these recordings would not separate
     next_run: NextRun | None  # None if none can be simulated
     warning: str = field(default="")  # a restriction of the answer; empty if there is none
+
+    def __repr__(self) -> str:
+        unit = self.fit.torque_unit
+        head = f"plan: {len(self.effects)} effects, for an rms torque of {self.size:.3g} {unit}"
+        lines = [head, *wrap(self.warning, _WIDTH)]
+        lines += [
+            f"  {e.effect.name}.{e.strength}: detection limit {e.detection_limit:.3g} {e.unit}"
+            for e in self.effects[:_SHOWN]
+        ]
+        if len(self.effects) > _SHOWN:
+            lines.append(f"  ... {len(self.effects) - _SHOWN} more")
+        lines += [] if self.next_run is None else wrap(f"next run: {self.next_run.sentence}", _WIDTH)
+        return on_screen(lines)
 
 
 @single_blas_thread()

@@ -493,6 +493,8 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         value = (gram @ (white.T @ r)) / size
         covariance = gram / np.outer(size, size)
         for name, places in CAMERA_COLUMNS.items():
+            if not data.camera_columns[:, list(places)].any():
+                continue
             at = [first + i for i in places]
             pair, cov = value[at], covariance[np.ix_(at, at)]
             amplitude = float(np.hypot(*pair))

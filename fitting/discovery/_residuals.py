@@ -15,6 +15,7 @@ the casing is slow,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import PER_INERTIA, TORQUE, interval, plain, rounded
+from fitting._numbers import PER_INERTIA, TORQUE, interval, plain, rounded, span_of
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import LIBRARY
 from fitting.inference._case_data import CaseData
@@ -72,7 +73,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 _SHARE, _FLOOR = 1 / 30, 3e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ResidualTorque:
     """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
 
@@ -83,6 +84,9 @@ class ResidualTorque:
     sigma: Array
     omega_r: Array
     omega_c: Array
+
+    def __repr__(self) -> str:
+        return f"ResidualTorque on the {self.body} of {self.label}: {span_of('torque', self.torque, '')}"
 
 
 def residual_torques(fit: Fit) -> list[ResidualTorque]:
@@ -151,13 +155,17 @@ _ANGLE_POINTS = 73  # points of a curve over one turn: 5 degrees
 _RANK = 1e-6  # singular values below this share of the largest are rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AngleHarmonics:
     """Harmonics of the unmodelled torque in the angle of the casing of one case."""
 
     label: str  # case
     gamma: Array  # shape (4,); amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m]
     covariance: Array  # shape (4, 4); their covariance [N2 m2]
+
+    def __repr__(self) -> str:
+        sizes = (math.hypot(*self.gamma[:2]), math.hypot(*self.gamma[2:]))
+        return f"AngleHarmonics of {self.label}: once a turn {sizes[0]:.3g}, twice a turn {sizes[1]:.3g}"
 
     @property
     def angle(self) -> Array:

@@ -35,8 +35,8 @@ from fitting._criteria import Criteria
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import means_in
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects._effect import Effect, Parameter
-from fitting.effects._expression import Tape, derivative
+from fitting.effects._effect import Effect, Parameter, State
+from fitting.effects._expression import Expr, Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
@@ -260,7 +260,7 @@ class CaseColumns:
         first, last = self.case.data.record.span
         if effect.state is not None and _phase_symbol(effect):
             # phase of the sinusoid per unit of its frequency parameter, over the whole record
-            phase = self._states(effect, {p.symbol: np.ones(1)})[:, 0]
+            phase = self._states(effect, effect.state, effect.rates[0], {p.symbol: np.ones(1)})[:, 0]
             range_ = float(np.ptp(phase))
             fastest = _FASTEST / max(float(np.abs(np.diff(phase)).max()), 1e-300)
             count = int(min(_MAX_FREQUENCIES, fastest * range_ / _PHASE_STEP))
@@ -306,8 +306,8 @@ class CaseColumns:
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
         shapes = {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
         values = self._cells | {p.symbol: p.start for p in effect.parameters} | shapes
-        if effect.state is not None:
-            values[effect.state.symbol] = self._states(effect, shapes)
+        for state, rate in zip(effect.states, effect.rates, strict=True):
+            values[state.symbol] = self._states(effect, state, rate, shapes)
         with np.errstate(all="ignore"):
             if effect.joint in self._scaled_torque:
                 slope = derivative(effect.expression, amplitude)
@@ -346,20 +346,18 @@ class CaseColumns:
         )
         unit[cell, inside] = ((1 - share_after) * before + share_after * after)[:, None]
 
-    def _states(self, effect: Effect, shapes: dict[str, Array]) -> Array:
-        """Integrate the state of an effect along the motion of the base, with rates constant in each cell.
+    def _states(self, effect: Effect, state: State, rate: Expr, shapes: dict[str, Array]) -> Array:
+        """Integrate a state of an effect along the motion of the base, with rates constant in each cell.
 
         One column for each choice of the shape constants.
         """
-        if effect.state is None or effect.rate is None:
-            return np.zeros((0, 0))
-        symbol = effect.state.symbol
-        tape = Tape([effect.rate, derivative(effect.rate, symbol)])
+        symbol = state.symbol
+        tape = Tape([rate, derivative(rate, symbol)])
         values = self._cells | {p.symbol: p.start for p in effect.parameters} | shapes | {symbol: 0.0}
         size = (len(self.response.centres), max((len(v) for v in shapes.values()), default=1))
         source, decay = (np.broadcast_to(v, size) for v in tape(values))
         h = self.response.edges[1] - self.response.edges[0]
-        first = effect.state.start + 0.5 * h * source[0]
+        first = state.start + 0.5 * h * source[0]
         increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
             return np.asarray(first + np.concatenate([np.zeros((1, size[1])), np.cumsum(increment, axis=0)]))
@@ -368,11 +366,11 @@ class CaseColumns:
         factor = np.exp(exponent)
         safe = np.where(exponent == 0, 1.0, exponent)
         gain = increment * np.where(exponent == 0, 1.0, np.expm1(exponent) / safe)
-        state = np.empty(size)
-        state[0] = first
+        found = np.empty(size)
+        found[0] = first
         for i in range(size[0] - 1):
-            state[i + 1] = factor[i] * state[i] + gain[i]
-        return state
+            found[i + 1] = factor[i] * found[i] + gain[i]
+        return found
 
 
 def _phase_symbol(effect: Effect) -> str:

@@ -46,7 +46,8 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit, measured_with
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.inference._trace import Refit, attempt, recorded_map, recording, with_purpose
 
 if TYPE_CHECKING:
@@ -220,7 +221,12 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     recorded = [e for e in drives(common) if not any(_same_law(e, b) for b in base.model.effects)]
     known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
     names = set(base.model.names)
-    return [e for e in known.values() if e.name not in names and not e.nuisance and _is_applicable(e, base)]
+    asked = {e.name for e in extra}
+    return [
+        e
+        for e in known.values()
+        if e.name not in names and not e.nuisance and _is_applicable(e, base, asked=e.name in asked)
+    ]
 
 
 # rms residual speed with a law of a recorded input, over that without, below which the input drives the body
@@ -264,15 +270,15 @@ def _without_dead_time(base: Fit) -> bool:
     return bool(used & {i.name for i in base.problem.data[0].record.driving} - delayed)
 
 
-def _is_applicable(effect: Effect, base: Fit) -> bool:
+def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
     if effect.breakpoint and _without_dead_time(base):
         return False
     if effect.joint == "input":  # without a law of the input its dead time has no influence
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
-    if not effect.searched or (base.problem.data[0].record.single and not effect.single_body):
+    if not (effect.searched or asked) or (base.problem.data[0].record.single and not effect.single_body):
         return False
     # a contact that turns in one sense slides after a small angle: from then on its friction is constant
-    reversing = effect.restoring or (effect.state is not None and effect.state.symbol == "strain")
+    reversing = effect.restoring or effect.contact
     oscillation = base.problem.data[0].oscillation
     if reversing and oscillation is None:
         return False

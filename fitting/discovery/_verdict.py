@@ -80,7 +80,8 @@ from fitting.effects._library import SLIP, START
 from fitting.effects._words import effect_name
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
 from fitting.inference._trace import Refit, recording
 

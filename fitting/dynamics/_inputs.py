@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._arguments import FINITE
 from fitting._errors import ExpressionError, RecordError
 from fitting.effects._effect import input_symbol, parse_unit, refuse_input_name
 
@@ -64,14 +65,14 @@ class Input:
 
     def __post_init__(self) -> None:
         refuse_input_name(self.name)
-        if self.interpolation not in INTERPOLATIONS:
+        if not isinstance(self.interpolation, str) or self.interpolation not in INTERPOLATIONS:
             raise RecordError(
                 f"input {self.name}: the interpolation is {str(self.interpolation)[:20]!r}",
                 f"use {' or '.join(INTERPOLATIONS)}",
             )
         try:
             parse_unit(self.unit)
-        except (ExpressionError, AttributeError):
+        except (ExpressionError, AttributeError, TypeError):
             raise RecordError(
                 f"input {self.name}: {str(self.unit)[:20]!r} is not a unit",
                 "write for example A, V, N m, K or 1",
@@ -83,8 +84,8 @@ class Input:
             raise RecordError(f"input {self.name}: the times are not strictly increasing")
         if self.u is not None and (self.u < 0).any():
             raise RecordError(f"input {self.name}: an uncertainty is negative")
-        if not math.isfinite(self.delay):
-            raise RecordError(f"input {self.name}: the delay is not finite", "give it in s")
+        if not FINITE.fits(self.delay):
+            raise RecordError(f"input {self.name}: the delay is not a finite number", "give it in s")
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"

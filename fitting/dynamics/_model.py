@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fitting._arguments import NUMBERS, TEXT, Kind, require
 from fitting._errors import EffectError
+from fitting._numbers import on_screen
 from fitting.dynamics._inputs import Input
 from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
 from fitting.effects._expression import (
@@ -50,7 +52,14 @@ Array = NDArray[np.float64]
 NAMED = {"reduced": REDUCED, "general": GENERAL, "linear": LINEAR}
 
 
-@dataclass(frozen=True)
+_EFFECTS = Kind(
+    "a list of effects",
+    lambda x: all(hasattr(e, "name") for e in x),
+    'use Model.of(["air.linear"]) for names',
+)
+
+
+@dataclass(frozen=True, repr=False)
 class Model:
     """A set of effects.
 
@@ -63,6 +72,7 @@ class Model:
     effects: tuple[Effect, ...]
 
     def __post_init__(self) -> None:
+        require("effects", self.effects, _EFFECTS)
         names = [e.name for e in self.effects]
         if len(set(names)) != len(names):
             twice = next(n for n in names if names.count(n) > 1)
@@ -86,6 +96,8 @@ class Model:
             if names not in NAMED:
                 raise EffectError(f"there is no model named {names[:60]!r}", "models: " + ", ".join(NAMED))
             names = NAMED[names]
+        names = tuple(names) if isinstance(names, Iterable) else names
+        require("names", names, TEXT.several)
         return cls(tuple(find(n) for n in names))
 
     def __add__(self, effect: Effect | str) -> Model:
@@ -98,6 +110,9 @@ class Model:
 
     def __str__(self) -> str:
         return " + ".join(self.names)
+
+    def __repr__(self) -> str:
+        return on_screen(["Model", *(f"  {e!r}" for e in self.effects)])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,6 +142,7 @@ class Model:
         EffectError
             If it is not in the model.
         """
+        require("name", name, TEXT)
         if name not in self.names:
             raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
         return Model(tuple(e for e in self.effects if e.name != name))
@@ -144,6 +160,7 @@ class Model:
         EffectError
             If a name is not a parameter of the model, names several, or its value is not finite.
         """
+        require("values", values, NUMBERS)
         held: dict[str, float] = {}
         for name, value in values.items():
             keys = [k for k in self.free if k == name or k.rpartition(".")[2] == name]
@@ -300,7 +317,7 @@ class Dynamics:
             e.inputs[0][0]: f"{e.name}.{e.parameters[0].symbol}" for e in physical if e.joint == "input"
         }
         self._delays = {i.symbol: delays[i.name] for i in self.inputs if i.name in delays}
-        own = [(e, e.state) for e in physical if e.state is not None]
+        own = [(e, s) for e in physical for s in e.states]
         restoring = any(e.restoring for e in physical)
         self.free_starts = 3 if restoring else 2
         self.states = (
@@ -379,11 +396,11 @@ class Dynamics:
         for factor in laws["factor"]:
             tau = mul(tau, factor)
         for e in physical:
-            if e.rate is not None:
+            if e.rates:
                 rename = (
                     {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
                 )
-                own.append(substitute(e.rate, rename))
+                own += [substitute(rate, rename) for rate in e.rates]
         rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
         casing = mul(total([tau, *laws["casing"]]), inverse_casing)
         for n, inertia, law in contacts:

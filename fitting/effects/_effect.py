@@ -134,12 +134,14 @@ Role = Literal["amplitude", "shape", "phase", "fixed"]
 VARIABLES: dict[str, str] = {
     "t": "s", "omega_r": "s-1", "omega_c": "s-1", "psi_r": "1", "psi_c": "1", "deflection": "1",
     "delta": "s-1", "temperature": "K", "chirp": "1", "strain": "1", "tau": "N m", "lag": "s-1", "psi": "1",
-    "omega": "s-1",
+    "omega": "s-1", "bristle": "1", "element_a": "1", "element_b": "1",
 }  # fmt: skip
 # Variables of laws in a contact only.
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
 # names of variables of laws that no user's law may contain; inputs may have them
-NOT_FOR_USERS = frozenset({"temperature", "chirp", "strain", "tau", "psi", "omega", "lag"})
+NOT_FOR_USERS = frozenset(
+    {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag", "bristle", "element_a", "element_b"}
+)
 _INPUT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 _INPUT, _SLOPE = "input.", "slope."
 
@@ -225,7 +227,7 @@ class State:
     start: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Effect:
     """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
@@ -257,8 +259,8 @@ class Effect:
         Effects of similar shape.
     source : str
         Origin of the law.
-    state : State or None
-        A state variable that belongs to it.
+    state, second : State or None
+        State variables that belong to it; the second one does not depend on the first.
     breakpoint : str
         Symbol of the parameter that is a changepoint: the time at which the law jumps.
     per_case : bool
@@ -270,7 +272,11 @@ class Effect:
     equivalent : tuple of str
         Effects that a usual recording does not separate from it.
     searched : bool
-        Whether it is a candidate effect; contacts are visible on the apparatus and are not.
+        Whether it is a candidate effect of every search. Contacts between bodies, visible on the apparatus, and laws
+        that only few motions separate from simpler ones are not.
+    contact : bool
+        Whether it is friction whose states follow the angle from the last reversal: a body that turns in one sense
+        slides after a small angle, and the law is then a function of the speed.
     rigid : bool
         Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
     inputs : tuple of (str, str)
@@ -296,7 +302,14 @@ class Effect:
     searched: bool = True
     rigid: bool = False
     inputs: tuple[tuple[str, str], ...] = ()
+    second: State | None = None
+    contact: bool = False
     words: str = ""
+
+    def __repr__(self) -> str:
+        units = ", ".join(f"{p.symbol} [{p.unit}]" for p in self.parameters)
+        law = "" if self.law in self.name else f": {self.law}"
+        return f"Effect {self.name}{law}; {units}"
 
     @cached_property
     def expression(self) -> Expr:
@@ -309,6 +322,17 @@ class Effect:
         if self.state is None:
             return None
         return with_input_symbols(parse(self.state.rate), [name for name, _ in self.inputs])
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Its state variables."""
+        return tuple(s for s in (self.state, self.second) if s is not None)
+
+    @cached_property
+    def rates(self) -> tuple[Expr, ...]:
+        """The rates of change of its state variables as trees."""
+        names = [name for name, _ in self.inputs]
+        return tuple(with_input_symbols(parse(s.rate), names) for s in self.states)
 
     @property
     def amplitude(self) -> Parameter | None:
@@ -334,7 +358,7 @@ class Effect:
     @cached_property
     def single_body(self) -> bool:
         """Whether it applies to the recording of one body: it acts on the casing and depends on no other body."""
-        names = symbols(self.expression) | (symbols(self.rate) if self.rate is not None else set())
+        names = symbols(self.expression).union(*map(symbols, self.rates))
         return self.joint in {"casing", "input", "camera.casing"} and not names & {
             "omega_r",
             "psi_r",
@@ -378,7 +402,7 @@ class Effect:
             If a name in the law is unknown, or the law has a wrong unit.
         """
         own = {p.symbol for p in self.parameters}
-        used = symbols(self.expression) | (symbols(self.rate) if self.rate else set())
+        used = symbols(self.expression).union(*map(symbols, self.rates))
         variables = VARIABLES | (_CONTACT_VARIABLES if self.joint == "contact" else {})
         variables |= {input_symbol(name): unit for name, unit in self.inputs}
         unknown = used - own - set(variables)

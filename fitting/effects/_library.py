@@ -141,6 +141,13 @@ BEARING = (
         source="running-in or ageing, first order in time"),
 )
 
+# rate of the strain of a contact that yields and slides; it approaches 1 + r exp(-(omega_c/w)^2), the Stribeck curve
+_BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
+_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7), meaning="static over Coulomb friction, minus 1")
+_STRIBECK = Parameter(
+    "w", "s-1", "shape", 1e-3, 500.0, 5.0, (0.3, 5.0), meaning="Stribeck speed, at which the excess is 1/e"
+)
+
 TOUCHPOINT = (
     Effect("touchpoint.constant", "casing", "-b1*sign(omega_c)",
         (Parameter("b1", "N m", meaning="dry friction at the touch point"),),
@@ -188,7 +195,50 @@ TOUCHPOINT = (
         words="presliding friction of the casing",
         signature="dry friction that reverses gradually over an angle: hysteresis near rest",
         confused_with=("touchpoint.constant",), source="P. R. Dahl, Aerospace Corp. TOR-0158 (1968)",
-        state=State("strain", "(omega_c - abs(omega_c)*strain)/s")),
+        state=State("strain", "(omega_c - abs(omega_c)*strain)/s"), contact=True),
+    Effect("casing.friction.lugre", "casing",
+        f"-k*(bristle + T*({_BRISTLE.format(z='bristle', s='s')}))",
+        (
+            Parameter("k", "N m", meaning="Coulomb friction"),
+            Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03, 0.3),
+                meaning="angle through which the contact yields before it slides [rad]; k/s is its stiffness"),
+            _STATIC, _STRIBECK,
+            Parameter("T", "s", "shape", 0.0, 10.0, 0.0, (0.0,),
+                meaning="damping of the bristles over their stiffness"),
+        ),
+        words="LuGre friction of the casing",
+        signature="dry friction with hysteresis near rest, and a maximum before it slides",
+        confused_with=("casing.friction.presliding", "touchpoint.stribeck", "casing.friction.gms"),
+        source="C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 419 (1995), without its viscous term",
+        state=State("bristle", _BRISTLE.format(z="bristle", s="s")), contact=True, searched=False),
+    Effect("casing.friction.gms", "casing", "-k*(a*element_a + (1 - a)*element_b)",
+        (
+            Parameter("k", "N m", meaning="Coulomb friction of both elements together"),
+            Parameter("a", "1", "shape", 0.02, 0.98, 0.5, (0.5, 0.98), meaning="share of the first element"),
+            Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03),
+                meaning="angle through which the first element yields before it slides [rad]"),
+            Parameter("q", "1", "shape", 1.5, 1e3, 10.0, (3.0, 10.0, 30.0),
+                meaning="angle of the second element over that of the first"),
+            _STATIC, _STRIBECK,
+        ),
+        words="two-element Maxwell-slip friction of the casing",
+        signature="dry friction that reverses in two stages: a hysteresis of two stiffnesses",
+        confused_with=("casing.friction.presliding", "casing.friction.lugre"),
+        source="F. Al-Bender, V. Lampaert, J. Swevers, IEEE Trans. Autom. Control 50, 1883 (2005): two elements, each "
+        "with the smooth transition to sliding of the LuGre model",
+        state=State("element_a", _BRISTLE.format(z="element_a", s="s")),
+        second=State("element_b", _BRISTLE.format(z="element_b", s="(q*s)")), contact=True, searched=False),
+    Effect("casing.friction.starvation", "casing", "-k*exp(-(abs(omega_c)/w)**1.4)*sign(omega_c)",
+        (
+            Parameter("k", "N m", meaning="additional friction where no lubricant film separates the surfaces"),
+            Parameter("w", "s-1", "shape", 0.05, 500.0, 5.0, (1.0, 2.0, 5.0, 12.0, 30.0),
+                meaning="speed at which a film has formed to 63 %"),
+        ),
+        words="friction of the casing with lubricant starvation",
+        signature="additional friction at low speed, with a shoulder near rest",
+        confused_with=("touchpoint.stribeck",),
+        source="weighting factor of the sliding frictional moment: SKF, Rolling bearings (2018), p. 132",
+        searched=False),
     Effect("casing.seal.cooling", "casing", "-k*(1 - exp(-t/tau_T))*sign(omega_c)",
         (
             Parameter("k", "N m", meaning="increase of the friction while a warm seal cools"),
@@ -348,6 +398,11 @@ CONTACT = (
 LIBRARY = MappingProxyType(
     {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CONTACT, *CAMERA, *SETUP)}
 )
+# friction laws of a contact, from the simplest one, which `plan --friction` and `diagnose --friction` tell apart
+FRICTION = (
+    "touchpoint.constant", "casing.air.linear", "touchpoint.stribeck", "casing.friction.starvation",
+    "casing.friction.presliding", "casing.friction.lugre", "casing.friction.gms",
+)  # fmt: skip
 # nuisance effects, which the discovery fits always
 NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
 
@@ -456,8 +511,7 @@ def _typical_strength(
         "torque_held": _BUDGET,
         "inertia_slip": INERTIA_ROTOR,
     }
-    if effect.state is not None:
-        at[effect.state.symbol] = 1.0
+    at |= dict.fromkeys((s.symbol for s in effect.states), 1.0)
     tape, unit = Tape([effect.expression]), 0.0
     for part in (0.05, 0.3, 1.0, 1.5):
         slower = {"omega_c": part * speeds["omega_c"], "omega": part * speeds["omega_c"]}

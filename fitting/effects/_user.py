@@ -407,6 +407,8 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
 def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[str, str]:
     """Return the units of recorded inputs by name, from such a mapping or from the inputs themselves."""
     if inputs is None or isinstance(inputs, Mapping):
+        for name in inputs or {}:
+            refuse_input_name(name)
         return dict(inputs or {})
     try:
         return {str(i.name): str(i.unit) for i in inputs}
@@ -450,7 +452,7 @@ def read_effects(path: Path) -> list[Effect]:
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file; an EffectError says that it cannot be read or is not TOML."""
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             return tomllib.load(file)
     except OSError as fault:
         raise EffectError(f"{path}: {fault.strerror or fault}") from None

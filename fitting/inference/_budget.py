@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
+from fitting._numbers import on_screen, percentage, rounded
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._library import NUISANCE
@@ -61,7 +62,11 @@ class Contribution:
     share: float  # of the combined variance
 
 
-@dataclass(frozen=True)
+# contributions in a repr
+_SHOWN = 3
+
+
+@dataclass(frozen=True, repr=False)
 class ParameterBudget:
     """Value, combined standard uncertainty and unit of a parameter, with the contributions, largest first."""
 
@@ -70,10 +75,19 @@ class ParameterBudget:
     unit: str
     contributions: tuple[Contribution, ...]
 
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{c.source} {percentage(c.share)}" for c in self.contributions[:_SHOWN])
+        return f"{rounded(self.value, self.u, self.unit)}: {shares}"
 
-def budget(
-    fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.0
-) -> dict[str, ParameterBudget]:
+
+class Budget(dict[str, ParameterBudget]):
+    """The uncertainty budgets of the parameters of a fit, by name."""
+
+    def __repr__(self) -> str:
+        return on_screen(f"{name}: {own!r}" for name, own in self.items())
+
+
+def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.0) -> Budget:
     """Return the uncertainty budget of every parameter of a fit that has a standard error.
 
     Parameters
@@ -89,7 +103,8 @@ def budget(
 
     Returns
     -------
-    dict of str to ParameterBudget
+    Budget
+        A dict of str to ParameterBudget.
         By parameter, as `fit.estimates`. Calibrations of recorded inputs contribute where their uncertainties are
         known.
 
@@ -121,7 +136,7 @@ def budget(
         ]
         slope = linear.sensitivity(rows)
         inputs["speed scale"] = np.abs(slope) * speed_scale_u, slope
-    found = {}
+    found = Budget()
     for i, name in enumerate(names):
         estimate = fit.estimates.get(name)
         if estimate is None or not math.isfinite(estimate.stderr):

@@ -17,7 +17,8 @@ from fitting._errors import EstimationError
 from fitting._numbers import rounded
 from fitting.effects._effect import format_unit, parse_unit, quotient
 from fitting.effects._expression import ONE, Expr, Tape, derivative, div
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 
 
 @dataclass(frozen=True)

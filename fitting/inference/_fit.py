@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError
-from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
 from fitting.inference._case_data import CaseData, with_free_inertia
@@ -46,6 +45,8 @@ from fitting.inference._problem import (
 )
 from fitting.inference._record import Record, Samples
 from fitting.inference._result import Fit, outcome
+from fitting.inference._sampled import predicted_samples
+from fitting.inference._ties import follow
 from fitting.inference._trace import attempt, of_model, record_result, with_purpose
 
 Array = NDArray[np.float64]
@@ -221,7 +222,10 @@ def _from_separate_fits(
 def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
     """Return the value of a variable of a joint fit: of its own case, or the mean of all, weighted by 1 / u^2."""
     key, _, label = name.partition("@")
-    own = [f.estimates.get(name) or f.estimates[key] for f in alone if not label or f.labels == (label,)]
+    chosen = [f.estimates for f in alone if not label or f.labels == (label,)]
+    own = [e for found in chosen if (e := found.get(name, found.get(key))) is not None]
+    if not own:
+        return 0.0  # the speed of a rotor that a body alone does not have
     known = [e for e in own if np.isfinite(e.stderr) and e.stderr > 0]
     if not known:
         return float(np.mean([e.value for e in own]))
@@ -241,6 +245,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     noise: Sequence[Noise] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    ties: Mapping[str, str] | None = None,
     steady: Iterable[str] = (),
     quick: bool = False,
     criteria: Criteria = DEFAULT,
@@ -249,14 +254,15 @@ def fit(
 
     Given another fit instead of cases, fit its data, with its shared and per-case parameters. `noise` is that of an
     earlier fit of the same data, so that both are comparable; `ranges` are bounds tighter than the declared ones;
+    `ties` are expressions of parameters that follow others, by key;
     `steady` parameters, by their names in the fit, keep their initial values until all others have converged. `quick`:
     stop where chi-square is within about 0.01 of its minimum, enough to rank candidates. EstimationError: there is
     nothing to fit, or labels repeat. `criteria` determine what is noise in a record that is not projected yet.
     """
     with of_model(model):
         found = _fitted(
-            model, cases, share=share, per_case=per_case, start=start, noise=noise, ranges=ranges, steady=steady,
-            quick=quick, criteria=criteria,
+            model, cases, share=share, per_case=per_case, start=start, noise=noise, ranges=ranges, ties=ties,
+            steady=steady, quick=quick, criteria=criteria,
         )  # fmt: skip
         record_result(found)
         return found
@@ -270,7 +276,7 @@ def measured_with(found: Fit, criteria: Criteria) -> Fit:
     layout = found.problem.layout
     share, per_case = ([k for k in keys if k in found.model.free] for keys in layout.choices)
     with with_purpose("the fit with other criteria of the noise"):
-        return fit(found.model, data, share=share, per_case=per_case, ranges=layout.ranges)
+        return fit(found.model, data, share=share, per_case=per_case, ranges=layout.ranges, ties=layout.ties)
 
 
 def _fitted(
@@ -282,17 +288,21 @@ def _fitted(
     start: Mapping[str, float] | None,
     noise: Sequence[Noise] | None,
     ranges: Mapping[str, tuple[float, float]] | None,
+    ties: Mapping[str, str] | None,
     steady: Iterable[str],
     quick: bool,
     criteria: Criteria,
 ) -> Fit:
     if isinstance(cases, Fit):
         shared, own = ([k for k in keys if k in model.free] for keys in cases.problem.layout.choices)
+        if ties is None:
+            ties = {k: text for k, text in cases.problem.layout.ties.items() if k in model.free}
         share, per_case, cases = [*shared, *share], [*own, *per_case], cases.problem.data
     data = [c if isinstance(c, CaseData) else CaseData.of(c, criteria) for c in cases]
     _check(model, data)
-    problem = Problem.of(ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges), data)
-    theta = first = initial_values(problem, start)
+    layout = ParameterLayout.of(model, [d.record for d in data], share, per_case, ranges, ties)
+    problem = Problem.of(layout, data)
+    theta = first = follow(initial_values(problem, start), layout.tied)
     given = noise
     active: ActiveBounds | None = None
     if noise is None:
@@ -483,27 +493,3 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
     return CaseData(
         data.record, made.casing, made.rotor, free_inertia=data.free_inertia, criteria=data.criteria
     )
-
-
-def predicted_samples(data: CaseData, case: int, found: Fit) -> Iterator[Array]:
-    """Yield the prediction with fitted nuisance parameters at every sample, of the casing, then of each window."""
-    record, prediction = data.record, found.predictions[case]
-    path = prediction.path
-    project = found.problem.projections[case]
-    fitted = found.problem.data[case]
-    # nuisance parameters by generalised least squares
-    rows = np.concatenate([fitted.nuisance, (fitted.z - prediction.rows)[:, None]], axis=1)
-    white = project.whitener(rows)
-    size = np.linalg.norm(white[:, :-1], axis=0)
-    size[size == 0] = np.inf
-    coefficients = np.linalg.lstsq(white[:, :-1] / size, white[:, -1], rcond=1e-7)[0] / size
-    for i, samples in enumerate((record.casing, *record.rotor)):
-        state = "omega_r" if i else "omega_c"
-        sampler = Sampler(path.mesh, samples.time)
-        if not data.is_angle:
-            yield sampler.value(path.y[..., path.states.index(state)])
-            continue
-        angle = sampler.integral(*path.angle(state)) + coefficients[i]
-        if i == 0 and fitted.has_camera_prior:
-            angle = angle + fitted.camera_columns @ coefficients[1 + len(record.rotor) :]
-        yield angle

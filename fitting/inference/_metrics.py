@@ -35,6 +35,7 @@ import numpy as np
 from numpy.polynomial import hermite_e
 from numpy.typing import NDArray
 
+from fitting._numbers import span_of
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
@@ -113,7 +114,7 @@ def median_noise(cutoff: Array) -> Array:
 _POINTS = 2000  # largest number of points of an energy balance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EnergyBalance:
     """Time [s], energy K + losses [J], constant for a right model, and its change relative to the initial energy.
 
@@ -124,6 +125,9 @@ class EnergyBalance:
     time: Array
     energy: Array
     change: Array
+
+    def __repr__(self) -> str:
+        return f"EnergyBalance: {span_of('energy', self.energy, 'J')}, drift {self.drift:.2g}"
 
     @property
     def drift(self) -> float:

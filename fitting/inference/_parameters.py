@@ -35,6 +35,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
 from fitting.inference._record import Record
+from fitting.inference._ties import Follower, followers, resolved
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,9 @@ class ParameterLayout:
     per_case: tuple[str, ...]  # parameters (keys, effects or prefixes) with a value for each case
     # bounds, by name, within the declared ones
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ties: Mapping[str, str] = field(
+        default_factory=dict
+    )  # expressions of parameters that follow others, by key
 
     @classmethod
     def of(
@@ -61,6 +65,7 @@ class ParameterLayout:
         share: Iterable[str] = (),
         per_case: Iterable[str] = (),
         ranges: Mapping[str, tuple[float, float]] | None = None,
+        ties: Mapping[str, str] | None = None,
     ) -> ParameterLayout:
         """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`."""
         for name in (*share, *per_case):
@@ -75,7 +80,8 @@ class ParameterLayout:
             if (key in default or any(covers(n, key) for n in per_case))
             and not any(covers(n, key) for n in share)
         ]
-        return cls(model, tuple(records), tuple(chosen) if len(records) > 1 else (), dict(ranges or {}))
+        own = tuple(chosen) if len(records) > 1 else ()
+        return cls(model, tuple(records), own, dict(ranges or {}), dict(ties or {}))
 
     @cached_property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -111,6 +117,21 @@ class ParameterLayout:
     def index(self) -> dict[str, int]:
         """The index of each name."""
         return {name: i for i, name in enumerate(self.names)}
+
+    @cached_property
+    def tied(self) -> tuple[Follower, ...]:
+        """The variables that follow expressions of others."""
+        if not self.ties:
+            return ()
+        trees = resolved(self.ties, self.model.free, self.model.constants)
+        return tuple(followers(trees, self.index, self.model.constants))
+
+    @cached_property
+    def is_free(self) -> NDArray[np.bool_]:
+        """Which variables follow no expression."""
+        free = np.ones(len(self.names), dtype=bool)
+        free[[one.place for one in self.tied]] = False
+        return free
 
     def places(self, case: int, keys: Sequence[str]) -> NDArray[np.intp]:
         """Return the indices of the parameters of one case."""
@@ -163,6 +184,7 @@ class ParameterLayout:
             if name in self.index:
                 i = self.index[name]
                 lower[i], upper[i] = max(lower[i], least), min(upper[i], most)
+        lower[~self.is_free], upper[~self.is_free] = -np.inf, np.inf
         return lower, upper
 
     def declared_bounds(self) -> tuple[Array, Array]:
@@ -371,6 +393,8 @@ def _places(
     if per_case[0] != per_case[1] or (per_case[0] and not per_case[-1]):
         return []
     places = dict.fromkeys(tuple(layout.places(i, keys).tolist()) for i in range(len(layout.records)))
+    if not all(layout.is_free[list(p)].all() for p in places):
+        return []
     return [PowerLaw(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
 
 
@@ -405,6 +429,7 @@ def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
     if not found:
         return ()
     lower, upper = layout.bounds()
+    found = {w: None for w in found if layout.is_free[[w.strength, w.phase]].all()}
     return tuple(w for w in found if lower[w.strength] <= 0 and np.isinf(_ends(w, lower, upper)).all())
 
 

@@ -27,6 +27,7 @@ from fitting.inference._parameters import (
     to_physical,
     to_polar,
 )
+from fitting.inference._ties import chain, follow
 
 Array = NDArray[np.float64]
 
@@ -97,8 +98,14 @@ class Problem:
         return reference_speed(self.data)
 
     def predict(self, theta: Array) -> list[Prediction]:
-        """Return the prediction of each case at physical variables."""
-        return [case.predict(theta) for case in self.cases]
+        """Return the prediction of each case at physical variables, with the derivatives by the free ones."""
+        tied = self.layout.tied
+        if not tied:
+            return [case.predict(theta) for case in self.cases]
+        theta = follow(theta, tied)
+        slope = chain(theta, tied)
+        found = (case.predict(theta) for case in self.cases)
+        return [replace(p, columns=p.columns @ slope[np.ix_(p.places, p.places)]) for p in found]
 
     def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
         """Return whitened, projected residuals and their Jacobian by the physical variables.
@@ -142,7 +149,8 @@ class Problem:
 
     def physical(self, u: Array) -> Array:
         """Return the physical variables of transformed ones."""
-        return to_polar(to_physical(u, self.power_laws)[0], find_sinusoids(self.layout))[0]
+        theta = to_polar(to_physical(u, self.power_laws)[0], find_sinusoids(self.layout))[0]
+        return follow(theta, self.layout.tied)
 
     def transformed_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the bounds of the transformed variables.

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from fitting._errors import EffectError, EstimationError, SimulationError
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, search
-from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
@@ -110,7 +109,7 @@ class _Held:
     def __init__(self, fit: _Fitted, name: str, target: float) -> None:
         self._target = target
         old = fit.problem.layout
-        layout = ParameterLayout(old.model, old.records, old.per_case, dict(old.ranges))
+        layout = replace(old, ranges=dict(old.ranges))
         self._name, self._place = name, layout.index[name]
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])

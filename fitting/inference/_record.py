@@ -21,7 +21,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
-from fitting._numbers import PER_INERTIA, TORQUE, rounded
+from fitting._numbers import PER_INERTIA, TORQUE, rounded, span_of
 from fitting.dynamics._inputs import Input
 from fitting.inference._prior import Prior
 
@@ -42,7 +42,7 @@ _SHOWN = 6
 LARGEST, SMALLEST, PRECISION = 1e20, 1e-20, 1e18
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Samples:
     """A run of measured values without interruption: time [s], value [rad or rad/s], sigma (same unit)."""
 
@@ -52,6 +52,9 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        return f"Samples: {span_of('time', self.time, 's')}, {span_of('value', self.value, '')}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,6 +100,8 @@ class Record:
         Prior of the parameters from another study.
     inputs : tuple of Input
         Recorded inputs on which torques may depend.
+    name : str
+        Name of a body alone; empty for a gyroscope, and where it has none.
     """
 
     label: str
@@ -119,6 +124,7 @@ class Record:
     digest: str = field(default="")
     prior: Prior | None = None
     inputs: tuple[Input, ...] = ()
+    name: str = ""
 
     def __post_init__(self) -> None:
         if not self.digest:
@@ -151,8 +157,8 @@ class Record:
 
     @property
     def body(self) -> str:
-        """Name of the casing: "casing", or "body" where only one body was recorded."""
-        return "body" if self.single else "casing"
+        """Name of the casing: "casing"; where only one body was recorded its name, or "body"."""
+        return (self.name or "body") if self.single else "casing"
 
     @property
     def torque_unit(self) -> str:
@@ -194,6 +200,7 @@ def make_record(
     per_inertia: bool = False,
     correlated: Sequence[float] = (),
     inputs: Sequence[Input] = (),
+    name: str = "",
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -226,6 +233,8 @@ def make_record(
         periods per turn [rad]; missing ones are zero.
     inputs : sequence of Input
         Recorded inputs on which torques may depend, on the same clock.
+    name : str
+        Name of a single body.
 
     Raises
     ------
@@ -251,6 +260,7 @@ def make_record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         per_inertia=per_inertia, correlated=_stated(*correlated), inputs=_covering(inputs, runs[0], windows),
+        name=name if single else "",
     )  # fmt: skip
 
 

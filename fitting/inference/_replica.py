@@ -25,9 +25,9 @@ from fitting.effects._expression import Tape
 from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._fit import predicted_samples
 from fitting.inference._record import Record, Samples, hermite
 from fitting.inference._result import Fit
+from fitting.inference._sampled import predicted_samples
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

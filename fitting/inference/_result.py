@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._arguments import INTEGER, NOT_NEGATIVE, NUMBER, PATH, SEED, TEXT, Kind, require
 from fitting._criteria import Criteria
 from fitting._display import (
     block,
@@ -35,6 +36,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._words import EffectName, effect_name
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._angle_residuals import AngleResidual, angle_residuals
+from fitting.inference._case import outward
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._metrics import (
@@ -48,11 +50,14 @@ from fitting.inference._metrics import (
 )
 from fitting.inference._noise import Noise, unresolved_level, variance_factor
 from fitting.inference._parameters import START_ROTOR, ParameterLayout
+from fitting.inference._params import LEAST_CORRELATION, Estimate, Names, Params, report, shown_name
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
 from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
+from fitting.inference._sampled import evaluate, residuals_of
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
+from fitting.inference._ties import chain, find_key, follow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,9 +94,12 @@ class FitSummary:
     """Tables and text that a fit and a saved fit have in common."""
 
     model: Model
+    labels: tuple[str, ...]
     estimates: Mapping[str, Estimate]
     n_eff: float
+    deviance: float
     bic: float
+    covariance: Array
 
     @property
     def torque_unit(self) -> str:
@@ -148,10 +156,55 @@ class FitSummary:
         """The values of the parameters by name."""
         return {name: e.value for name, e in self.estimates.items()}
 
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables of `covariance`."""
+        return self._origin()[0]
+
+    @property
+    def body_name(self) -> str:
+        """Name of a body alone; empty for a gyroscope, and where it has none."""
+        return ""
+
+    def shown_name(self, key: str) -> str:
+        """Return the name of a parameter in `params`, from that in `estimates`."""
+        return shown_name(key, self.body_name, len(self.labels))
+
+    @property
+    def shown_model(self) -> str:
+        """Names of the effects, joined by " + "; those of a body alone begin with its name."""
+        return " + ".join(outward(name, self.body_name) for name in self.model.names)
+
+    @cached_property
+    def params(self) -> Params:
+        """The parameters by name, or by its end where this is unique: ``params["b2"]``."""
+        return Params({self.shown_name(k): e for k, e in self.estimates.items()})
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, deviance + 2 p, up to the constant of `bic`."""
+        return self.deviance + 2 * sum(e.vary for e in self.estimates.values())
+
+    def correlations(self) -> list[tuple[str, str, float]]:
+        """Return the correlation of each pair of fitted parameters, by the names of `params`, largest first."""
+        names = self.variables
+        size = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        used = [
+            i for i, n in enumerate(names) if n in self.estimates and np.isfinite(size[i]) and size[i] > 0
+        ]
+        shown = {i: self.shown_name(names[i]) for i in used}
+        pairs = [
+            (shown[i], shown[j], float(self.covariance[i, j] / (size[i] * size[j])))
+            for k, i in enumerate(used)
+            for j in used[k + 1 :]
+        ]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, atomically; `fitting.load_fit` reads it."""
         from fitting._schema import SavedFitDocument, as_text, own_effects, write_text
 
+        require("path", path, PATH)
         names, covariance, sources, digests = self._origin()
         scalars = ("chi2", "rows", "n_eff", "deviance", "bic", "verdict")
         same = (*scalars, "labels", "estimates", "cases", "noise")
@@ -254,37 +307,6 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted number.
-
-    Attributes
-    ----------
-    value, stderr : float
-        Value and standard uncertainty, in `unit`; the uncertainty is NaN at a bound.
-    unit : str
-        SI unit.
-    at_bound : bool
-        Whether a bound is active.
-    vary : bool
-        Whether it was fitted (and not held).
-    min, max : float
-        Bounds of the fit, in `unit`.
-    """
-
-    value: float
-    stderr: float
-    unit: str
-    at_bound: bool
-    vary: bool = True
-    min: float = -math.inf
-    max: float = math.inf
-
-    @property
-    def expr(self) -> None:
-        """As in lmfit, the expression that a parameter follows: none, since no parameter is tied to others."""
-
-
 @dataclass(frozen=True, repr=False)
 class Fit(FitSummary):
     """A fitted model.
@@ -333,6 +355,114 @@ class Fit(FitSummary):
             case_metrics(c, project, p, self.theta)
             for c, project, p in zip(self.problem.cases, pure, self.predictions, strict=True)
         )
+
+    @property
+    def body_name(self) -> str:
+        """Name of a body alone; empty for a gyroscope, and where it has none."""
+        return self.problem.data[0].record.name
+
+    def fit_report(self, least_correlation: float = LEAST_CORRELATION) -> str:
+        """Return model, figures of merit, parameters and their correlations as text.
+
+        Parameters
+        ----------
+        least_correlation : float
+            Smallest correlation that is listed.
+        """
+        require("least_correlation", least_correlation, NOT_NEGATIVE)
+        return report(self, least_correlation)
+
+    def eval(
+        self, time: Any = None, *, body: str | None = None, case: int = 0, quantity: str | None = None
+    ) -> Array:
+        """Return the fitted curve.
+
+        Parameters
+        ----------
+        time : array_like, shape (n,), optional
+            Times within the record [s]; by default those of the samples (of all windows of a rotor, joined).
+        body : str, optional
+            "casing", "rotor", or the name of the body; by default the casing or the single body.
+        case : int
+            Index of the case.
+        quantity : {"angle", "omega"}, optional
+            Angle [rad] or speed [rad/s]; by default what was measured. An angle has the start angle of the fit.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+
+        Raises
+        ------
+        EstimationError
+            If a time is beyond the record, there is no such body or case, or speeds were measured and angles are
+            asked for.
+        """
+        return evaluate(self, time, self._place(body, case), case, quantity)
+
+    def _place(self, body: str | None, case: int) -> int:
+        require("body", body, TEXT.optional)
+        record = self.problem.data[self._index(case)].record
+        places = {record.body: _CASING, "casing": _CASING} | ({} if record.single else {"rotor": _ROTOR})
+        if body is not None and body not in places:
+            raise EstimationError(f"there is no body {str(body)[:30]!r}", f"bodies: {', '.join(places)}")
+        return _CASING if body is None else places[body]
+
+    def _index(self, case: int) -> int:
+        require("case", case, INTEGER)
+        if not 0 <= case < len(self.labels):
+            raise EstimationError(
+                f"there is no case {case}", f"give an index from 0 to {len(self.labels) - 1}"
+            )
+        return int(case)
+
+    def _refuse_body(self, body: int) -> None:
+        require(
+            "body",
+            body,
+            Kind("0 (rotor) or 1 (casing)", lambda x: INTEGER.fits(x) and x in (_ROTOR, _CASING)),
+        )
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured minus fitted value of every sample over its stated standard uncertainty.
+
+        Samples of the casing or the single body come first, then those of the windows of the rotor, case by case.
+        """
+        return residuals_of(self)
+
+    def to_arviz(
+        self, draws: int = 1000, *, chains: int = 4, method: str = "linearised", seed: int = 0
+    ) -> Any:
+        """Return draws from the posterior distribution of the parameters, for ArviZ (needs arviz).
+
+        Parameters
+        ----------
+        draws, chains : int
+            Number of draws of each chain, and of chains.
+        method : {"linearised", "emcee"}
+            The normal distribution of the linearised problem; or the likelihood with a flat prior within the bounds,
+            sampled by emcee (about 10 ms a draw), which may need more chains.
+        seed : int
+            Random seed.
+
+        Returns
+        -------
+        arviz.InferenceData or xarray.DataTree
+            The group `posterior`, with the names of `params`.
+
+        Raises
+        ------
+        EstimationError
+            If arviz or emcee is not installed, or an argument is wrong.
+        """
+        from fitting.inference._posterior import to_arviz
+
+        require("method", method, TEXT)
+        require("seed", seed, SEED)
+        index = self.problem.layout.index
+        names = {self.shown_name(k): index[k] for k in self.estimates if k in index}
+        return to_arviz(self, names, count=draws, chains=chains, method=method, seed=seed)
 
     @cached_property
     def lack_of_fit(self) -> LackOfFit:
@@ -466,7 +596,7 @@ class Fit(FitSummary):
     def bic_noise(self) -> float:
         """BIC of a model with as many parameters whose residuals are noise."""
         logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
-        free = len(self.theta)
+        free = int(self.problem.layout.is_free.sum())
         return logs + self.rows - free + free * float(np.log(self.rows))
 
     @property
@@ -489,7 +619,8 @@ class Fit(FitSummary):
         body : {0, 1}
             0 is the rotor, 1 the casing or the single body.
         """
-        data = self.problem.data[case]
+        data = self.problem.data[self._index(case)]
+        self._refuse_body(body)
         runs = (data.record.casing,) if body else data.record.rotor
         return [speeds(run, data.record.quantity, data.smoothing_width) for run in runs]
 
@@ -505,7 +636,9 @@ class Fit(FitSummary):
         time : ndarray, shape (n,)
             Times [s].
         """
-        return modelled_speed(self, case, body, time)
+        require("time", time, NUMBER.several)
+        self._refuse_body(body)
+        return modelled_speed(self, self._index(case), body, np.asarray(time, dtype=float))
 
     @property
     def torque_unit(self) -> str:
@@ -541,7 +674,7 @@ class Fit(FitSummary):
         case : int
             Index of the case.
         """
-        return speed_residuals(self, case)
+        return speed_residuals(self, self._index(case))
 
     def plot(self, ax: Axes | None = None, *, case: int = 0, residual: bool = False) -> Figure:
         """Draw measured and modelled speeds, and their residuals, with bands of 2 sigma (matplotlib).
@@ -591,7 +724,9 @@ class Fit(FitSummary):
         above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
         ax.legend(fontsize="small", frameon=False, ncols=2, **above)
 
-    def conf_interval(self, *names: str, level: float = 0.95) -> dict[str, Interval]:
+    def conf_interval(
+        self, *names: str, level: float | Sequence[float] = 0.95
+    ) -> dict[str, Interval] | dict[str, dict[float, Interval]]:
         """Return confidence intervals of parameters by their profile likelihood.
 
         The deviance with the parameter held and all others fitted anew rises at the ends of the interval by the
@@ -601,14 +736,15 @@ class Fit(FitSummary):
         Parameters
         ----------
         *names : str
-            Names of fitted parameters; by default all but the initial speeds.
-        level : float
-            Probability that the interval contains the value.
+            Names of fitted parameters, or their unique ends; by default all but the initial speeds.
+        level : float or sequence of float
+            Probability that the interval contains the value; several give several intervals.
 
         Returns
         -------
-        dict of str to Interval
-            `lower` and `upper` in the unit of the parameter, and whether each end is open.
+        dict of str to Interval, or of str to dict of float to Interval
+            `lower` and `upper` in the unit of the parameter, and whether each end is open; of several levels one
+            interval for each.
 
         Raises
         ------
@@ -619,8 +755,16 @@ class Fit(FitSummary):
         """
         from fitting.inference._profile import profile
 
-        free = [n for n in self.problem.layout.names if not n.startswith("initial.")]
-        return {name: profile(self, name, level) for name in names or free}
+        layout = self.problem.layout
+        free = [n for n, f in zip(layout.names, layout.is_free, strict=True) if f and n in self.estimates]
+        find = Names(tuple(free), self.body_name)
+        chosen = {n: find(n) for n in names} or {
+            self.shown_name(n): n for n in free if not n.startswith("initial.")
+        }
+        if isinstance(level, float | int):
+            return {n: profile(self, key, float(level)) for n, key in chosen.items()}
+        require("level", level, NUMBER.several)
+        return {n: {float(x): profile(self, key, float(x)) for x in level} for n, key in chosen.items()}
 
     def _repr_html_(self) -> str:
         merits = [
@@ -662,6 +806,7 @@ class Fit(FitSummary):
         EstimationError
             If there is no case of this label.
         """
+        require("label", label, TEXT.optional)
         if label is not None and label not in self.labels:
             raise EstimationError(f"there is no case {label[:40]!r}", "it has: " + ", ".join(self.labels))
         i = 0 if label is None else self.labels.index(label)
@@ -670,7 +815,7 @@ class Fit(FitSummary):
     @property
     def variance_factor(self) -> float:
         """Factor by which a lack of fit increases the variances of all parameters."""
-        free = ~self.problem.layout.at_bound(self.theta)
+        free = ~self.problem.layout.at_bound(self.theta) & self.problem.layout.is_free
         return variance_factor(self.chi2, self.rows - int(free.sum()))
 
     @property
@@ -682,22 +827,26 @@ class Fit(FitSummary):
 def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converged: bool) -> Fit:
     """Return the fit at these variables."""
     layout = problem.layout
+    theta = follow(theta, layout.tied)
     predictions = tuple(problem.predict(theta))
     r, j = problem.residuals(predictions)
     chi2 = float(r @ r)
     rows = problem.rows
     at_bound = layout.at_bound(theta)
     noise = tuple(_with_unresolved(problem, predictions, noise, at_bound))
-    determined = ~surely_at_bound(layout, at_bound, r, j)
+    determined = ~surely_at_bound(layout, at_bound, r, j) & layout.is_free
     if any(n.unresolved > n.level for n in noise):
         j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
     covariance = covariance_of(j, determined)
     covariance += _by_integration_errors(problem, theta, predictions, covariance)
     # with a significant lack of fit, the noise alone understates the uncertainty
-    factor = variance_factor(chi2, rows - int((~at_bound).sum()))
+    factor = variance_factor(chi2, rows - int((~at_bound & layout.is_free).sum()))
     covariance *= factor
     if factor > _INEXACT and any(d.driven for d in problem.data):
         covariance = _with_slow_residuals(problem, predictions, covariance)
+    if layout.tied:
+        slope = chain(theta, layout.tied)
+        covariance = slope @ covariance @ slope.T
     deviance = chi2 + sum(n.whitener.log_determinant for n in noise)
     return Fit(
         model=layout.model,
@@ -707,7 +856,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         rows=rows,
         n_eff=sum(d.n_effective for d in problem.data),
         deviance=deviance,
-        bic=deviance + len(theta) * float(np.log(rows)),
+        bic=deviance + int(layout.is_free.sum()) * float(np.log(rows)),
         converged=converged,
         covariance=covariance,
         theta=theta,
@@ -786,6 +935,7 @@ def _estimates(
     layout: ParameterLayout, theta: Array, errors: Array, at_bound: NDArray[np.bool_]
 ) -> dict[str, Estimate]:
     limits = np.transpose(layout.bounds()).tolist()
+    ties = {find_key(name, layout.model.free): text for name, text in layout.ties.items()}
     estimates = {}
     for i, name in enumerate(layout.names):
         if layout.records[0].single and name.startswith(START_ROTOR):
@@ -793,7 +943,10 @@ def _estimates(
         bound = bool(at_bound[i])
         error = math.nan if bound else float(errors[i])
         unit = layout.unit(name)
-        estimates[name] = Estimate(float(theta[i]), error, unit, bound, min=limits[i][0], max=limits[i][1])
+        expr = ties.get(name.partition("@")[0])
+        estimates[name] = Estimate(
+            float(theta[i]), error, unit, bound, expr is None, limits[i][0], limits[i][1], expr
+        )
     for key, value in layout.model.constants.items():
         estimates[key] = Estimate(value, math.nan, layout.unit(key), at_bound=False, vary=False)
     return estimates

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._arguments import FINITE, NOT_NEGATIVE, POSITIVE, require
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import Mesh, Path, Sampler
 from fitting.dynamics._events import solve
@@ -64,6 +65,13 @@ class Experiment:
     torque_noise: float = 0.0
     torque_time: float = 1.0
     centre_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "casing_fps", "rotor_fps", "window_length", "sigma", "torque_time"):
+            require(name, getattr(self, name), NOT_NEGATIVE if name == "sigma" else POSITIVE)
+        for name in ("omega_rotor", "omega_casing", "torque_noise", "centre_offset"):
+            require(name, getattr(self, name), FINITE)
+        require("windows", self.windows, FINITE.several)
 
 
 def simulate_path(
@@ -136,6 +144,9 @@ def simulate(
     """
     random = np.random.default_rng(seed)
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
+    missing = [k for k in model.parameters if k not in values]
+    if missing:
+        raise SimulationError(f"no value of {missing[0]} is given", f"needed: {', '.join(model.parameters)}")
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment, inputs)

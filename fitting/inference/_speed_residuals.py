@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from fitting._numbers import span_of
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
@@ -59,7 +60,7 @@ _PARTS = {"casing": 2, "rotor": 5}
 _POINTS = 40
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SpeedResidual:
     """Measured minus modelled speed of a run, averaged over parts of it."""
 
@@ -68,6 +69,9 @@ class SpeedResidual:
     width: Array
     value: Array  # mean residual of the speed [rad/s]
     sigma: Array  # its standard deviation if there is noise alone [rad/s]
+
+    def __repr__(self) -> str:
+        return f"SpeedResidual: {span_of('speed', self.value, 'rad/s')}"
 
 
 class SpeedMap:

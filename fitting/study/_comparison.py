@@ -24,29 +24,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
-from fitting._numbers import probability, rounded
-from fitting.dynamics._model import Model
+from fitting._numbers import on_screen, probability, rounded, to_json
+from fitting.study._population import Fitted, Population, population_of
 
 Array = NDArray[np.float64]
 
 # probability within one standard deviation of a normal distribution
 _ONE_SIGMA = 0.6827
-
-
-class Fitted(Protocol):
-    """A fit, a saved fit, or an entry of a ledger."""
-
-    @property
-    def model(self) -> Model: ...
-
-    @property
-    def estimates(self) -> Mapping[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -77,7 +67,7 @@ class ParameterComparison:
         return math.hypot(repeat.stderr, self.spread)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """What several runs have in common: the parameters that at least two of them determine."""
 
@@ -85,6 +75,10 @@ class Comparison:
     parameters: tuple[ParameterComparison, ...]  # the most significant difference first
     effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
     bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
+    population: Population | None = None  # of many runs: outlying ones, drifts and steps
+
+    def __repr__(self) -> str:
+        return on_screen([f"comparison of {len(self.runs)} runs", *self.sentences])
 
     @property
     def sentences(self) -> list[str]:
@@ -104,10 +98,12 @@ class Comparison:
             )
         if not differing:
             lines.append(f"No significant difference in {len(self.parameters)} parameters.")
+        if self.population is not None:
+            lines = self.population.sentences
         for name, runs in self.effects.items():
-            lines.append(f"{name} is only in {', '.join(runs)}.")
+            lines.append(f"{name} is only in {_listed(runs)}.")
         for name, runs in self.bounds.items():
-            lines.append(f"{name} is at its bound in {', '.join(runs)}.")
+            lines.append(f"{name} is at its bound in {_listed(runs)}.")
         return lines
 
     def document(self) -> dict[str, Any]:
@@ -130,11 +126,23 @@ class Comparison:
             },
             "effects": {name: list(runs) for name, runs in self.effects.items()},
             "at_bound": {name: list(runs) for name, runs in self.bounds.items()},
+            "population": None if self.population is None else to_json(self.population.document()),
             "sentences": self.sentences,
         }
 
 
-def compare(fits: Mapping[str, Fitted]) -> Comparison:
+# names of runs in a sentence
+_LISTED = 12
+
+
+def _listed(runs: Sequence[str]) -> str:
+    more = f" and {len(runs) - _LISTED} more" if len(runs) > _LISTED else ""
+    return ", ".join(runs[:_LISTED]) + more
+
+
+def compare(
+    fits: Mapping[str, Fitted], times: Mapping[str, float] | None = None, *, time_unit: str = "run"
+) -> Comparison:
     """Compare the parameters and effects of several fits.
 
     Parameters
@@ -142,18 +150,26 @@ def compare(fits: Mapping[str, Fitted]) -> Comparison:
     fits : mapping of str to Fit
         Fits by the names of the runs. In a joint fit, the parameters that each case has of its own are repeats, named
         ``run:case``.
+    times : mapping of str to float, optional
+        Times of the runs, by name, for drifts and steps of eight runs and more; by default they are numbered in order.
+    time_unit : str
+        Unit of the times.
 
     Returns
     -------
     Comparison
+        Differences and spread of each parameter; its `population` has outlying runs, drifts and steps.
 
     Raises
     ------
     EstimationError
-        If there are fewer than two fits.
+        If there are fewer than two fits, or a run has no time.
     """
     if len(fits) < 2:
         raise EstimationError("A comparison needs at least two fits.", "Give two cases, each with a fit.")
+    missing = [run for run in fits if times is not None and run not in times]
+    if missing:
+        raise EstimationError(f"the run {missing[0]} has no time", "give the times of all runs, by name")
     repeats: dict[str, list[Repeat]] = {}
     units: dict[str, str] = {}
     bounds: dict[str, list[str]] = {}
@@ -178,6 +194,7 @@ def compare(fits: Mapping[str, Fitted]) -> Comparison:
         tuple(sorted(compared, key=lambda p: p.p_value)),
         {n: runs for n, runs in having.items() if len(runs) < len(fits)},
         {n: tuple(runs) for n, runs in bounds.items()},
+        population_of(fits, times, time_unit=time_unit),
     )
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from fitting._arguments import PATH, require
 from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
@@ -118,6 +119,16 @@ class Entry:
         return Model(effects_of(self.stored.model, self.stored.own_effects))
 
     @property
+    def variables(self) -> list[str]:
+        """Names of the variables of `covariance`; empty if it was stored without one."""
+        return list(self.stored.variables)
+
+    @property
+    def covariance(self) -> list[list[float]]:
+        """Covariance of the variables."""
+        return [list(row) for row in self.stored.covariance]
+
+    @property
     def estimates(self) -> dict[str, EstimateDocument]:
         """The parameters with their standard uncertainties."""
         return self.stored.parameters
@@ -191,10 +202,14 @@ class Ledger:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        require("path", path, PATH)
+        self.path = path = Path(path)
         self.entries: list[Entry] = []
         if path.exists():
             self.entries = _read(path)
+
+    def __repr__(self) -> str:
+        return f"Ledger {self.path}: {len(self.entries)} fits"
 
     @classmethod
     def default_for(cls, case: Path) -> Ledger:

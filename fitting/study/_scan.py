@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from fitting._errors import EstimationError, FittingError
+from fitting._numbers import on_screen
 from fitting._workers import single_blas_thread
 from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, LIBRARY, REDUCED
@@ -23,8 +24,9 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics
 from fitting.inference._noise import Noise
+from fitting.inference._params import Estimate
 from fitting.inference._record import Record
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._result import Fit
 
 
 @dataclass(frozen=True)
@@ -278,7 +280,7 @@ class ModelFits:
     robustness: tuple[Robustness, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scan:
     """The result of a scan: two tables for each case, and two models on all cases.
 
@@ -296,6 +298,15 @@ class Scan:
     air: tuple[tuple[Row, ...], ...]
     bearing: tuple[tuple[Row, ...], ...]
     models: tuple[ModelFits, ...]
+
+    def __repr__(self) -> str:
+        runs = sum(len(rows) for rows in (*self.air, *self.bearing))
+        lines = [f"scan of {', '.join(self.labels)}: {runs} combinations of terms; see scan_lines()"]
+        for m in self.models:
+            fits = [(f"{', '.join(f.labels)}", f) for f in m.separate]
+            fits += [("joint", m.joint)] if m.joint is not None else []
+            lines += [f"  {m.name}, {label}: BIC {f.bic:.1f}, {f.verdict}" for label, f in fits]
+        return on_screen(lines)
 
     @property
     def converged(self) -> bool:

@@ -14,7 +14,8 @@ from dataclasses import asdict
 from typing import Any
 
 from fitting.inference._metrics import CaseMetrics
-from fitting.inference._result import Estimate, Fit
+from fitting.inference._params import Estimate
+from fitting.inference._result import Fit
 from fitting.study._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits, Robustness, Row, Scan, shade
 from fitting.study._serialisation import fit_document
 

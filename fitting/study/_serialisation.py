@@ -91,10 +91,11 @@ from fitting.inference._fit import fit
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
-from fitting.inference._result import Estimate, Fit, FitSummary, Origin, not_determined, outcome
+from fitting.inference._result import Fit, FitSummary, Origin, not_determined, outcome
 from fitting.study._paper import CurveBias
 
 Array = NDArray[np.float64]
@@ -557,7 +558,8 @@ class SavedFit(FitSummary):
 
     def refit(self, cases: Sequence[Record]) -> Fit:
         """Fit the same model again, with these values as initial values."""
-        return fit(self.model, cases, start=self.values)
+        ties = {k.partition("@")[0]: e.expr for k, e in self.estimates.items() if e.expr is not None}
+        return fit(self.model, cases, start=self.values, ties=ties)
 
 
 def load_fit(path: str | Path) -> SavedFit:

@@ -317,8 +317,11 @@ def read_cases(
     return tuple(CaseData.of(r) for r in records)
 
 
-def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
-    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run."""
+def latest_fits(runs: Sequence[Path], effects: Sequence[str] | None = None) -> dict[str, Entry]:
+    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run.
+
+    `effects` are the sorted names of those of its model, if any model will not do.
+    """
     from fitting.study._history import Ledger
 
     found: dict[str, Entry] = {}
@@ -339,6 +342,8 @@ def latest_fits(runs: Sequence[Path]) -> dict[str, Entry]:
 
             digest = read_record(path).digest
             entries = [e for e in Ledger.default_for(path).entries if e.digests == [digest]]
+        if effects is not None:
+            entries = [e for e in entries if sorted(e.model.names) == list(effects)]
         if not entries:
             raise DatasetError(f"{path} has no fit.", f"Run `gyrotrack improve {path}` first.")
         found[name] = entries[-1]
@@ -382,6 +387,16 @@ class FitRequest:
     per_case: tuple[str, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
     loss: str = "linear"
+
+    def model_for(self, study: Study) -> Model:
+        """Return the model that is fitted to cases without earlier fits.
+
+        Parameters
+        ----------
+        study : Study
+            The cases.
+        """
+        return self._wanted(study, None)[0]
 
     def fit(self, study: Study, start: str | None = None) -> tuple[Fit, str]:
         """Fit, and store the result in the ledger.

@@ -1,7 +1,8 @@
 """Figures of the commands `laws`, `plan` and `compare`.
 
 `laws`: unmodelled torque against its variable with the laws, explained shares, ranking. `plan`: detection limits, upper
-limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean.
+limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean; of many runs
+against the time of the run.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from fitting.discovery._plan import Plan
     from fitting.discovery._power import EffectLimits
     from fitting.study._comparison import Comparison
+    from fitting.study._population import Population
 
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)))
@@ -255,8 +257,56 @@ def _run(ax: Axes, found: NextRun) -> None:
 _MAX_PARAMETERS = 14
 
 
+def _population_figure(found: Population) -> Figure:
+    """Return a figure with one chart per parameter: its value in each run with bars of 2 u, against the run time.
+
+    The line is the mean, or the drift or step if it is significant; the band is the spread between the runs.
+    """
+    shown = sorted(found.parameters, key=lambda p: p.p_adjusted)[:_MAX_PARAMETERS]
+    names = [p.name for p in found.parameters]
+    figure = canvas(WIDTH, 0.6 + 2.3 * max(len(shown), 1))
+    axes: Any = figure.subplots(max(len(shown), 1), 1, squeeze=False, sharex=True)[:, 0]
+    out = np.isin(found.runs, [name for name, _ in found.outlying])
+    t = found.times
+    for ax, p in zip(axes, shown, strict=False):
+        j = names.index(p.name)
+        values, u = found.values[:, j], found.stderr[:, j]
+        factor, prefix = scaled(float(np.nanmax(np.abs(values))))
+        model = np.full(len(t), p.mean)
+        c = p.change
+        if c is not None and c.kind == "drift":
+            model = p.mean + c.slope * (t - t[~out].mean())
+        elif c is not None:
+            after = (t > c.time).astype(float)
+            model = p.mean + c.size * (after - after[~out].mean())
+        ax.fill_between(
+            t, factor * (model - p.spread), factor * (model + p.spread), color=PALE, linewidth=0, step="mid",
+            label="spread between runs",
+        )  # fmt: skip
+        drawn: dict[str, Any] = {} if c is None or c.kind == "drift" else {"drawstyle": "steps-mid"}
+        ax.plot(t, factor * model, color=BLUE, linewidth=1.4, label="mean" if c is None else c.kind, **drawn)
+        bars: dict[str, Any] = {"fmt": "o", "markersize": 3, "elinewidth": 0.7}
+        ax.errorbar(
+            t[~out], factor * values[~out], 2 * factor * u[~out], color="#555555", label="runs ± 2 u", **bars
+        )
+        if out.any():
+            ax.errorbar(
+                t[out], factor * values[out], 2 * factor * u[out], color=VERMILLION, label="outlying", **bars
+            )
+        ax.set_ylabel(f"[{prefix}{unit_text(p.unit) or 1}]")
+        ax.set_title(plain(p.name), loc="left")
+        ax.set_title(
+            f"adjusted p {probability(p.p_adjusted)}", loc="right", fontweight="normal", fontsize="small"
+        )
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
+    axes[-1].set_xlabel("run" if found.time_unit == "run" else f"run time [{found.time_unit}]")
+    return figure
+
+
 def _comparison_figure(found: Comparison) -> Figure:
     """Return a figure with one row per parameter: the runs with bars of 2 sigma, and the spread between the runs."""
+    if found.population is not None and found.population.parameters:
+        return _population_figure(found.population)
     shown = found.parameters[:_MAX_PARAMETERS]
     names = list(dict.fromkeys(r.run for p in shown for r in p.repeats))
     figure = canvas(WIDTH, 1.3 + 0.55 * max(len(shown), 1))

@@ -58,7 +58,9 @@ COMMANDS = (
     Entry("plan", "_discovery", _PHYSICS, "Compute detection limits, upper limits and the best next run."),
     Entry("budget", "_fitting", _PHYSICS, "Uncertainty budget of every parameter (GUM)."),
     Entry("certify", "_certify", _PHYSICS, "Test an answer on simulated recordings: false alarms, coverage."),
-    Entry("compare", "_discovery", _PHYSICS, "Compare fits of several runs: differences and spread."),
+    Entry(
+        "compare", "_compare", _PHYSICS, "Compare fits of runs: differences, spread, drifts, outlying runs."
+    ),
     Entry("ladder", "_fitting", _PHYSICS, "List the fits of a case: one bar per fit."),
     Entry("report", "_presentation", _PHYSICS, "Write a report: one HTML page or a PDF."),
     Entry("figures", "_presentation", _PHYSICS, "Draw the paper's figures and tables of a study."),

@@ -1,4 +1,4 @@
-"""Commands laws, plan and compare."""
+"""Commands laws and plan."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def laws_command(
     from fitting.study._serialisation import save_law as save
 
     out = Output(as_json=as_json, quiet=quiet)
-    _check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
+    check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
     if save_law is not None:
         check_name(*save_law)
     elif law is not None:
@@ -80,7 +80,7 @@ def laws_command(
         )
         if known is None and found.diagnosis is not None:
             study.keep_diagnosis(fit_id, found.diagnosis, own)
-    written = _drawn(found, picture, force=force)
+    written = drawn(found, picture, force=force)
     out.result(laws_document(found, fit_id))
     out.show(_laws_table(found, fit_id), *written)
     if save_law is None:
@@ -96,7 +96,8 @@ def laws_command(
     return DONE
 
 
-def _check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | None]) -> None:
+def check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | None]) -> None:
+    """Refuse a picture of an unknown format, or one that would replace a file."""
     from gyrotrack.io._atomic import refuse_existing
 
     if picture is None:
@@ -107,7 +108,7 @@ def _check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | 
     refuse_existing(picture, force=force, reads=reads)
 
 
-def _drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
+def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
     """Draw a result, if a picture is wanted, and return a confirmation line."""
     if picture is None:
         return []
@@ -207,6 +208,7 @@ def plan_command(
     ] = None,
     picture: shared.Picture = None,
     effects: shared.EffectsFile = None,
+    friction: shared.Friction = False,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     force: shared.Force = False,
@@ -215,10 +217,12 @@ def plan_command(
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
-    A description of recordings is a TOML file; see the guide "Plan an experiment".
+    A description of recordings is a TOML file; see the guide "Plan an experiment". With --friction the command also
+    shows which friction laws of a contact the recording separates, and which ones reversals or a slow ramp would.
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
+    from fitting.discovery._friction import friction_plan
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan, read_planned
     from fitting.study._serialisation import plan_document
@@ -235,9 +239,9 @@ def plan_command(
         what = f"--size {size:g} is not a positive torque."
         raise UsageError(what, "Give an rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())
-    _check_picture(picture, force=force, reads=with_ledgers(recordings, ledger, effects))
+    check_picture(picture, force=force, reads=with_ledgers(recordings, ledger, effects))
     out = Output(as_json=as_json, quiet=quiet)
-    own = shared.own_effects(effects)
+    own = shared.own_effects(effects, friction=friction)
     with out.progress("planning") as progress:
         progress(0, None)
         if described:
@@ -249,9 +253,14 @@ def plan_command(
             usual, subject = (Bounds.of(fit) if changes else None), fit
         bounds = replace(usual, **changes) if usual is not None else None
         found = plan(subject, own, size=size, bounds=bounds, progress=progress)
-    written = _drawn(found, picture, force=force)
-    out.result(plan_document(found) | ({"picture": picture} if picture is not None else {}))
-    out.show(_plan_table(found), *written)
+        laws = friction_plan(found.fit) if friction else None
+    written = drawn(found, picture, force=force)
+    more = {} if laws is None else {"friction": laws.document()}
+    out.result(plan_document(found) | more | ({"picture": picture} if picture is not None else {}))
+    lines = [] if laws is None else ["", "friction laws of a contact:"]
+    for sentence in [] if laws is None else laws.sentences:
+        lines += textwrap.wrap(sentence, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+    out.show(_plan_table(found), *lines, *written)
     return DONE if found.fit.converged else NOT_TRUSTED
 
 
@@ -360,50 +369,3 @@ def _limits_of_run(b: Bounds, body: str) -> str:
             f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present value"
         )
     return f"Limits of the next run: {', '.join(parts)} (change them with --bound)."
-
-
-def compare_command(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="A B...", help="Cases (.h5) that have been fitted, or ledgers (.fits.json)."),
-    ],
-    *,
-    picture: shared.Picture = None,
-    force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-) -> None:
-    """Compare the latest fits of runs: which parameters and effects differ, and by how many standard uncertainties.
-
-    Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
-    includes the spread. The runs are assumed to be independent.
-
-    Example: gyrotrack compare left.h5 right.h5 --picture difference.png
-    """
-    from fitting.study._comparison import compare
-    from gyrotrack.apps._study import latest_fits
-
-    out = Output(as_json=as_json, quiet=quiet)
-    if len(runs) < 2:
-        raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
-    _check_picture(picture, force=force, reads=with_ledgers(runs))
-    found = compare(latest_fits(runs))
-    written = _drawn(found, picture, force=force)
-    out.result(found.document())
-    out.show(_comparison_table(found), *written)
-
-
-def _comparison_table(found: Comparison) -> str:
-    from fitting._numbers import probability, rounded
-
-    lines = []
-    for p in found.parameters:
-        size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
-        lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
-        width = max(len(r.run) for r in p.repeats)
-        for r in p.repeats:
-            total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
-            lines.append(f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}{total}")
-        spread = f"spread {p.spread:.2g} ({p.spread_interval[0]:.2g} to {p.spread_interval[1]:.2g}) {p.unit}"
-        lines.append(f"  {'mean':<{width}}  {rounded(p.mean, p.mean_u, p.unit)}, {spread}")
-    return "\n".join([*lines, *([""] if lines else []), *found.sentences])

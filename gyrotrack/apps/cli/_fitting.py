@@ -291,6 +291,7 @@ def diagnose_command(
     cases: shared.CaseFiles,
     *,
     effects: shared.EffectsFile = None,
+    friction: shared.Friction = False,
     prior: shared.PriorStudy = None,
     prior_rotor: shared.PriorRotor = None,
     start: shared.From = None,
@@ -317,7 +318,7 @@ def diagnose_command(
         progress(0, None)
         began = process_time()  # workers share the work of a test, as they share this
         fit, fit_id = study.base(start)
-        own = shared.own_effects(effects)
+        own = shared.own_effects(effects, friction=friction)
         found = diagnose(fit, own, workers=workers)
         one = process_time() - began
         study.keep_diagnosis(fit_id, found, own)

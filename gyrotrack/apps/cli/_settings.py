@@ -50,8 +50,9 @@ NONE = "none"  # file name that disables settings
 # options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
     "add all beyond_library body bound capture_fps casing casing_fps centre centre_offset clock_rate colour "
-    "column cut data drop dry_run duration fix format from hide hold_out hub improve inertia inertia_casing "
-    "inertia_rotor joint json keep_all label law likelihood loss marker model omega_casing omega_rotor per_case "
+    "column cut data drop dry_run duration fix format friction from hide hold_out hub improve inertia "
+    "inertia_casing inertia_rotor joint json keep_all label law likelihood loss marker model omega_casing omega_rotor "
+    "per_case "
     "point profile pulses_per_turn quiet recordings resume rotor rotor_fps rotor_start scale seed set share sigma "
     "size speed_scale start_u strength surface table tilt timeout times to torque_noise torque_time until verbose "
     "verify window window_length"
@@ -59,7 +60,7 @@ _COMPUTE = (
 # options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (
     "clips contact_sheet csv effects film films folder latex ledger output overlay picture prior "
-    "prior_rotor report"
+    "prior_rotor report run_times"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
 # options that only the user may set: they replace or delete results, name files among other words, or set addresses,
@@ -442,6 +443,9 @@ TlsKey = Annotated[
     Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
 ]
 EffectsFile = Annotated[Path | None, option("--effects FILE", "Your own effects, in TOML.")]
+Friction = Annotated[
+    bool, option("--friction", "Also consider the friction laws of LuGre, Maxwell slip (GMS) and starvation.")
+]
 DataKind = Annotated[
     str | None, option("--data D", "Fitted quantity: angle, or velocity (smoothed as in the paper).")
 ]
@@ -453,8 +457,12 @@ RotorKind = Annotated[
 ]
 
 
-def own_effects(path: Path | None) -> list[Effect]:
-    """Read user-defined effects, if a file is given."""
+def own_effects(path: Path | None, *, friction: bool = False) -> list[Effect]:
+    """Read user-defined effects, if a file is given; with `friction` add the laws that a search leaves out."""
+    if friction:
+        from fitting.effects._library import FRICTION, find
+
+        return [*own_effects(path), *(e for e in map(find, FRICTION) if not e.searched)]
     if path is None:
         return []
     from fitting.effects._user import read_effects

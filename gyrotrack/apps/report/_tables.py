@@ -30,7 +30,8 @@ from gyrotrack.plotting._study_data import StudyView
 if TYPE_CHECKING:
     from fitting.effects._effect import Effect
     from fitting.inference._case_data import CaseData
-    from fitting.inference._result import Estimate, Fit
+    from fitting.inference._params import Estimate
+    from fitting.inference._result import Fit
     from gyrotrack.io._records import Placement, Recording
 
 

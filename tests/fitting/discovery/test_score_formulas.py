@@ -121,7 +121,7 @@ class TestColumns:
         columns, effect = CaseColumns(gyroscope(), 0), LIBRARY["casing.precession"]
         shape = next(p for p in effect.parameters if p.role == "shape")
         grid = columns._grid(effect, shape)
-        phase = columns._states(effect, {"m": grid})
+        phase = columns._states(effect, effect.state, effect.rates[0], {"m": grid})
         steps = np.diff(np.ptp(phase, axis=0))
         assert steps == pytest.approx(np.full(len(steps), steps[0]))
         assert 1.5 <= steps[0] < 1.7

@@ -6,12 +6,18 @@ import pytest
 from fitting import GENERAL, LIBRARY, LINEAR, REDUCED, Model
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._effect import RATIO, parse_unit
-from fitting.effects._expression import Tape, derivative, parse, symbols
+from fitting.effects._expression import Tape, derivative, symbols
 from fitting.effects._library import find
 
 
 def sgn(x):
     return np.sign(x)
+
+
+def yielding(v, z, s):
+    """Rate of the strain of a contact that slides at the Stribeck curve."""
+    curve = 1 + v["r"] * np.exp(-((v["omega_c"] / v["w"]) ** 2))
+    return (v["omega_c"] - abs(v["omega_c"]) * z / curve) / s
 
 
 # name: (joint, law by hand, {symbol: unit}); torques on the body named, angles for cameras.
@@ -87,6 +93,21 @@ TABLE = {
         {"k": "N m", "tau_T": "s"},
     ),
     "casing.friction.presliding": ("casing", lambda v: -v["k"] * v["strain"], {"k": "N m", "s": "1"}),
+    "casing.friction.lugre": (
+        "casing",
+        lambda v: -v["k"] * (v["bristle"] + v["T"] * yielding(v, v["bristle"], v["s"])),
+        {"k": "N m", "s": "1", "r": "1", "w": "s-1", "T": "s"},
+    ),
+    "casing.friction.gms": (
+        "casing",
+        lambda v: -v["k"] * (v["a"] * v["element_a"] + (1 - v["a"]) * v["element_b"]),
+        {"k": "N m", "a": "1", "s": "1", "q": "1", "r": "1", "w": "s-1"},
+    ),
+    "casing.friction.starvation": (
+        "casing",
+        lambda v: -v["k"] * np.exp(-((abs(v["omega_c"]) / v["w"]) ** 1.4)) * sgn(v["omega_c"]),
+        {"k": "N m", "w": "s-1"},
+    ),
     "casing.spring.linear": ("casing", lambda v: -v["k"] * v["deflection"], {"k": "N m"}),
     "casing.spring.cubic": ("casing", lambda v: -v["k"] * v["deflection"] ** 3, {"k": "N m"}),
     "casing.gravity": ("casing", lambda v: -v["k"] * np.sin(v["deflection"]), {"k": "N m"}),
@@ -156,6 +177,7 @@ def places(effect, n=200, seed=0):
         "temperature": rng.uniform(0, 30, n),
         "chirp": rng.uniform(0, 500, n),
         "strain": rng.uniform(-1, 1, n),
+        **{name: rng.uniform(-1, 1, n) for name in ("bristle", "element_a", "element_b")},
         "deflection": rng.uniform(-2, 2, n),
         "slip": rng.uniform(-20, 20, n),
         "torque_held": rng.uniform(-1, 1, n),
@@ -209,8 +231,8 @@ def test_declarations_are_consistent(effect):
     assert effect.source
     assert set(effect.confused_with) <= set(LIBRARY) - {effect.name}
     # the ratio of a contact is in its slip
-    assert {p.symbol for p in effect.parameters} - {RATIO} <= symbols(effect.expression) | symbols(
-        effect.rate or parse("0")
+    assert {p.symbol for p in effect.parameters} - {RATIO} <= symbols(effect.expression).union(
+        *map(symbols, effect.rates)
     )
     for p in effect.parameters:
         assert p.lower < p.upper
@@ -266,6 +288,7 @@ def test_rates_of_states_are_those_of_the_table():
 DRIVERS = {"casing.windage", "external.constant", "casing.unbalance", "casing.asymmetry", "casing.precession"}
 # They store energy and give it back; the presliding contact keeps a part of it.
 ELASTIC = {"casing.spring.linear", "casing.spring.cubic", "casing.gravity", "casing.friction.presliding"}
+ELASTIC |= {"casing.friction.lugre", "casing.friction.gms"}
 
 
 # k omega_r^2 pushes the casing forward whatever it does: friction only while the rotor is the faster body,
@@ -365,7 +388,7 @@ def test_dynamics_with_the_effect_has_right_derivatives(effect):
         "omega_c": 90.0,
         "temperature": 3.0,
         "chirp": 20.0,
-        "strain": 0.5,
+        **dict.fromkeys(("strain", "bristle", "element_a", "element_b"), 0.5),
         "deflection": 0.7,
         "psi_r": 5.0,
         "psi_c": 7.0,

@@ -312,7 +312,7 @@ class TestFit:
     ):
         calls = []
         data = [body([1.0, 2.0], label=f"run{i}", oscillation=oscillation) for i in range(cases)]
-        layout = SimpleNamespace(names=("a.k",))
+        layout = SimpleNamespace(tied=(), names=("a.k",))
         problem = Asked(calls, layout, tuple(data))
 
         def search(problem, theta, *, quick=False, active=None):
@@ -363,12 +363,15 @@ class TestFit:
         monkeypatch.setattr(
             module,
             "ParameterLayout",
-            SimpleNamespace(of=lambda *args: layouts.append(args) or SimpleNamespace(names=("a.k",))),
+            SimpleNamespace(
+                of=lambda *args: layouts.append(args) or SimpleNamespace(names=("a.k",), tied=())
+            ),
         )
         model = SimpleNamespace(restoring=False, free=("a.k", "b.k"))
         data = [body([1.0, 2.0])]
-        fit(model, data, share=["s"], per_case=["p"], ranges={"a.k": (0.0, 1.0)}, noise="given", start=KNOWN)
-        assert layouts[0] == (model, [data[0].record], ["s"], ["p"], {"a.k": (0.0, 1.0)})
+        options = {"ranges": {"a.k": (0.0, 1.0)}, "ties": {"b.k": "a.k"}}
+        fit(model, data, share=["s"], per_case=["p"], noise="given", start=KNOWN, **options)
+        assert layouts[0] == (model, [data[0].record], ["s"], ["p"], {"a.k": (0.0, 1.0)}, {"b.k": "a.k"})
 
     def test_noise_of_an_earlier_fit_is_refined_once(self, monkeypatch):
         calls, found = self.fitted(monkeypatch, given="given", start=KNOWN)

@@ -65,7 +65,7 @@ def test_an_absent_friction_has_an_upper_limit():
 
 
 def test_only_free_parameters_have_a_profile():
-    with pytest.raises(EffectError, match="no free parameter"):
+    with pytest.raises(EffectError, match="not a free parameter"):
         profile(fitted(seed=0), "bearing.heating.C")
 
 

@@ -109,7 +109,7 @@ def test_unsupported_robust_fits_are_refused():
     raw = spoiled(1, share=0.0, span=20.0, windows=(2.0, 15.0))
     with pytest.raises(EstimationError, match="no loss named"):
         robust_fit(Model.of(LINEAR), [make_record(**raw)], "l1")
-    with pytest.raises(EstimationError, match="follow an angle"):
+    with pytest.raises(EstimationError, match="laws of an angle"):
         robust_fit(Model.of((*LINEAR, "casing.unbalance")), [make_record(**raw)], "huber")
 
 

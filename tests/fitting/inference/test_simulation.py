@@ -24,7 +24,7 @@ def test_the_motion_with_each_effect_is_that_of_another_integrator(name):
         lambda t, y: motion.rates(np.array([t]), y[None], numbers)[0],
         (0.0, _DURATION),
         path.edges[0],
-        method="Radau" if name == "casing.friction.presliding" else "LSODA",
+        method="Radau" if LIBRARY[name].contact else "LSODA",
         rtol=1e-10,
         atol=1e-9,
         max_step=0.02 if model.angle_dependent or "deflection" in motion.states else np.inf,

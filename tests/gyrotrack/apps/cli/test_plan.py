@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from gyrotrack.apps.cli._settings import own_effects
+
 GUIDE = Path(__file__).parents[4] / "docs" / "how-to" / "plan-an-experiment.md"
 
 
@@ -72,3 +74,9 @@ def test_a_description_without_inertia_is_refused(gyrotrack, described):
     said = gyrotrack("plan", described, "--json")
     assert said.code == 1
     assert said.error["message"].startswith("plan.toml: inertia.casing is missing")
+
+
+def test_friction_adds_the_laws_that_a_search_leaves_out():
+    names = [e.name for e in own_effects(None, friction=True)]
+    assert names == ["casing.friction.starvation", "casing.friction.lugre", "casing.friction.gms"]
+    assert own_effects(None) == []

@@ -1,0 +1,257 @@
+"""Which laws of friction of a contact a motion separates: Coulomb, Stribeck, starvation, Dahl, LuGre, Maxwell slip.
+
+Each law acts along a motion with the strength of the present dry friction and typical shape constants. Another law
+explains it as well as Coulomb and viscous friction together with that law, at the best of its trial shapes, do. The
+square of what is left, in the whitened rows of the recording, is the expected fall of the deviance by which the right
+law is preferred. Three motions are compared: that of the recording, a motion that reverses about rest, and a slow ramp
+of the speed from rest, both of the same length, with the same samples and noise. A body that turns in one sense slides
+after a small angle: its friction is then a function of the speed, and no length of such a recording shows how the
+contact yields.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._criteria import DEFAULT, Criteria
+from fitting._errors import EstimationError
+from fitting._numbers import on_screen
+from fitting.discovery._score import CaseColumns
+from fitting.dynamics._collocation import Sampler
+from fitting.effects._effect import Effect
+from fitting.effects._expression import Tape
+from fitting.effects._library import FRICTION, find
+from fitting.inference._result import Fit
+
+Array = NDArray[np.float64]
+
+# laws that every description contains: Coulomb and viscous friction
+_ALWAYS = FRICTION[:2]
+# times at which a law is evaluated in each cell of the recording
+_FINE = 16
+# reversals of the second motion, and its amplitude over the angle through which a contact yields
+_REVERSALS, _AMPLITUDE = 10, 4.0
+# share of the torque without which a strength cannot be taken from the fit
+_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion: times and speeds of the casing in each cell, at `_FINE` times each."""
+
+    name: str
+    time: Array  # shape (cells * fine,)
+    omega: Array
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two laws, and the expected fall of the deviance by which the first is preferred to the second, by motion."""
+
+    first: str
+    second: str
+    evidence: Mapping[str, float]
+
+    def separated(self, motion: str, width: float) -> bool:
+        """Return whether a motion separates them."""
+        return self.evidence[motion] > width
+
+
+@dataclass(frozen=True, repr=False)
+class FrictionPlan:
+    """What the recording and two other motions tell about the laws of friction."""
+
+    strength: float  # of the dry friction [torque unit]
+    unit: str
+    pairs: tuple[Pair, ...]
+    width: float  # fall of the deviance from which two laws are separated
+    amplitude: float  # of the motion that reverses [rad]
+    ramp: float  # last speed of the ramp [rad/s]
+
+    def __repr__(self) -> str:
+        return on_screen(self.sentences)
+
+    @property
+    def sentences(self) -> list[str]:
+        """The result in words."""
+        names = ("recording", "reversals", "ramp")
+        runs = {
+            "reversals": f"a run of {_REVERSALS} reversals with an amplitude of {self.amplitude:.2g} rad about rest",
+            "ramp": f"a slow ramp of the speed from rest to {self.ramp:.2g} rad/s",
+        }
+        own = [p for p in self.pairs if p.separated(names[0], self.width)]
+        count = len(self.pairs)
+        strength = f"dry friction {self.strength:.3g} {self.unit}"
+        lines = [f"This recording separates {len(own)} of {count} pairs of friction laws ({strength})."]
+        left = [p for p in self.pairs if p not in own]
+        for name in names[1:]:
+            found = [p for p in left if p.separated(name, self.width)]
+            if found:
+                lines.append(f"{runs[name][0].upper()}{runs[name][1:]} separates {_grouped(found)}.")
+        never = [p for p in left if not any(p.separated(n, self.width) for n in names[1:])]
+        if never:
+            lines.append(f"None of these runs separates {_grouped(never)}.")
+        return lines
+
+    def document(self) -> dict[str, object]:
+        """Return the result as a part of the JSON document of `gyrotrack plan`."""
+        return {
+            "strength": {"value": self.strength, "unit": self.unit},
+            "width": self.width,
+            "pairs": [
+                {"law": p.first, "rival": p.second, "evidence": dict(p.evidence)}
+                | {"separated_by": [n for n in p.evidence if p.separated(n, self.width)]}
+                for p in self.pairs
+            ],
+            "sentences": self.sentences,
+        }
+
+
+def _grouped(pairs: Sequence[Pair]) -> str:
+    """Return pairs as text, each law with all its rivals."""
+    rivals: dict[str, list[str]] = {}
+    for p in pairs:
+        rivals.setdefault(p.first, []).append(p.second)
+    return "; ".join(f"{first} from {', '.join(others)}" for first, others in rivals.items())
+
+
+def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
+    """Return which friction laws the first recording of a fit separates, and which other run would.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fit of the present recordings.
+    criteria : Criteria
+        Its `equivalence_width` is the fall of the deviance within which two laws are not separated.
+
+    Raises
+    ------
+    EstimationError
+        If the motion has no torque.
+    """
+    strength = _strength(fit)
+    responses = _Responses(fit)
+    laws = [find(n) for n in FRICTION if n not in _ALWAYS]
+    yielding = max(_typical(e)["s"] for e in laws if e.contact)
+    edges = responses.edges
+    first, last = float(edges[0]), float(edges[-1])
+    inside = (np.arange(_FINE) + 0.5) / _FINE
+    fine = (edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel()
+    x = (fine - first) / (last - first)
+    path = fit.predictions[0].path
+    omega = Sampler(path.mesh, fine).value(path.y[..., path.states.index("omega_c")])
+    amplitude, turning = _AMPLITUDE * yielding, math.pi * _REVERSALS
+    ramp = float(np.median(np.abs(omega)))
+    motions = (
+        Motion("recording", fine, omega),
+        Motion("reversals", fine, amplitude * turning / (last - first) * np.cos(turning * x)),
+        Motion("ramp", fine, ramp * x),
+    )
+    pairs = []
+    for one, other in product(laws, laws):
+        if one is not other:
+            evidence = {m.name: responses.evidence(one, other, m, strength) for m in motions}
+            pairs.append(Pair(one.name, other.name, evidence))
+    return FrictionPlan(strength, fit.torque_unit, tuple(pairs), criteria.equivalence_width, amplitude, ramp)
+
+
+def _strength(fit: Fit) -> float:
+    """Return the dry friction of a model, or a tenth of the rms net torque if the model has none."""
+    dry = find(_ALWAYS[0])
+    own = [e.value for k, e in fit.estimates.items() if k.startswith(f"{dry.name}.")]
+    if own and own[0] > 0:
+        return float(own[0])
+    case, prediction = fit.problem.cases[0], fit.predictions[0]
+    numbers = fit.problem.layout.numbers(fit.theta, 0)
+    rates = case.dynamics.rates(prediction.path.mesh.times, prediction.path.y, numbers)[..., 1]
+    torque = _SHARE * float(np.sqrt(np.mean(rates**2))) * case.data.record.I_casing
+    if not torque > 0:
+        raise EstimationError("the motion has no torque", "plan with a recording of a body that slows down")
+    return torque
+
+
+def _typical(effect: Effect) -> dict[str, float]:
+    """Return the strength 1 and the usual value of each shape constant."""
+    return {p.symbol: 1.0 if p.role == "amplitude" else p.start for p in effect.parameters}
+
+
+def _trials(effect: Effect) -> Iterator[dict[str, float]]:
+    """Yield the strength 1 with all trial values of the shape constants, their usual values, and bounds of zero.
+
+    At a bound of zero a law is the simpler one that it contains.
+    """
+    shapes = [p for p in effect.parameters if p.role == "shape"]
+    grids = [dict.fromkeys((*p.grid, p.start, *((0.0,) if p.lower == 0 else ()))) for p in shapes]
+    for values in product(*grids):
+        yield _typical(effect) | dict(zip((p.symbol for p in shapes), values, strict=True))
+
+
+def torque_along(effect: Effect, values: Mapping[str, float], motion: Motion) -> Array:
+    """Return the torque of a law along a motion; states by exact exponentials with rates constant between times."""
+    known: dict[str, Array | float] = dict(values) | {"omega_c": motion.omega, "t": motion.time}
+    for state, rate in zip(effect.states, effect.rates, strict=True):
+        # the rates are linear in the state: source + decay * state
+        source, at_one = (
+            np.broadcast_to(
+                np.asarray(Tape([rate])(known | {state.symbol: z})[0], dtype=float), motion.omega.shape
+            )
+            for z in (0.0, 1.0)
+        )
+        decay = at_one - source
+        h = np.diff(motion.time)
+        mean_source, exponent = 0.5 * (source[1:] + source[:-1]), 0.5 * h * (decay[1:] + decay[:-1])
+        factor = np.exp(exponent)
+        gain = (
+            h
+            * mean_source
+            * np.where(exponent == 0, 1.0, np.expm1(exponent) / np.where(exponent == 0, 1.0, exponent))
+        )
+        found = np.empty(len(motion.time))
+        found[0] = state.start
+        for i in range(len(h)):
+            found[i + 1] = factor[i] * found[i] + gain[i]
+        known[state.symbol] = found
+    law = np.asarray(Tape([effect.expression])(known)[0], dtype=float)
+    return np.asarray(np.broadcast_to(law, motion.omega.shape).reshape(-1, _FINE).mean(axis=1))
+
+
+class _Responses:
+    """The whitened response of the rows of a recording to torques, and the columns that are always free."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._columns = CaseColumns(fit, 0)
+        self._project = fit.problem.projections[0]
+        self.edges = self._columns.response.edges
+        layout, prediction = fit.problem.layout, fit.predictions[0]
+        starts = [i for i, k in enumerate(prediction.places) if layout.names[k].startswith("initial.")]
+        self._starts = self._project.unexplained(prediction.columns[:, starts])
+        self._known: dict[tuple[str, str, tuple[float, ...]], Array] = {}
+
+    def of(self, effect: Effect, values: Mapping[str, float], motion: Motion) -> Array:
+        """Return the response to a law of strength 1 along a motion."""
+        key = effect.name, motion.name, tuple(values.values())
+        if key not in self._known:
+            torque = torque_along(effect, values, motion)[:, None]
+            rows = self._columns.torque_rows(np.zeros_like(torque), torque)
+            self._known[key] = self._project.unexplained(rows)[:, 0]
+        return self._known[key]
+
+    def evidence(self, one: Effect, other: Effect, motion: Motion, strength: float) -> float:
+        """Return the smallest chi-square of a law that the other one and the simple laws do not explain."""
+        target = strength * self.of(one, _typical(one), motion)
+        simple = [self.of(find(n), _typical(find(n)), motion) for n in _ALWAYS]
+        least = math.inf
+        for values in _trials(other):
+            columns = np.column_stack([self._starts, *simple, self.of(other, values, motion)])
+            size = np.linalg.norm(columns, axis=0)
+            columns = columns / np.where(size > 0, size, 1.0)
+            left = target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]
+            least = min(least, float(left @ left))
+        return least

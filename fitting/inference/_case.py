@@ -1,0 +1,358 @@
+"""A case as Python users write it: bodies by their names, each with arrays; and the names of its parameters.
+
+The library of laws speaks of a casing and its touch point. A body alone has a name of its own: its laws are
+``wheel.air.quadratic`` (``casing.air.quadratic`` of the library) and ``wheel.support.constant``
+(``touchpoint.constant``), and in a case of one body ``air.quadratic`` and ``support.constant`` suffice. In formulas its
+speed is ``omega`` and its angle ``psi``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._arguments import PATH, require
+from fitting._errors import EffectError, RecordError
+from fitting.dynamics._inputs import Input
+from fitting.dynamics._model import NAMED, Model
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import resolve
+from fitting.inference._record import Record, make_record
+
+Array = NDArray[np.float64]
+
+_BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+# prefixes of names in the library, and what follows the name of a body in their place
+_PLACES = (("touchpoint.", "support."), ("external.", "external."), ("casing.", ""))
+_GYROSCOPE = ("casing", "rotor")
+_TAKEN = {
+    "rotor",
+    "casing",
+    "bearing",
+    "touchpoint",
+    "external",
+    "input",
+    "camera",
+    "setup",
+    "contact",
+    "initial",
+}
+_KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u")
+_VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
+
+
+def outward(name: str, body: str) -> str:
+    """Return a name of the library as that of a body alone; names of a gyroscope stay as they are."""
+    if not body:
+        return name
+    joint, colon, law = name.partition(":")
+    if colon and joint == "casing":
+        for own, variable in _VARIABLES.items():
+            law = re.sub(rf"\b{variable}\b", own, law)
+        return f"{body}:{law}"
+    if name.startswith("initial.omega_c"):
+        return name.replace("omega_c", "omega", 1)
+    for inner, outer in _PLACES:
+        if name.startswith(inner):
+            return f"{body}.{outer}{name.removeprefix(inner)}"
+    return name
+
+
+def inward(name: str, body: str) -> str:
+    """Return the name in the library of an effect, a parameter or a formula of a body alone."""
+    if not body:
+        return name
+    joint, colon, law = name.partition(":")
+    if colon:
+        if joint.strip() not in {body, "casing"}:
+            return name
+        for own, variable in _VARIABLES.items():
+            law = re.sub(rf"\b{own}\b", variable, law)
+        return f"casing:{law}"
+    if re.match(r"initial\.omega(@|$)", name):
+        return name.replace("omega", "omega_c", 1)
+    named = name.startswith(f"{body}.")
+    rest = name.removeprefix(f"{body}.")
+    for inner, outer in _PLACES[:-1]:
+        if rest.startswith(outer):
+            return inner + rest.removeprefix(outer)
+    of_casing = f"casing.{rest}"
+    known = any(of_casing == e or of_casing.startswith(f"{e}.") for e in LIBRARY)
+    drives = re.fullmatch(r"input\.\w+(\.k)?", rest) is not None
+    return of_casing if named or known or drives else name
+
+
+@dataclass(frozen=True, repr=False)
+class Case:
+    """A measured motion: bodies with their series, and recorded inputs.
+
+    Parameters
+    ----------
+    record : Record
+        The arrays; `Case.from_arrays` and `Case.load` make it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fitting import Case, fit
+    >>> t = np.linspace(0.0, 10.0, 201)
+    >>> case = Case.from_arrays(wheel={"t": t, "omega": 20.0 * np.exp(-0.1 * t), "u": 0.01})
+    >>> round(fit("air.linear", case).params["b2"].value, 6)
+    0.1
+    """
+
+    record: Record
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.record, Record):
+            raise RecordError(
+                f"a case is made of a Record, not of a {type(self.record).__name__}",
+                "use Case.from_arrays(wheel=dict(t=..., omega=...)) or Case.load(path)",
+            )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        label: str = "case",
+        surface: str = "",
+        inputs: Mapping[str, Mapping[str, Any]] | Sequence[Input] = (),
+        **bodies: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    ) -> Case:
+        """Make a case from arrays.
+
+        Parameters
+        ----------
+        label, surface : str
+            Name of the recording, and what it turned on.
+        inputs : mapping of str to mapping, or sequence of Input
+            Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
+        **bodies : mapping of arrays
+            One body by its name, or ``casing`` and ``rotor`` of a gyroscope. Each has times ``t`` [s] and ``omega``
+            [rad/s] or ``angle`` [rad], their standard uncertainty ``u`` (array or number; estimated without it), and
+            ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia torques of a body alone are per
+            unit of inertia [rad/s2]; a gyroscope needs both. The rotor may have several such mappings, one for each
+            window in which it was measured.
+
+        Returns
+        -------
+        Case
+
+        Raises
+        ------
+        RecordError
+            If a body has no arrays, wrong ones, or too few samples.
+        """
+        names = list(bodies)
+        if not names:
+            raise RecordError(
+                "a case needs a body",
+                "write for example Case.from_arrays(wheel=dict(t=t, omega=omega, u=0.01))",
+            )
+        gyroscope = set(names) == set(_GYROSCOPE)
+        if len(names) > 1 and not gyroscope:
+            raise RecordError(
+                f"bodies {', '.join(sorted(names))}: a case has one body, or the casing and the rotor of a gyroscope",
+                "give one body, or casing=dict(...) and rotor=dict(...)",
+            )
+        if not gyroscope and (names[0] in _TAKEN - {"casing"} or not _BODY_NAME.fullmatch(names[0])):
+            raise RecordError(
+                f"{names[0][:40]!r} cannot be the name of a body alone: laws have a meaning for it",
+                "choose another name, such as wheel or disc",
+            )
+        main = "casing" if gyroscope else names[0]
+        series = {name: _series(name, bodies[name], several=gyroscope and name == "rotor") for name in names}
+        quantities = {s.quantity for several in series.values() for s in several}
+        if len(quantities) > 1:
+            raise RecordError(
+                "one body has speeds and the other angles", "give omega for both, or angle for both"
+            )
+        inertias = {name: several[0].inertia for name, several in series.items()}
+        if gyroscope and any(value is None for value, _ in inertias.values()):
+            raise RecordError(
+                "a gyroscope needs the inertia of both bodies: torques between them follow from their ratio",
+                "add inertia=... [kg m2] to casing and to rotor",
+            )
+        (inertia, inertia_u), (rotor, rotor_u) = inertias[main], inertias.get("rotor", (1.0, math.nan))
+        record = make_record(
+            casing=series[main][0].arrays,
+            rotor=[s.arrays for s in series["rotor"]] if gyroscope else [],
+            I_casing=1.0 if inertia is None else inertia,
+            I_rotor=1.0 if rotor is None else rotor,
+            I_casing_u=inertia_u,
+            I_rotor_u=rotor_u,
+            label=_text("label", label),
+            surface=_text("surface", surface),
+            quantity="angle" if quantities == {"angle"} else "omega",
+            single=not gyroscope,
+            per_inertia=inertia is None,
+            inputs=_inputs(inputs),
+            name="" if gyroscope or main == "casing" else main,
+        )
+        return cls(record)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Case:
+        """Read a case from a file of `gyrotrack import` or `gyrotrack sync` (see `fitting.load`)."""
+        from fitting.inference._case_file import read_record
+
+        require("path", path, PATH)
+
+        return cls(read_record(path))
+
+    @property
+    def label(self) -> str:
+        """Name of the recording."""
+        return self.record.label
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies."""
+        return (self.record.body,) if self.record.single else _GYROSCOPE
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Recorded inputs."""
+        return self.record.inputs
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of torques: "N m", or "rad/s2" per unit of inertia."""
+        return self.record.torque_unit
+
+    def model(self, *effects: str) -> Model:
+        """Return a model of this case.
+
+        Parameters
+        ----------
+        *effects : str
+            Names of laws (``"support.constant"``, ``"wheel.air.quadratic"``), formulas (``"wheel: -k*omega**3"``),
+            several of them joined by " + ", or the name of one of the paper's models.
+
+        Raises
+        ------
+        EffectError
+            If a name is unknown.
+        """
+        return model_of(effects, self.record)
+
+    def __repr__(self) -> str:
+        return repr(self.record).replace("Record", "Case", 1)
+
+
+def model_of(effects: str | Sequence[str], record: Record) -> Model:
+    """Return the model of some laws, named as the body of a record is."""
+    names = [effects] if isinstance(effects, str) else list(effects)
+    wrong = next((type(e).__name__ for e in names if not isinstance(e, str)), "")
+    if wrong or not names:
+        raise EffectError(
+            f"a {wrong} is not a law" if wrong else "a model needs a law",
+            'write for example "air.linear" or "casing: -k*omega_c**3"',
+        )
+    if len(names) == 1 and names[0] in NAMED:
+        model = Model.of(names[0])
+        return model.alone if record.single else model
+    # a plus within a formula belongs to it
+    names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
+    return Model(tuple(resolve(inward(n.strip(), record.name), record.inputs) for n in names))
+
+
+@dataclass(frozen=True)
+class _Series:
+    arrays: tuple[Array, Array, Array]
+    quantity: str
+    inertia: tuple[float | None, float]
+
+
+def _series(name: str, given: Any, *, several: bool) -> list[_Series]:
+    windows = (
+        list(given) if several and isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    )
+    if not windows:
+        raise RecordError(f"{name} has no window", "give at least one dict(t=..., omega=...)")
+    return [_one_series(name, w) for w in windows]
+
+
+def _one_series(name: str, given: Any) -> _Series:
+    if not isinstance(given, Mapping):
+        raise RecordError(
+            f"{name} is a {type(given).__name__}, not a mapping of arrays",
+            f"write {name}=dict(t=t, omega=omega, u=u)",
+        )
+    unknown = sorted(str(k) for k in given if k not in _KEYS)
+    if unknown:
+        raise RecordError(f"{name} has an unknown entry {unknown[0][:30]!r}", f"entries: {', '.join(_KEYS)}")
+    measured = [k for k in ("omega", "angle") if given.get(k) is not None]
+    if given.get("t") is None or len(measured) != 1:
+        raise RecordError(
+            f"{name} needs its times t and one of omega and angle",
+            f"write {name}=dict(t=t, omega=omega, u=u)",
+        )
+    t, value = (_array(name, k, given[k]) for k in ("t", measured[0]))
+    u = given.get("u")
+    sigma = np.full(t.shape, np.nan) if u is None else _array(name, "u", u)
+    if sigma.ndim == 0:
+        sigma = np.full(t.shape, float(sigma))
+    if t.ndim != 1 or t.shape != value.shape or sigma.shape != t.shape:
+        raise RecordError(
+            f"the arrays of {name} have the shapes {t.shape}, {value.shape} and {sigma.shape}",
+            "t, the measured values and u have one value for each sample (u may be one number)",
+        )
+    if u is not None and not (sigma > 0).all():
+        raise RecordError(f"an uncertainty of {name} is not positive", "give u > 0, or leave it out")
+    return _Series((t, value, sigma), measured[0], _inertia(name, given))
+
+
+def _array(name: str, key: str, values: Any) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RecordError(f"{key} of {name} holds no numbers", "use a NumPy array") from None
+
+
+def _inertia(name: str, given: Mapping[str, Any]) -> tuple[float | None, float]:
+    value, u = given.get("inertia"), given.get("inertia_u", math.nan)
+    for key, number in (("inertia", value), ("inertia_u", u)):
+        if isinstance(number, bool) or not isinstance(number, int | float | np.number | None):
+            raise RecordError(
+                f"{key} of {name} is a {type(number).__name__}, not a number", "give it in kg m2"
+            )
+    if value is None:
+        return None, math.nan
+    if not 0 < float(value) < math.inf or (u is not None and float(u) < 0):
+        raise RecordError(f"the inertia of {name} is {value} +- {u} kg m2", "give positive numbers")
+    return float(value), math.nan if u is None else float(u)
+
+
+def _inputs(given: Any) -> list[Input]:
+    if not isinstance(given, Mapping):
+        # make_record refuses what is no Input
+        return given if isinstance(given, list) else list(given) if isinstance(given, tuple) else [given]
+    found = []
+    for name, entries in given.items():
+        if not isinstance(entries, Mapping) or not {"t", "value"} <= set(entries):
+            raise RecordError(
+                f"the input {str(name)[:40]} needs its times t and its values",
+                f'write inputs={{"{str(name)[:40]}": dict(t=t, value=value, unit="A")}}',
+            )
+        keys = {"t": "time"} | {k: k for k in ("value", "unit", "u", "interpolation", "delay")}
+        unknown = sorted(str(k) for k in entries if k not in keys)
+        if unknown:
+            raise RecordError(
+                f"the input {name} has an unknown entry {unknown[0][:30]!r}", f"entries: {', '.join(keys)}"
+            )
+        found.append(Input(name, **{keys[k]: v for k, v in entries.items()}))
+    return found
+
+
+def _text(what: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise RecordError(f"the {what} is a {type(value).__name__}, not a text", f'write {what}="..."')
+    return value

@@ -1,0 +1,157 @@
+"""Parameters that follow expressions of others: 2 * bearing.linear.d, or sqrt(d * e) with short names.
+
+A fit moves the other parameters only. With the values theta of all variables and the expressions
+theta_i = f_i(theta) of the tied ones, derivatives by the free variables follow by the chain rule, and the covariance of
+all is that of the free ones, propagated.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import EffectError, ExpressionError
+from fitting.effects._expression import Expr, Tape, derivative, nodes, parse, substitute, sym, symbols
+
+Array = NDArray[np.float64]
+
+_NAME = re.compile(r"[A-Za-z_][\w.]*")
+# nodes of an expression, beyond which it grows by substitution in a circle
+_LARGEST = 5000
+
+
+def find_key(name: str, keys: Iterable[str]) -> str:
+    """Return the parameter that a name means: its key, or the end of its key where only one ends in it.
+
+    An EffectError says that there is none, or that there are several.
+    """
+    known = list(keys)
+    if name in known:
+        return name
+    found = [k for k in known if k.endswith(f".{name}") or k.partition("@")[0].endswith(f".{name}")]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise EffectError(f"{name[:60]!r} may be {' or '.join(found[:6])}", "write the whole name")
+    raise EffectError(f"there is no parameter {str(name)[:60]!r}", "parameters: " + ", ".join(known))
+
+
+def parse_tie(text: str, keys: Sequence[str]) -> Expr:
+    """Return an expression of parameters as a tree whose symbols are their keys.
+
+    Names of effects contain dots, which the grammar of formulas does not have: they are replaced first, the longest
+    name first, so that no name is taken for a part of another.
+    """
+    if not isinstance(text, str):
+        raise EffectError(
+            f"the expression of a parameter is a {type(text).__name__}", 'write for example "2*d"'
+        )
+    replaced: dict[str, str] = {}
+    plain = text
+    for key in sorted(keys, key=len, reverse=True):
+        # an own law has a formula as its name
+        if key in plain and not _NAME.fullmatch(key):
+            replaced[f"tied_{len(replaced)}"] = key
+            plain = plain.replace(key, f"tied_{len(replaced) - 1}")
+
+    def placeholder(found: re.Match[str]) -> str:
+        name = found[0]
+        if name in replaced or "." not in name:
+            return name
+        replaced[f"tied_{len(replaced)}"] = find_key(name, keys)
+        return f"tied_{len(replaced) - 1}"
+
+    tree = parse(_NAME.sub(placeholder, plain))
+    return substitute(
+        tree, {s: sym(replaced[s] if s in replaced else find_key(s, keys)) for s in symbols(tree)}
+    )
+
+
+@dataclass(frozen=True)
+class Follower:
+    """One tied variable: its index, its expression, and the symbols in it with their indices or constants."""
+
+    place: int
+    tape: Tape  # its value, then its derivatives by the variables
+    sources: tuple[tuple[str, int], ...]
+    constants: Mapping[str, float]
+
+    def __call__(self, theta: Array) -> tuple[float, Array]:
+        """Return the value and its derivatives by the sources."""
+        numbers = {name: float(theta[i]) for name, i in self.sources}
+        value, *slopes = self.tape({**numbers, **self.constants})
+        return float(value), np.array([float(s) for s in slopes])
+
+
+def resolved(ties: Mapping[str, str], keys: Sequence[str], constants: Iterable[str]) -> dict[str, Expr]:
+    """Return the expressions of tied parameters, by key, as functions of free parameters and constants.
+
+    An EffectError or ExpressionError says that a name is unknown, or that parameters follow each other in a circle.
+    """
+    known = (*keys, *constants)
+    trees = {find_key(name, keys): parse_tie(text, known) for name, text in ties.items()}
+    for _ in range(len(trees) + 1):
+        if not any(symbols(tree) & set(trees) for tree in trees.values()):
+            return trees
+        trees = {key: substitute(tree, dict(trees)) for key, tree in trees.items()}
+        if any(len(nodes(tree)) > _LARGEST for tree in trees.values()):
+            break
+    raise EffectError(
+        f"the expressions of {', '.join(sorted(trees))} depend on each other in a circle",
+        "write each as an expression of fitted parameters",
+    )
+
+
+def followers(
+    trees: Mapping[str, Expr], index: Mapping[str, int], constants: Mapping[str, float]
+) -> list[Follower]:
+    """Return the tied variables of all cases; `index` are the places of the variables by name.
+
+    An EffectError says that a parameter which the cases share follows one that each of them has of its own.
+    """
+    found = []
+    for key, tree in trees.items():
+        for name in (n for n in index if n.partition("@")[0] == key):
+            at = name.partition("@")[2]
+            used = sorted(symbols(tree) - set(constants))
+            own = [f"{s}@{at}" if f"{s}@{at}" in index else s for s in used]
+            missing = [s for s, n in zip(used, own, strict=True) if n not in index]
+            if missing:
+                raise EffectError(
+                    f"{key} has one value for all cases, and {missing[0]} one for each",
+                    f"add {key} to per_case, or {missing[0]} to share",
+                )
+            tape = Tape([tree, *(derivative(tree, s) for s in used)])
+            sources = tuple((s, index[n]) for s, n in zip(used, own, strict=True))
+            found.append(Follower(index[name], tape, sources, dict(constants)))
+    return found
+
+
+def follow(theta: Array, tied: Sequence[Follower]) -> Array:
+    """Return the variables with the tied ones at their expressions; an ExpressionError if one is not finite."""
+    if not tied:
+        return theta
+    theta = theta.copy()
+    for one in tied:
+        theta[one.place] = one(theta)[0]
+        if not np.isfinite(theta[one.place]):
+            raise ExpressionError(
+                "the expression of a tied parameter is not finite",
+                "check that it exists for all values in the bounds",
+            )
+    return theta
+
+
+def chain(theta: Array, tied: Sequence[Follower]) -> Array:
+    """Return the derivatives of all variables by the free ones, (n, n); columns of tied ones are zero."""
+    slope = np.eye(len(theta))
+    for one in tied:
+        slope[one.place] = 0.0
+        slope[one.place, [i for _, i in one.sources]] = one(theta)[1]
+    for one in tied:
+        slope[:, one.place] = 0.0
+    return slope

@@ -1,0 +1,273 @@
+"""Command compare: fits of two runs and more, and the population of many runs of one machine."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import closing
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.apps._study import FitRequest, latest_fits, open_study, with_ledgers
+from gyrotrack.apps.batch._steps import new_sign
+from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.apps.cli import _settings as shared
+from gyrotrack.apps.cli._discovery import check_picture, drawn
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._settings import option
+
+if TYPE_CHECKING:
+    from fitting.study._comparison import Comparison
+    from fitting.study._population import Population
+
+# runs whose values are listed one by one; runs that a worker of a cluster fits in one command
+_LISTED, _PART = 12, 8
+_SECONDS_PER_DAY = 86400.0
+_TIME = re.compile(r"time(?:\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])])?", re.IGNORECASE)
+Progress = Callable[[int, "int | None"], None]
+
+
+def compare_command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN...", help="Cases (.h5), ledgers of fits (.fits.json), or folders of cases."
+        ),
+    ],
+    *,
+    model: Annotated[
+        str | None,
+        option(
+            "--model M",
+            "Fit this model to every run that has no such fit: reduced, general, linear, or a TOML file.",
+        ),
+    ] = None,
+    add: Annotated[list[str] | None, option("--add E", "Effect to add to the model.")] = None,
+    run_times: Annotated[
+        Path | None,
+        option(
+            "--run-times FILE",
+            "Table (CSV) with the columns run and time ('time [h]', or dates); by default runs are numbered in order.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, option("--workers N", "Processes that fit runs; by default one per core.", min=1)
+    ] = None,
+    scheduler: shared.Scheduler = None,
+    tls_ca: shared.TlsCa = None,
+    tls_cert: shared.TlsCert = None,
+    tls_key: shared.TlsKey = None,
+    picture: shared.Picture = None,
+    force: shared.Force = False,
+    as_json: shared.Json = False,
+    quiet: shared.Quiet = False,
+) -> int:
+    """Compare fits of several runs: differences, spread, and with many runs drifts, steps and outlying runs.
+
+    Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
+    includes the spread. Of eight runs and more the command also names outlying runs and the parameters that drift or
+    step with the time of the run, with one false-alarm probability (0.01) for all parameters and times. Without --model
+    the latest fit of each run is taken. With it, runs are fitted in parallel, and each fit is kept beside its case: a
+    command that was interrupted continues. The runs are assumed to be independent.
+
+    Example: gyrotrack compare left.h5 right.h5 --picture difference.png
+    """
+    from fitting.study._comparison import compare
+
+    out = Output(as_json=as_json, quiet=quiet)
+    files = _files(runs)
+    if len(files) < 2:
+        raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
+    if add and model is None:
+        raise UsageError("--add needs --model.", "Name the model to which the effect is added.")
+    check_picture(picture, force=force, reads=[*with_ledgers(files), run_times])
+    at = None if run_times is None else _read_times(run_times)
+    wanted: tuple[str, ...] | None = None
+    failed: dict[str, str] = {}
+    if model is not None:
+        request = FitRequest(model=model, add=tuple(add or ()))
+        wanted = _model_names(files[0], request)
+        missing = [f for f in files if not _fitted(f, wanted)]
+        if missing:
+            certificates = Certificates(tls_ca, tls_cert, tls_key)
+            sign = new_sign(files[0].resolve().parent) if scheduler is not None else None
+            place: Workers = (
+                LocalWorkers(workers or cores())
+                if scheduler is None or sign is None
+                else ClusterWorkers(scheduler, sign, certificates)
+            )
+            words = ["--model", model, *(w for e in add or () for w in ("--add", e))]
+            with closing(place), out.progress("fitting runs") as progress:
+                failed = _fit(missing, words, place, 1 if scheduler is None else _PART, progress)
+        files = [f for f in files if str(f) not in failed]
+        if len(files) < 2:
+            first = next(iter(failed.items()), ("", ""))
+            raise DatasetError(f"{len(failed)} runs could not be fitted; {first[0]}: {first[1]}", "")
+    fits = latest_fits(files, wanted)
+    unit = "run"
+    times: Mapping[str, float] | None = None
+    if at is not None:
+        times, unit = _times_of(fits, at[0]), at[1]
+    found = compare(fits, times, time_unit=unit)
+    written = drawn(found, picture, force=force)
+    out.result(found.document() | {"failed": failed})
+    out.show(comparison_table(found), *(f"not fitted: {n}: {why}" for n, why in failed.items()), *written)
+    return NOT_TRUSTED if failed else DONE
+
+
+def _files(runs: Sequence[Path]) -> list[Path]:
+    """Return the files of the runs, with the cases of folders in the order of the numbers in their names."""
+    files: list[Path] = []
+    for run in runs:
+        if not run.is_dir():
+            files.append(run)
+            continue
+        cases = sorted(
+            run.glob("*.h5"), key=lambda p: [int(x) if x.isdigit() else x for x in re.split(r"(\d+)", p.name)]
+        )
+        if not cases:
+            raise DatasetError(f"The folder {run} has no case (.h5).", "Make cases with `gyrotrack import`.")
+        files += cases
+    return files
+
+
+def _by_numbers(path: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts run9 before run10."""
+    return [(int(x), "") if x.isdigit() else (-1, x) for x in re.split(r"(\d+)", path.name)]
+
+
+def _model_names(case: Path, request: FitRequest) -> tuple[str, ...]:
+    """Return the effects of the requested model for runs like this one."""
+    if case.suffix != ".h5":
+        raise UsageError(f"{case} cannot be fitted.", "With --model, give cases (.h5) or folders of cases.")
+    return tuple(sorted(request.model_for(open_study([case], None)).names))
+
+
+def _fitted(case: Path, wanted: tuple[str, ...]) -> bool:
+    try:
+        latest_fits([case], wanted)
+    except DatasetError:
+        if case.is_file():
+            return False
+        raise
+    return True
+
+
+def _fit(
+    cases: Sequence[Path], words: Sequence[str], place: Workers, size: int, progress: Progress
+) -> dict[str, str]:
+    """Fit a model to each case; return the message of each that failed.
+
+    Every fit is stored in the ledger of its case when it is ready. Cases that were sent together are sent again one by
+    one if one of them failed.
+    """
+    failed: dict[str, str] = {}
+    parts = [list(cases[i : i + size]) for i in range(0, len(cases), size)]
+
+    def begin(part: Sequence[Path]) -> Any:
+        return place.submit(["fit", *(str(c.resolve()) for c in part), *words, "--json", "--quiet"], None)
+
+    running = {begin(part): part for part in parts}
+    done = 0
+    progress(0, len(cases))
+    while running:
+        ended, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in ended:
+            part, document = running.pop(future), future.result()["document"]
+            if "error" in document and len(part) > 1:
+                running |= {begin([case]): [case] for case in part}
+                continue
+            if "error" in document:
+                failed[str(part[0])] = str(document["error"]["message"])
+            done += len(part)
+            progress(done, len(cases))
+    return failed
+
+
+def _read_times(path: Path) -> tuple[dict[str, float], str]:
+    """Read times of runs, and their unit, from a table with the columns run and time."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [[c.strip() for c in row] for row in csv.reader(file) if any(row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as fault:
+        raise DatasetError(
+            f"{path} cannot be read: {getattr(fault, 'strerror', None) or fault}.", ""
+        ) from None
+    head = rows[0] if rows else []
+    names = [h.lower() for h in head]
+    column = next((i for i, h in enumerate(head) if _TIME.fullmatch(h)), None)
+    if "run" not in names or column is None:
+        raise DatasetError(
+            f"{path} has no columns run and time.", "Its first line is for example: run,time [h]"
+        )
+    place, found = names.index("run"), {}
+    dates = False
+    for line, row in enumerate(rows[1:], 2):
+        if len(row) <= max(place, column):
+            raise DatasetError(f"{path}, line {line}: a value is missing.", "")
+        text = row[column]
+        try:
+            found[row[place]] = float(text)
+        except ValueError:
+            try:
+                found[row[place]] = datetime.fromisoformat(text).timestamp() / _SECONDS_PER_DAY
+            except ValueError:
+                what = f"{path}, line {line}: {text[:30]!r} is neither a number nor a date."
+                raise DatasetError(what, "Write for example 3.5 or 2024-05-17T14:30.") from None
+            dates = True
+        if not math.isfinite(found[row[place]]):
+            raise DatasetError(f"{path}, line {line}: the time is not finite.", "")
+    unit = _TIME.fullmatch(head[column])
+    return found, "day" if dates else (unit["unit"] if unit and unit["unit"] else "unit of time")
+
+
+def _times_of(fits: Mapping[str, Any], times: Mapping[str, float]) -> dict[str, float]:
+    """Return the times of runs, which the table names with or without folder and suffix."""
+    short = {Path(name).name.removesuffix(".h5"): value for name, value in times.items()}
+    found = {run: times.get(run, short.get(Path(run).name)) for run in fits}
+    missing = [run for run, value in found.items() if value is None]
+    if missing:
+        raise DatasetError(f"The table of times has no run {missing[0]}.", "Add a line for each run.")
+    return {run: value for run, value in found.items() if value is not None}
+
+
+def comparison_table(found: Comparison) -> str:
+    """Return a comparison as text: each run of a few, or the population of many."""
+    from fitting._numbers import probability, rounded
+
+    runs = {r.run for p in found.parameters for r in p.repeats}
+    if found.population is not None and len(runs) > _LISTED:
+        return "\n".join([*_population_lines(found.population), "", *found.sentences])
+    lines = []
+    for p in found.parameters:
+        size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
+        lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
+        width = max(len(r.run) for r in p.repeats)
+        for r in p.repeats:
+            total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
+            lines.append(f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}{total}")
+        spread = f"spread {p.spread:.2g} ({p.spread_interval[0]:.2g} to {p.spread_interval[1]:.2g}) {p.unit}"
+        lines.append(f"  {'mean':<{width}}  {rounded(p.mean, p.mean_u, p.unit)}, {spread}")
+    return "\n".join([*lines, *([""] if lines else []), *found.sentences])
+
+
+def _population_lines(found: Population) -> list[str]:
+    from fitting._numbers import probability, rounded
+
+    lines = [f"{len(found.runs)} runs"]
+    for p in found.parameters:
+        mean, spread = rounded(p.mean, p.mean_u, p.unit), rounded(p.spread, p.spread_u, p.unit)
+        drift, step, adjusted = map(probability, (p.p_drift, p.p_step, p.p_adjusted))
+        lines += [
+            f"  {p.name}",
+            f"    mean {mean}, spread {spread}, {p.runs} runs",
+            f"    p of a drift {drift}, of a step {step}; smaller one adjusted {adjusted}",
+        ]
+    return lines
