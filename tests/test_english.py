@@ -65,7 +65,6 @@ PATTERN = re.compile(rf"\b(?:{'|'.join(PATTERNS)})\b", re.IGNORECASE)
 # file: {text: reason}
 EXCEPTIONS: dict[str, dict[str, str]] = {
     "gyrotrack/apps/cli/_tracking.py": {"asked for": "the same value, replaced on the screen"},
-    "docs/tutorial/walkthrough.md": {"(asked for)": "output of a command, from the stored value"},
     "fitting/dynamics/_events.py": {"`guess` is a solution": "the name of an argument"},
     "gyrotrack/io/_tracker_project.py": {
         "no times of its own": "a plain sentence: the project contains none"
