@@ -1,6 +1,6 @@
 """A case as Python users write it: bodies by their names, each with arrays; and the names of its parameters.
 
-The library of laws speaks of a casing and its touch point. A body alone has a name of its own: its laws are
+The library of laws speaks of a casing and its touch point. A single body has its own name: its laws are
 ``wheel.air.quadratic`` (``casing.air.quadratic`` of the library) and ``wheel.support.constant``
 (``touchpoint.constant``), and in a case of one body ``air.quadratic`` and ``support.constant`` suffice. In formulas its
 speed is ``omega`` and its angle ``psi``.
@@ -165,7 +165,7 @@ class Case:
         if not gyroscope and (names[0] in _TAKEN - {"casing"} or not _BODY_NAME.fullmatch(names[0])):
             raise RecordError(
                 f"{names[0][:40]!r} cannot be the name of a body alone: laws have a meaning for it",
-                "choose another name, such as wheel or disc",
+                "choose another name, for example wheel or disc",
             )
         main = "casing" if gyroscope else names[0]
         series = {name: _series(name, bodies[name], several=gyroscope and name == "rotor") for name in names}
@@ -333,7 +333,7 @@ def _inertia(name: str, given: Mapping[str, Any]) -> tuple[float | None, float]:
 
 def _inputs(given: Any) -> list[Input]:
     if not isinstance(given, Mapping):
-        # make_record refuses what is no Input
+        # make_record checks that each is an Input
         return given if isinstance(given, list) else list(given) if isinstance(given, tuple) else [given]
     found = []
     for name, entries in given.items():

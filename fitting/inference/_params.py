@@ -177,7 +177,7 @@ def refuse_settings(name: str, settings: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Settings:
-    """What a fit is told about its parameters, by the names of the library."""
+    """Fixed values, initial values, ranges and ties of parameters, by the names of the library."""
 
     fixed: dict[str, float] = field(default_factory=dict)
     start: dict[str, float] = field(default_factory=dict)
@@ -192,7 +192,7 @@ class Settings:
 def settings_of(params: Any, model: Model, records: Sequence[Record]) -> Settings:
     """Return the settings of parameters of a model: from an earlier fit, or a mapping of names to settings.
 
-    An EstimationError or EffectError says that it is no such mapping, or that a name is unknown.
+    Raises an EstimationError or EffectError for anything else, or for an unknown name.
     """
     if params is None:
         return Settings()

@@ -395,8 +395,7 @@ class Fit(FitSummary):
         Raises
         ------
         EstimationError
-            If a time is beyond the record, there is no such body or case, or speeds were measured and angles are
-            asked for.
+            If a time is beyond the record, if there is no such body or case, or for angles where speeds were measured.
         """
         return evaluate(self, time, self._place(body, case), case, quantity)
 

@@ -81,7 +81,7 @@ def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | Non
     try:
         at = np.concatenate([r.time for r in runs]) if time is None else np.asarray(time, dtype=np.float64)
     except (TypeError, ValueError):
-        raise EstimationError("the times are no numbers", "use a NumPy array [s]") from None
+        raise EstimationError("the times are not numbers", "use a NumPy array [s]") from None
     flat = np.atleast_1d(at).ravel()
     if not ((flat >= first) & (flat <= last)).all():
         raise EstimationError(
@@ -96,7 +96,7 @@ def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | Non
     angle = sampler.integral(*path.angle(state))
     if body == _CASING:
         return np.asarray(angle + start[0]).reshape(at.shape)
-    # each window has a start angle of its own
+    # the start angle differs between the windows
     begins = np.array([w.time[0] for w in data.record.rotor])
     window = np.clip(np.searchsorted(begins, flat, side="right") - 1, 0, len(begins) - 1)
     return np.asarray(angle + start[1:][window]).reshape(at.shape)

@@ -1,7 +1,4 @@
-"""The sample study: four films of one run with their study.toml.
-
-The installed package contains them with stronger compression than the folder ``sample_clips`` of a checkout.
-"""
+"""The sample study: four films of one run with their study.toml, in the checkout and in the installed package."""
 
 from __future__ import annotations
 

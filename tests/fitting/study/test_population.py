@@ -54,7 +54,7 @@ def test_two_balanced_parameters_have_the_sample_covariance():
     assert got.correlation[0, 1] == pytest.approx(t[0, 1] / math.sqrt(t[0, 0] * t[1, 1]), rel=5e-3)
 
 
-def test_scatter_within_the_uncertainties_is_no_spread():
+def test_scatter_within_the_uncertainties_adds_no_spread():
     y = np.linspace(-1, 1, 20)[RNG.permutation(20)][:, None]
     (p,) = found(y, np.full((20, 1, 1), 4.0)).parameters
     assert p.spread < 0.2 * p.spread_u
