@@ -145,6 +145,7 @@ PUBLIC: dict[str, dict[str, Kind]] = {
     "certify": {"found": DIAGNOSIS, "n": COUNT, "seed": SEED},
     "compare": {"fits": FITTED, "times": NUMBERS, "time_unit": TEXT},
     "diagnose": {"fit": FIT},
+    "effect_name": {"key": TEXT, "body": TEXT, "effects": EFFECTS},
     "first_order": {"fit": FIT},
     "improve": {"base": FIT},
     "laws": {"base": FIT, "diagnosis": DIAGNOSIS, "beyond_library": BOOLEAN},

@@ -154,7 +154,7 @@ def test_starvation_ends_where_a_film_has_formed(omega, share):
     assert float(law({"k": K, "w": 5.0, "omega_c": omega})[0]) == pytest.approx(-K * share)
 
 
-def test_a_free_swing_with_two_elements_agrees_with_scipy():
+def test_friction_of_both_elements_agrees_with_scipy():
     """Both states are integrated with the motion."""
     model = Model.of(["casing.spring.linear", "casing.friction.gms"])
     dynamics = Dynamics(model)
