@@ -570,6 +570,11 @@ class Fit(FitSummary):
         ) / sum(d.casing.n_effective for d in self.problem.data)
 
     @property
+    def misfit(self) -> float:
+        """Rms residual of the casings over that of the noise, the root of `reduced_chi2`; 1 is the noise limit."""
+        return math.sqrt(self.reduced_chi2)
+
+    @property
     def rmse_casing(self) -> float:
         """Rms residual speed of the casings [rad/s]."""
         return math.sqrt(sum(c.casing.rmse**2 for c in self.cases) / len(self.cases))

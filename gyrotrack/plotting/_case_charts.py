@@ -29,7 +29,7 @@ from gyrotrack.plotting._charts import (
     markup,
     style,
 )
-from gyrotrack.plotting._study_data import CaseView, Curve, Residual, residual_rms
+from gyrotrack.plotting._study_data import CaseView, Curve, Residual
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:
@@ -142,13 +142,12 @@ def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart
 
 
 def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
-    """Return the size of the residuals of the first and last model, in units of the noise, as a sentence."""
-    rms = [residual_rms(g, groups[-1]) for g in groups]
+    """Return the size of the residuals of the first and last model, as a sentence."""
     largest = [max(float(np.abs(r.value).max()) for r in g) for g in groups]
-    text = f"Residual of the {called} with the base model: up to {short(largest[0])} rad/s, rms {short(rms[0])} σ"
+    text = f"Residual of the {called} with the base model: up to {short(largest[0])} rad/s"
     if len(groups) > 1:
-        text += f"; with the final model: up to {short(largest[-1])} rad/s, rms {short(rms[-1])} σ"
-    return text + " (1 σ = noise limit)."
+        text += f"; with the final model: up to {short(largest[-1])} rad/s"
+    return text + "."
 
 
 def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:

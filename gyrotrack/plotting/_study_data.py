@@ -37,13 +37,6 @@ _ENERGY_PIECES = 50
 _MAX_ALTERNATIVES = 3
 
 
-def residual_rms(residuals: Sequence[Residual], noise: Sequence[Residual]) -> float:
-    """Return the rms of residuals in units of the standard uncertainties of `noise`."""
-    z = [r.value[n.sigma > 0] / n.sigma[n.sigma > 0] for r, n in zip(residuals, noise, strict=True)]
-    joined = np.concatenate(z) if z else np.zeros(0)
-    return float(np.sqrt(np.mean(joined**2))) if len(joined) else float("nan")
-
-
 @dataclass(frozen=True)
 class Curve:
     """A curve: time [s], value, and standard uncertainty (zero if there is none)."""
@@ -306,13 +299,9 @@ class StudyView:
         return unit_text(self.final.torque_unit)
 
     @property
-    def residual_rms(self) -> tuple[float, ...]:
-        """Rms residual of the casing for the base and the final model, in units of the noise of the final model."""
-        noise = [v.models[-1].casing_residual for v in self.cases]
-        count = len(self.cases[0].models)
-        return tuple(
-            residual_rms([v.models[i].casing_residual for v in self.cases], noise) for i in range(count)
-        )
+    def misfit(self) -> tuple[float, ...]:
+        """The `misfit` of the base model and, if it differs, of the final one."""
+        return tuple(f.misfit for f in (self.base, self.final)[: len(self.cases[0].models)])
 
     def name(self, effect: Effect | str) -> EffectName:
         """Return an effect or a parameter by its name, for a reader."""

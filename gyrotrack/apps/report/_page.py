@@ -125,7 +125,7 @@ def report_parts(
         "title": ", ".join(v.label for v in view.cases),
         "verdict": _headline(view),
         "facts": [*_owner_facts(view, recordings), *_facts(view)],
-        "rms": [f"{short(x, 2)}" for x in view.residual_rms],
+        "misfit": [short(x, 2) for x in view.misfit],
         "sentence": typeset(view.sentence),
         "outcome": history_finding(view) + (f" {_FINAL[view.final.verdict]}" if view.improved else ""),
         "caveat": _UNPHYSICAL.format(", ".join(unphysical)) if unphysical else "",

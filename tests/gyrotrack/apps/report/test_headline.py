@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting import effect_name
+from fitting import Fit, effect_name
 from gyrotrack.apps.report._page import _headline
+from gyrotrack.plotting._study_data import StudyView
 
 
 def candidate(name, *, physical):
@@ -35,3 +36,10 @@ def test_an_undecided_answer_names_nothing():
     found = candidate("touchpoint.step", physical=True)
     view = SimpleNamespace(verdict="undecided", differs=None, candidates=(found,), added=("touchpoint.step",))
     assert _headline(view)[2] == "Undecided"
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, ("6.43",)), (2, ("6.43", "0.975"))])
+def test_the_misfit_is_the_root_of_the_reduced_chi_square_of_each_model(count, shown):
+    fits = [SimpleNamespace(misfit=Fit.misfit.fget(SimpleNamespace(reduced_chi2=x))) for x in (41.4, 0.95)]
+    view = SimpleNamespace(base=fits[0], final=fits[1], cases=(SimpleNamespace(models=[None] * count),))
+    assert StudyView.misfit.fget(view) == pytest.approx([float(x) for x in shown], rel=1e-3)

@@ -122,7 +122,7 @@ def test_page_tells_the_story(page):
         "Missing: quadratic air drag of the casing",
         "casing.air.quadratic",
         "The final model has no significant lack of fit.",
-        "1 σ = noise limit",
+        "times the noise: misfit of the casing",
         "N m s²",
         "Lack of fit of the base model",
         "Upper limits",
