@@ -29,6 +29,9 @@ _MIN_SAMPLES = 12
 _ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
+# highest degree for the speed in a record of few turns: a polynomial of degree n has n / 2 periods, and errors that
+# repeat with the angle have one or more per turn
+_FEWEST_DEGREES = 5.0
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
 # difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
@@ -202,7 +205,7 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
         return whole
     half = 0.5 * float(time[-1] - time[0])
     x = (time - 0.5 * (time[0] + time[-1])) / half
-    most = max(order for order in _SPEED_ORDERS if order == _SPEED_ORDERS[0] or len(time) >= 2 * (order + 2))
+    most = _highest(_SPEED_ORDERS, min(len(time) // 2 - 2, _free_degrees(whole.turns)))
     orders = range(_SPEED_ORDERS[0], most + 1)
     models = [list(range(order + 1)) for order in orders]
     fits = correlated_least_squares(
@@ -283,7 +286,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         if max(np.ptp(np.cos(k * psi)), np.ptp(np.sin(k * psi))) > _ROUNDING
     ]
     harmonics = [f(k * smooth) for k in orders for f in (np.cos, np.sin)]
-    most = max(order for order in _ORDERS if order == _ORDERS[0] or len(t) >= 2 * (order + 1))
+    most = _highest(_ORDERS, min(len(t) // 2 - 1, 1 + _free_degrees(float(np.ptp(angle)) / TURN)))
     view = len(harmonics)
     design = np.concatenate([np.reshape(harmonics, (view, len(t))).T, legvander(x, most)], axis=1)
     prior = np.array([s for k in orders for s in (VIEW[k - 1], VIEW[k - 1])] + [np.inf] * (most + 1))
@@ -305,6 +308,15 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     mean = averaged((legvander(x[-1:], most)[0] - legvander(x[:1], most)[0]) / (t[-1] - t[0]))
     alpha = averaged(_derivatives(most, 2, 0.0) / half**2)
     return *ends, mean, alpha  # type: ignore[return-value]  # two ends
+
+
+def _free_degrees(turns: float) -> float:
+    """Return the highest degree of a polynomial for the speed that is slower than the harmonics of the angle."""
+    return max(_FEWEST_DEGREES, turns)
+
+
+def _highest(orders: range, most: float) -> int:
+    return max(order for order in orders if order == orders[0] or order <= most)
 
 
 def _derivatives(most: int, order: int, place: float) -> Floats:

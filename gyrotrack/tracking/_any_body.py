@@ -150,8 +150,6 @@ def track_body(
             )
             return _with_shake(found, shake)
         film.stabilise(None)
-    elif hub is None:
-        refuse_moving_camera(film, usable, pairs_of(film, usable), sample[0].shape)
     return _track(film, usable, sample, hub, progress)
 
 
@@ -209,6 +207,8 @@ def _track(
     # a body without an axle, for example a suspended table, does not turn about a given place on it
     if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
+    if hub is None and not margin:
+        refuse_moving_camera(film, usable, pairs_of(film, usable), motion.mean.shape)
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting._numbers import interval, nonbreaking, probability, rounded, scaled, short, typeset, unit_text
+from fitting._numbers import (
+    PER_INERTIA,
+    interval,
+    nonbreaking,
+    probability,
+    rounded,
+    scaled,
+    short,
+    typeset,
+    unit_text,
+)
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
@@ -324,6 +334,10 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
+def _per_inertia(view: StudyView) -> bool:
+    return view.final.torque_unit == PER_INERTIA
+
+
 def _meanings(view: StudyView) -> list[tuple[str, str]]:
     """Return the symbols of the equations of the base model with their meanings."""
     from fitting.effects._words import of_body, symbol_meanings
@@ -332,7 +346,11 @@ def _meanings(view: StudyView) -> list[tuple[str, str]]:
     inertias: tuple[tuple[str, str], ...] = (("I_c", "moment of inertia of the casing"),)
     if view.body == "casing":
         inertias = (("I_r", "moment of inertia of the rotor"), *inertias)
-    found = (*inertias, *torque, *symbol_meanings(view.base.model.effects, view.body))
+    found = (
+        *inertias,
+        *torque,
+        *symbol_meanings(view.base.model.effects, view.body, without_inertia=_per_inertia(view)),
+    )
     return [(s, of_body(text, view.body)) for s, text in found]
 
 
@@ -364,7 +382,7 @@ def _added(view: StudyView) -> list[Added]:
                 below,
                 signature,
                 ", ".join(values),
-                symbol_meanings([effect], view.body),
+                symbol_meanings([effect], view.body, without_inertia=_per_inertia(view)),
             )
         )
     return found

@@ -92,7 +92,7 @@ def test_a_wrong_inertia_is_a_measurement_effect():
     assert found.verdict == "missing_effect"
     assert found.candidates[0].effect.name == "setup.inertia"
     assert found.candidates[0].estimates["setup.inertia.eps"].value == pytest.approx(0.03, rel=0.01)
-    assert "measurement effect" in found.sentence
+    assert "Fault of the measurement" in found.sentence
 
 
 @pytest.mark.slow

@@ -90,3 +90,9 @@ def test_symbols_of_a_formula_are_defined():
     assert found["C"].endswith("[J K⁻¹]")
     for known in LIBRARY.values():
         assert all(meaning.strip() for _, meaning in symbol_meanings([known]))
+
+
+@pytest.mark.parametrize(("without", "unit"), [(False, "[N m s⁻¹]"), (True, "[rad/s³]")])
+def test_units_without_an_inertia_are_those_of_an_acceleration(without, unit):
+    found = dict(symbol_meanings([LIBRARY["touchpoint.drift"]], "wheel", without_inertia=without))
+    assert found["k"].endswith(unit)
