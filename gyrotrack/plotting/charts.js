@@ -44,7 +44,7 @@ const Charts = (() => {
     return `(${fixed(value / 10 ** power, digits + power)} \u00b1 ${fixed(u / 10 ** power, digits + power)})\u00a0\u00d7\u00a010${raised}`;
   }
 
-  /* a unit with raised exponents: N m s2 becomes N m s\u00b2 */
+  /* a unit with raised exponents: rad/s2 becomes rad/s² */
   const unit = (text) => text.replace(/(?<=[a-z])-?\d(?![\w.])/gi, (m) => [...m].map((c) => c === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[c]).join(""));
 
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
