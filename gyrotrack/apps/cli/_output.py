@@ -341,7 +341,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     return ["\n".join(lines)]
 
 
-_WORDS = 42
+_WORDS = 40
 
 
 def _candidate_lines(d: Diagnosis, shown: Sequence[Candidate]) -> list[str]:
