@@ -75,7 +75,7 @@ def test_figures_have_units_and_bands(story):
     torque, bars = diagnosis.plot().axes
     assert torque.get_ylabel() == "torque [N m]"
     assert len(torque.collections) == 2
-    assert bars.get_yticklabels()[0].get_text() == diagnosis.candidates[0].effect.name
+    assert bars.get_yticklabels()[0].get_text() == "quadratic air drag of the casing"
     left, right = ladder.plot().axes
     assert "[rad/s]" in left.get_xlabel()
     assert "[noise]" in right.get_xlabel()
