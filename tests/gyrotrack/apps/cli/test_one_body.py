@@ -52,6 +52,7 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
     assert "near the peak speed of the body" in shown
     assert "rmse of the angular rate of the body" in shown
     # the names of laws begin with the joint that they act on; no sentence speaks of a casing or a rotor
+    shown = shown.replace('"body":"casing"', "")  # a key of the charts
     assert not re.findall(r".{30}(?<!-)\b(?:[Cc]asing|[Rr]otor)\b(?!\.[a-z]|:).{30}", shown)
     said = gyrotrack("fit", case, "--add", "bearing.linear")
     assert said.code == 1
