@@ -1,0 +1,44 @@
+"""Degrees of the polynomials of a rotation, and what pulses say about harmonics of the angle."""
+
+import numpy as np
+import pytest
+
+from fitting.discovery import _verdict
+from gyrotrack.apps._motion import _derivatives, _free_degrees, _highest, motion_of
+
+
+@pytest.mark.parametrize(("turns", "degree"), [(0.5, 5.0), (5.0, 5.0), (5.5, 5.5), (40.0, 40.0)])
+def test_few_turns_have_few_degrees(turns, degree):
+    assert _free_degrees(turns) == degree
+
+
+@pytest.mark.parametrize(("most", "order"), [(0.0, 2), (1.9, 2), (6.0, 6), (6.9, 6), (7.0, 7), (99.0, 16)])
+def test_the_highest_degree_is_within_its_limits(most, order):
+    assert _highest(range(2, 17), most) == order
+
+
+def test_derivatives_of_legendre_polynomials():
+    assert _derivatives(3, 1, 1.0) == pytest.approx([0.0, 1.0, 3.0, 6.0])
+    assert _derivatives(3, 1, -1.0) == pytest.approx([0.0, 1.0, -3.0, 6.0])
+    assert _derivatives(4, 2, 0.0) == pytest.approx([0.0, 0.0, 3.0, 0.0, -7.5])
+
+
+@pytest.mark.parametrize("per_turn", [1, 2, 3])
+def test_pulses_at_whole_periods_of_a_harmonic_give_the_mean_speed(per_turn):
+    """The speed is 40 exp(-t / 15 s); times of the pulses have a jitter of 20 us."""
+    rng = np.random.default_rng(per_turn)
+    angle = 2 * np.pi / per_turn * np.arange(60 * per_turn)
+    exact = -15.0 * np.log1p(-angle / 600.0)
+    time = exact + rng.normal(0.0, 2e-5, len(angle))
+    found = motion_of(time, angle, 2e-5 * 40.0 * np.exp(-exact / 15.0))
+    mean = (angle[-1] - angle[0]) / (exact[-1] - exact[0])
+    assert found.omega_mean.value == pytest.approx(mean, abs=5 * found.omega_mean.stderr + 1e-9)
+    assert found.omega_mean.stderr < 1e-3
+    assert found.omega["last"] == pytest.approx(
+        40.0 * np.exp(-exact[-1] / 15.0), abs=5 * found.omega_u["last"]
+    )
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 1e3), ("s", 1e3), ("s2", 1e6)])
+def test_amplitudes_of_the_camera_are_printed_in_milli_units(unit, factor):
+    assert _verdict._PER_MILLI[unit] == factor
