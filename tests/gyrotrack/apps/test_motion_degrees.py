@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.discovery import _verdict
+from gyrotrack.apps import _motion
 from gyrotrack.apps._motion import _derivatives, _free_degrees, _highest, motion_of
 
 
@@ -23,20 +24,31 @@ def test_derivatives_of_legendre_polynomials():
     assert _derivatives(4, 2, 0.0) == pytest.approx([0.0, 0.0, 3.0, 0.0, -7.5])
 
 
+@pytest.mark.parametrize(("turns", "highest"), [(3.0, 6), (8.5, 9), (60.0, 16)])
+def test_a_rotation_has_polynomials_of_these_degrees(turns, highest, monkeypatch):
+    fitted, seen = _motion.correlated_least_squares, []
+    monkeypatch.setattr(
+        _motion,
+        "correlated_least_squares",
+        lambda *given: seen.append(given[4]) or fitted(*given),
+    )
+    t = np.linspace(0.0, 10.0, 600)
+    angle = 2 * np.pi * turns * (t / 10.0 - 0.01 * t**2 / 10.0) / 0.9
+    motion_of(t, angle + np.random.default_rng(0).normal(0, 1e-3, len(t)), np.full(len(t), 1e-3))
+    assert [len(m) - 6 - 1 for m in max(seen, key=len)] == list(range(2, highest + 1))
+
+
 @pytest.mark.parametrize("per_turn", [1, 2, 3])
 def test_pulses_at_whole_periods_of_a_harmonic_give_the_mean_speed(per_turn):
-    """The speed is 40 exp(-t / 15 s); times of the pulses have a jitter of 20 us."""
+    """The speed is 53 / (1 + t / 16 s) rad/s, of quadratic drag; times of the pulses have a jitter of 1 us."""
     rng = np.random.default_rng(per_turn)
-    angle = 2 * np.pi / per_turn * np.arange(60 * per_turn)
-    exact = -15.0 * np.log1p(-angle / 600.0)
-    time = exact + rng.normal(0.0, 2e-5, len(angle))
-    found = motion_of(time, angle, 2e-5 * 40.0 * np.exp(-exact / 15.0))
+    angle = 2 * np.pi / per_turn * np.arange(127 * per_turn)
+    exact = 16.0 * np.expm1(angle / (53.0 * 16.0))
+    speed = 53.0 / (1 + exact / 16.0)
+    found = motion_of(exact + rng.normal(0.0, 1e-6, len(angle)), angle, 1e-6 * speed)
     mean = (angle[-1] - angle[0]) / (exact[-1] - exact[0])
-    assert found.omega_mean.value == pytest.approx(mean, abs=5 * found.omega_mean.stderr + 1e-9)
-    assert found.omega_mean.stderr < 1e-3
-    assert found.omega["last"] == pytest.approx(
-        40.0 * np.exp(-exact[-1] / 15.0), abs=5 * found.omega_u["last"]
-    )
+    assert found.omega_mean.value == pytest.approx(mean, abs=1e-5)
+    assert found.omega_mean.stderr < 1e-5
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("rad", 1e3), ("s", 1e3), ("s2", 1e6)])

@@ -6,7 +6,7 @@ import pytest
 from fitting.inference._angle_noise import stated_error_rows
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
-from gyrotrack.tracking._body_angles import harmonic_error
+from gyrotrack.tracking._body_angles import _beside_laws_of_speed, harmonic_error
 
 FPS, SIGMA = 260.0, 1e-3
 
@@ -43,7 +43,7 @@ def test_centre_shutter_blur_and_unbalance_are_not_an_error_of_orders_1_and_2(or
     t = np.arange(20 * 512) / FPS
     psi = 100.0 * t - 0.76 * t**2
     speed = 100.0 - 1.52 * t
-    law = speed**power / np.mean(speed**power)
+    law = speed ** float(power) / np.mean(speed ** float(power))
     noisy = (
         psi
         + 1e-3 * law * np.sin(order * psi)
@@ -87,3 +87,14 @@ def test_the_rows_know_where_an_order_is_in_step_with_the_frames(omega, in_step)
     if in_step:
         again = stated_error_rows(run, 0.0, 0.0, harmonic=0.5e-3)
         assert float(np.linalg.norm(again, axis=1).max()) == pytest.approx(largest / 2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("power", "described"), [(0, True), (1, True), (2, True), (-2, True), (3, False), (-1, False)]
+)
+def test_amplitudes_follow_four_powers_of_the_speed(power, described):
+    speed = np.linspace(20.0, 100.0, 12)
+    left = _beside_laws_of_speed(
+        np.stack([speed ** float(power), -2 * speed ** float(power)]) / np.mean(speed ** float(power)), speed
+    )
+    assert (np.abs(left).max() < 1e-9) == described
