@@ -5,7 +5,7 @@ import pytest
 
 from fitting.discovery import _verdict
 from gyrotrack.apps import _motion
-from gyrotrack.apps._motion import _derivatives, _free_degrees, _highest, motion_of
+from gyrotrack.apps._motion import _derivatives, _free_degrees, _highest, motion_of, motion_of_speeds
 
 
 @pytest.mark.parametrize(("turns", "degree"), [(0.5, 5.0), (5.0, 5.0), (5.5, 5.5), (40.0, 40.0)])
@@ -36,6 +36,10 @@ def test_a_rotation_has_polynomials_of_these_degrees(turns, highest, monkeypatch
     angle = 2 * np.pi * turns * (t / 10.0 - 0.01 * t**2 / 10.0) / 0.9
     motion_of(t, angle + np.random.default_rng(0).normal(0, 1e-3, len(t)), np.full(len(t), 1e-3))
     assert [len(m) - 6 - 1 for m in max(seen, key=len)] == list(range(2, highest + 1))
+    seen.clear()
+    speed = np.gradient(angle, t)
+    motion_of_speeds(t, speed, np.full(len(t), 1e-3), angle)
+    assert [len(m) - 1 for m in seen[-1]] == list(range(1, highest))
 
 
 @pytest.mark.parametrize("per_turn", [1, 2, 3])
