@@ -106,7 +106,7 @@ def test_a_wrong_inertia_is_reported_with_the_effect(factor, u, monkeypatch):
         assert found.form != "exact"
     if INERTIA in selection.final.model.names:
         share = selection.final.estimates[f"{INERTIA}.eps"]
-        assert "second effect setup.inertia" in found.sentence
+        assert "second effect error of the given inertia of the casing (setup.inertia)" in found.sentence
     else:
         share = rival.share
         assert "check the moments of inertia" in found.sentence

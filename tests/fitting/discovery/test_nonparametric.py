@@ -68,7 +68,7 @@ def test_a_sinusoid_of_one_period_is_a_hint_only():
     (slow,) = (c for c in rank(found) if c.effect.name == "casing.precession")
     answer = diagnose(found, candidates=[replace(slow, indistinguishable_from=())])
     assert answer.verdict == "undecided"
-    assert "casing.precession is a hint only" in answer.sentence
+    assert "(casing.precession) is a hint only" in answer.sentence
 
 
 @pytest.mark.slow

@@ -68,4 +68,4 @@ def test_a_second_effect_is_found_after_a_sinusoidal_one():
     assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.6)
     answer = diagnose(fitted)
     assert answer.verdict == "missing_effect"
-    assert "second effect casing.unbalance" in answer.sentence
+    assert "second effect unbalance of the casing (casing.unbalance)" in answer.sentence
