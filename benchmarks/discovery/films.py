@@ -1,13 +1,13 @@
 """How often the whole chain, from the film on, names what is hidden, and how often it names what is not there.
 
-    python benchmarks/discovery/films.py --nothing 10 --one 10 --faults 5 --limit-seconds 3600
+    python benchmarks/discovery/films.py --nothing 10 --one 10 --two 5 --fault 5 --limit-seconds 3600
     python benchmarks/discovery/films.py --table
 
 Gyroscope, cameras, light, table and codec of each rig are drawn by lot from the seed. Its motion is integrated in
 plain Python (experiment.py), rendered, and then every step is the command line of a user: `extract`, `sync`, `fit`,
-`diagnose`. The strength of a hidden effect is drawn between 5 and 20 times its detection limit, which the oracle
-finds for data with a white angle noise of 1 mrad. Each line of films.jsonl is one rig; a rig that has its line is
-not run again.
+`diagnose`, and `improve` where an effect is found. The strength of a hidden effect is drawn between 5 and 20 times
+its detection limit, which the oracle finds for data with a white angle noise of 1 mrad. Each line of films.jsonl is
+one rig; a rig that has its line is not run again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np
 from answer import commit
 from experiment import CASES as PAPER
-from experiment import LIGHT, Hidden, integrate, record, shake
+from experiment import LIGHT, Hidden, integrate, record, shake, together
 from hidden import LIBRARY, Draw, twins
 from judge import Share
 from lines import append, read_lines
@@ -47,7 +47,8 @@ from gyrotrack.synthetic._film import Film, render_clip
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
 
 RESULTS = Path(__file__).parent / "films.jsonl"
-PARTS = ("nothing", "one", "fault")
+# the place of a part is in the seed of its rigs
+PARTS = ("nothing", "one", "fault", "two")
 _DETECTED = 3.6  # sigma at which a test of the whole library detects in half of the recordings
 _STRENGTHS = (5.0, 20.0)  # detection limits
 _TRIAL = 0.01  # share of the torque budget
@@ -127,20 +128,27 @@ def answer(part: str, seed: int, folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng([seed, PARTS.index(part)])
     rig = Rig.of(rng, paper=bool(seed % 2))
     draw = Draw.of(rig.case["span"], rng, rng)
-    name, world, line = "", Hidden(), {}
-    if part == "one":
-        name = str(rng.choice([n for n in LIBRARY if n != "external.constant"]))
-        world, line = _sized(rig, name, draw, rng)
+    hidden: list[str] = []
+    sizes: list[dict[str, Any]] = []
+    world = Hidden()
+    if part in ("one", "two"):
+        left = [n for n in LIBRARY if n != "external.constant"]
+        while len(hidden) < ("one", "two").index(part) + 1:
+            hidden.append(str(rng.choice(left)))
+            left = [n for n in left if n not in twins(hidden[-1])]
+            effect, size = _sized(rig, hidden[-1], draw, rng)
+            world = together([world, effect])
+            sizes.append(size)
     elif part == "fault":
-        name = str(rng.choice(list(FAULTS)))
-        low, high = FAULTS[name]
-        size = float(rng.uniform(low, high) * rng.choice([-1, 1]))
-        world = Hidden(clock=size) if name == "camera.clock" else Hidden(inertia=size)
-        line = {"size": size}
+        hidden = [str(rng.choice(list(FAULTS)))]
+        low, high = FAULTS[hidden[0]]
+        error = float(rng.uniform(low, high) * rng.choice([-1, 1]))
+        world = Hidden(clock=error) if hidden == ["camera.clock"] else Hidden(inertia=error)
+        sizes = [{"truth": {"eps": error}}]
     began = time.monotonic()
     files = rig.films(folder, world, rng)
-    line |= {"rendered_s": time.monotonic() - began}
-    return {"key": f"{part}|{seed}", "part": part, "hidden": name, **line, **_chain(rig, files)}
+    line = {"hidden": hidden, "size": sizes, "rendered_s": time.monotonic() - began}
+    return {"key": f"{part}|{seed}", "part": part, **line, **_chain(rig, files)}
 
 
 def _sized(rig: Rig, name: str, draw: Draw, rng: np.random.Generator) -> tuple[Hidden, dict[str, Any]]:
@@ -187,6 +195,9 @@ def _chain(rig: Rig, films: list[Path]) -> dict[str, Any]:
         first = found["candidates"][0]
         line["named"] = [first["effect"], *first.get("indistinguishable_from", [])]
         line["parameters"] = first.get("parameters")
+        _, said = _gyrotrack("improve", case, "--json")
+        steps = json.loads(said)["ladder"]
+        line["added"] = [r["added"] for r in steps if r["added"]]
     return line
 
 
@@ -220,27 +231,52 @@ def report(lines: list[dict[str, Any]]) -> Iterator[str]:
             if some:
                 rows.append([part, scale, *_shares(part, some)])
             wrong += [
-                [x["key"], x["hidden"], x["verdict"], ", ".join(x.get("named") or [])]
+                [x["key"], ", ".join(x["hidden"]), x["verdict"], ", ".join(x.get("named") or ["-"])]
                 for x in some
                 if not _right(x)
             ]
-    yield table(["part", "scale", "right", "right and first", "`fit` agrees"], rows)
+    header = ["part", "scale", "right", "right and first", "95 % intervals that cover", "`fit` agrees"]
+    yield table(header, rows)
     yield table(["rig", "hidden", "verdict", "named"], wrong)
 
 
 def _right(line: dict[str, Any]) -> bool:
+    """Tell whether nothing false is claimed, and whether all that is hidden is found."""
     named = line.get("named") or []
-    if line["part"] == "one":
-        return bool(twins(line["hidden"]) & set(named))
-    if line["part"] == "fault":
-        return not named or named[0] == line["hidden"]
-    return line["verdict"] == "adequate"
+    match line["part"]:
+        case "nothing":
+            return line["verdict"] in ("adequate", "undecided")
+        case "one":
+            return bool(twins(line["hidden"][0]) & set(named))
+        case "two":
+            # the class of the first effect stands for it: the ladder adds one of its members
+            return all(twins(h) & {*named, *line.get("added", [])} for h in line["hidden"])
+        case _:
+            return not named or named[0] == line["hidden"][0]
 
 
 def _shares(part: str, lines: list[dict[str, Any]]) -> list[Any]:
-    first = [bool(x.get("named")) and x["named"][0] in twins(x["hidden"]) for x in lines]
-    agree = [(x["fit"] in ("no_lack_of_fit", "adequate")) == (x["verdict"] == "adequate") for x in lines]
-    return [Share(map(_right, lines)), Share(first) if part != "nothing" else "-", Share(agree)]
+    named = [(x.get("named") or [""])[0] for x in lines]
+    first = [any(n in twins(h) for h in x["hidden"]) for n, x in zip(named, lines, strict=True)]
+    agree = [
+        (x["fit"] in ("no_lack_of_fit", "adequate")) == (x["verdict"] != "missing_effect") for x in lines
+    ]
+    inside = [c for n, x in zip(named, lines, strict=True) if (c := _covers(x, n)) is not None]
+    return [
+        Share(map(_right, lines)),
+        Share(first) if part != "nothing" else "-",
+        Share(inside),
+        Share(agree),
+    ]
+
+
+def _covers(line: dict[str, Any], named: str) -> bool | None:
+    """Tell whether the 95 % interval of the strength contains the truth, where the first name is right."""
+    if named not in line["hidden"]:
+        return None
+    symbol, truth = next(iter(line["size"][line["hidden"].index(named)]["truth"].items()))
+    found = line["parameters"].get(f"{named}.{symbol}")
+    return None if found is None else bool(abs(found["value"] - truth) < 1.96 * found["stderr"])
 
 
 def main() -> None:
@@ -272,7 +308,10 @@ def main() -> None:
             except Exception as fault:  # whatever went wrong belongs into the table
                 line = {"key": key, "error": f"{type(fault).__name__}: {fault}"}
             append(options.output, line)
-            print(f"{time.monotonic() - began:6.0f} s  {key}  {line.get('hidden')}  ", end="")
+            print(
+                f"{time.monotonic() - began:6.0f} s  {key}  {', '.join(line.get('hidden') or ['-'])}  ",
+                end="",
+            )
             print(
                 line.get("error") or f"{line['verdict']}: {', '.join(line.get('named') or ['-'])}", flush=True
             )
