@@ -166,7 +166,8 @@ NOISE_ROWS = 14  # further polynomials of a block, from which the white noise is
 BLOCKS = 60  # blocks of a record of angles
 _MIN_SAMPLES = 60  # samples of a block at least
 _SPEED_RATIO = 1.6  # ratio of the speeds in a block above which it is cut
-_AT_REST = 0.5  # rad/s
+# speed at rest, as a share of the largest: 0.5 rad/s of the 160 rad/s of the paper's casing
+_AT_REST = 0.003
 _MOST_CUTS = 12  # cuts of a record at most
 # groups of samples of a block
 _BINS = 128
@@ -302,7 +303,7 @@ def _cut_where_slow(time: Array, angles: Array, edges: NDArray[np.int_]) -> NDAr
     pieces = np.arange(0, len(time) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
     last = pieces + _MIN_SAMPLES - 1
     speed = np.abs((angles[last] - angles[pieces]) / (time[last] - time[pieces]))
-    if len(pieces) == 0 or speed.min() < _AT_REST:
+    if len(pieces) == 0 or speed.min() < _AT_REST * speed.max():
         return edges
     cuts = list(edges)
     for begin, end in pairwise(edges):

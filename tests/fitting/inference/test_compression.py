@@ -5,7 +5,13 @@ import pytest
 import twobody
 
 from fitting import make_record
-from fitting.inference._compression import CASING_DEGREE, ROTOR_DEGREE, compress, responses_to_harmonics
+from fitting.inference._compression import (
+    CASING_DEGREE,
+    ROTOR_DEGREE,
+    _cut_where_slow,
+    compress,
+    responses_to_harmonics,
+)
 from fitting.inference._record import Samples
 
 SIGMA = 1e-3
@@ -246,3 +252,25 @@ def test_responses_to_harmonics_need_no_memory_for_turns_between_samples():
     speeds, angles = responses_to_harmonics(t, 10.0 * t)  # five hundred million turns
     assert speeds.shape == angles.shape == (300, 4)
     assert np.abs(speeds).max() < 1.0
+
+
+@pytest.mark.parametrize("stretch", [1.0, 60.0, 1000.0, 0.02])
+def test_blocks_are_cut_alike_at_every_time_scale(stretch):
+    """A casing that starts at a twentieth of its largest speed: its blocks are divided where it is slow."""
+    time = np.arange(0, 60, 1 / 60)
+    angles = np.cumsum(160 * np.minimum(1, 0.05 + time / 10)) / 60
+    edges = np.arange(0, len(time) + 1, 600)
+    assert np.array_equal(
+        _cut_where_slow(stretch * time, angles, edges), _cut_where_slow(time, angles, edges)
+    )
+    assert len(_cut_where_slow(stretch * time, angles, edges)) > len(edges)
+
+
+@pytest.mark.parametrize(("slowest", "cut"), [(0.0032, True), (0.0028, False)])
+def test_a_record_that_comes_to_rest_is_not_cut(slowest, cut):
+    """Speeds below 0.3 % of the largest count as rest."""
+    speed = np.geomspace(1.0, slowest, 40)
+    angles = np.concatenate([[0.0], np.cumsum(np.repeat(speed, 60))])[:-1]
+    edges = np.array([0, 1200, len(angles)])
+    found = _cut_where_slow(np.arange(len(angles)) * 1.0, angles, edges)
+    assert (len(found) > len(edges)) is cut
