@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 # number of digits above which a number with a power of ten is printed with all of them
@@ -149,11 +151,38 @@ def scaled(largest: float) -> tuple[float, str]:
     return _PREFIXES[0]
 
 
+_RAD_PER_S = frozenset({"rad/s", "rad s-1"})
+_RPM = 30.0 / math.pi
+_SPEED: ContextVar[str] = ContextVar("speed", default="rad/s")
+
+
+@contextmanager
+def speeds_in(unit: str) -> Iterator[None]:
+    """Print angular velocities in "rpm" or "rad/s" within the block; numbers in documents stay in SI units."""
+    token = _SPEED.set(unit)
+    try:
+        yield
+    finally:
+        _SPEED.reset(token)
+
+
+def speed_unit() -> str:
+    """Return the unit in which angular velocities are printed: "rad/s", or "rpm" (see `speeds_in`)."""
+    return _SPEED.get()
+
+
+def speed(value: float) -> float:
+    """Return an angular velocity [rad/s] in the unit in which it is printed."""
+    return value * _RPM if _SPEED.get() == "rpm" else value
+
+
 def rounded(value: float, error: float, unit: str = "") -> str:
-    """Return ``(7.16 +- 0.04) x 10^-7 N m s``.
+    """Return ``(7.16 +- 0.04) x 10^-7 N m s``; an angular velocity in the unit of `speeds_in`.
 
     The uncertainty keeps two digits if they are between 10 and 29, else one; the value is rounded to the same digit.
     """
+    if unit in _RAD_PER_S and _SPEED.get() == "rpm":
+        value, error, unit = speed(value), speed(error), "rpm"
     if not math.isfinite(value):
         return "not a number"
     tail = f" {unit}" if unit and unit != "1" else ""

@@ -241,7 +241,7 @@ class Certificate:
             (
                 effect or "none",
                 str(len(found)),
-                "; ".join(f"{self._words(a)} {n}" for a, n in _counted(found).items()),
+                "; ".join(f"{self.in_words(a)} {n}" for a, n in _counted(found).items()),
             )
             for effect, found in self._simulated
         ]
@@ -251,7 +251,7 @@ class Certificate:
         """Each simulated effect in words, empty for none, with its outcomes."""
         kinds = dict.fromkeys((o.kind, o.effect) for o in self.outcomes)
         return [
-            (self._words(key[1]) if key[1] else "", [o for o in self.outcomes if (o.kind, o.effect) == key])
+            (self.in_words(key[1]) if key[1] else "", [o for o in self.outcomes if (o.kind, o.effect) == key])
             for key in kinds
         ]
 
@@ -273,11 +273,18 @@ class Certificate:
         draw_answers(
             ax if ax is not None else drawn.subplots(),
             [(f"{name} ({sum(counts.values())})", counts) for name, counts in groups],
-            {answer: self._words(answer) for _, counts in groups for answer in counts},
+            {answer: self.in_words(answer) for _, counts in groups for answer in counts},
         )
         return drawn
 
-    def _words(self, answer: str) -> str:
+    def in_words(self, answer: str) -> str:
+        """Return an answer, an effect or a parameter in words.
+
+        Parameters
+        ----------
+        answer : str
+            The key of an effect or of a parameter, or a verdict.
+        """
         return _VERDICT_WORDS.get(answer) or effect_name(answer, self.body).words
 
     def _repr_html_(self) -> str:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
 from fitting._errors import FittingError
+from fitting._numbers import speed, speed_unit
 from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect
@@ -373,19 +374,20 @@ class _RunSearch:
 
 def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
     run, record = found.run, fit.problem.data[0].record
-    single = record.single
+    single, unit = record.single, speed_unit()
+    rotor, casing = speed(run.omega_rotor), speed(run.omega_casing)
     parts = []
     if single:
-        parts.append(f"start at {run.omega_casing:.3g} rad/s")
+        parts.append(f"start at {casing:.3g} {unit}")
     else:
         sense = " in the other sense of rotation" if run.omega_rotor < 0 else ""
-        parts.append(f"start the rotor at {abs(run.omega_rotor):.0f} rad/s{sense}")
+        parts.append(f"start the rotor at {abs(rotor):.0f} {unit}{sense}")
         usual = max(abs(float(d.initial_speeds[1][0, 1])) for d in fit.problem.data)
         if abs(run.omega_casing) > 1.5 * usual + 1.0:
             against = " against the rotor" if run.omega_casing * run.omega_rotor < 0 else " with the rotor"
-            parts.append(f"spin the casing by hand to {abs(run.omega_casing):.0f} rad/s{against}")
+            parts.append(f"spin the casing by hand to {abs(casing):.0f} {unit}{against}")
         else:
-            parts.append(f"start the casing at {run.omega_casing:.1f} rad/s")
+            parts.append(f"start the casing at {casing:.1f} {unit}")
     parts.append(f"record for {run.duration:.0f} s")
     if run.windows:
         starts = ", ".join(f"{w:.0f} s" for w in run.windows)

@@ -30,7 +30,7 @@ from fitting._display import (
     table,
 )
 from fitting._errors import EstimationError
-from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, with_uncertainty
+from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, speed, speed_unit, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._words import EffectName, effect_name
@@ -217,16 +217,40 @@ class FitSummary:
 
 
 def summary_lines(fit: FitSummary) -> list[str]:
-    """Return the figures of merit and the parameters of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{'rmse [rad/s]':>14}{'chi2/n':>12}{'prediction':>11}"]
+    """Return the figures of merit and the parameters of a fit, by their keys, as lines of at most 80 columns."""
+    lines = [*merit_lines(fit), ""]
+    for name in fit.estimates:
+        value = estimate_text(fit, name)
+        lines += [f"  {name}"] if len(name) >= 32 else []
+        lines.append(f"  {name if len(name) < 32 else '':<32}{value}")
+    if getattr(fit, "generated", False):
+        lines += ["", *wrap(GENERATED, 79)]
+    weak = not_determined(fit.estimates)
+    if weak:
+        lines += ["", *wrap(f"not determined by this data: {', '.join(weak)}", 79)]
+    return lines
+
+
+def estimate_text(fit: FitSummary, name: str) -> str:
+    """Return value, uncertainty and unit of a parameter, and whether it is at its bound or was held."""
+    e = fit.estimates[name]
+    note = " (at its bound)" if e.at_bound else " (held)" if name in fit.model.constants else ""
+    # the curvature where a search stopped is not an uncertainty
+    reliable = fit.verdict != "not_converged"
+    return rounded(e.value, e.stderr if reliable else math.nan, e.unit) + note
+
+
+def merit_lines(fit: FitSummary) -> list[str]:
+    """Return the figures of merit and the noise of a fit as lines of at most 80 columns."""
+    lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'chi2/n':>12}{'prediction':>11}"]
     for case in fit.cases:
         single = math.isnan(case.rotor.rmse)
-        for name, body in (("body" if single else "casing", case.casing), ("rotor", case.rotor)):
+        for name, body in ((_body_of(fit) if single else "casing", case.casing), ("rotor", case.rotor)):
             if math.isnan(body.rmse):
                 continue
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
             lines.append(
-                f"{title:<12}{body.r2:>10.6f}{body.rmse:>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
+                f"{title:<12}{body.r2:>10.6f}{speed(body.rmse):>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
             )
     lines.append(
         f"energy balance error {max(c.energy_drift for c in fit.cases):.2g}, "
@@ -255,21 +279,12 @@ def summary_lines(fit: FitSummary) -> list[str]:
         )
     for text in getattr(fit, "findings", ()):
         lines += wrap(text, 79, subsequent_indent="  ")
-    lines.append("")
-    held = fit.model.constants
-    reliable = fit.verdict != "not_converged"
-    for name, e in fit.estimates.items():
-        note = " (at its bound)" if e.at_bound else " (held)" if name in held else ""
-        # the curvature where a search stopped is not an uncertainty
-        value = rounded(e.value, e.stderr if reliable else math.nan, e.unit)
-        lines += [f"  {name}"] if len(name) >= 32 else []
-        lines.append(f"  {name if len(name) < 32 else '':<32}{value}{note}")
-    if getattr(fit, "generated", False):
-        lines += ["", *wrap(GENERATED, 79)]
-    weak = not_determined(fit.estimates)
-    if weak:
-        lines += ["", *wrap(f"not determined by this data: {', '.join(weak)}", 79)]
     return lines
+
+
+def _body_of(fit: FitSummary) -> str:
+    """Return the name of a single body; a fit that was read from a file does not know it."""
+    return fit.problem.data[0].record.body if isinstance(fit, Fit) else "body"
 
 
 def _levels(noises: Sequence[Noise]) -> str:

@@ -22,8 +22,8 @@ Runs are taken as independent. What they share, above all an inertia and its unc
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
 from fitting._numbers import on_screen, probability, rounded, to_json
+from fitting.effects._words import CASING, effect_name
 from fitting.study._population import Fitted, Population, population_of
 
 Array = NDArray[np.float64]
@@ -76,6 +77,11 @@ class Comparison:
     effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
     bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
     population: Population | None = None  # of many runs: outlying ones, drifts and steps
+    words: Mapping[str, str] = field(default_factory=dict)  # of effects and parameters, with their keys
+
+    def called(self, key: str) -> str:
+        """Return an effect or a parameter in words, with its key."""
+        return self.words.get(key, key)
 
     def __repr__(self) -> str:
         return on_screen([f"comparison of {len(self.runs)} runs", *self.sentences])
@@ -92,7 +98,7 @@ class Comparison:
             size = f" by {abs(sigma):.1f} standard uncertainties" if sigma is not None else ""
             growth = max(p.total(r) / r.stderr for r in p.repeats)
             lines.append(
-                f"{p.name} differs between the runs{size} (p {probability(p.p_value)}); "
+                f"{self.called(p.name)} differs between the runs{size} (p {probability(p.p_value)}); "
                 f"mean {rounded(p.mean, p.mean_u, p.unit)}, spread {p.spread:.2g} {p.unit}; with the spread the "
                 f"uncertainty of a single run is up to {growth:.2g} times that of its fit."
             )
@@ -101,9 +107,9 @@ class Comparison:
         if self.population is not None:
             lines = self.population.sentences
         for name, runs in self.effects.items():
-            lines.append(f"{name} is only in {_listed(runs)}.")
+            lines.append(f"{self.called(name)} is only in {_listed(runs)}.")
         for name, runs in self.bounds.items():
-            lines.append(f"{name} is at its bound in {_listed(runs)}.")
+            lines.append(f"{self.called(name)} is at its bound in {_listed(runs)}.")
         return lines
 
     def document(self) -> dict[str, Any]:
@@ -141,7 +147,11 @@ def _listed(runs: Sequence[str]) -> str:
 
 
 def compare(
-    fits: Mapping[str, Fitted], times: Mapping[str, float] | None = None, *, time_unit: str = "run"
+    fits: Mapping[str, Fitted],
+    times: Mapping[str, float] | None = None,
+    *,
+    time_unit: str = "run",
+    body: str = "",
 ) -> Comparison:
     """Compare the parameters and effects of several fits.
 
@@ -154,6 +164,8 @@ def compare(
         Times of the runs, by name, for drifts and steps of eight runs and more; by default they are numbered in order.
     time_unit : str
         Unit of the times.
+    body : str
+        Name of a single recorded body, for the names in words; by default "body".
 
     Returns
     -------
@@ -189,13 +201,23 @@ def compare(
     compared = [_compared(key, units[key], found) for key, found in repeats.items() if len(found) > 1]
     names = {n for found in fits.values() for n in found.model.names}
     having = {n: tuple(run for run, found in fits.items() if n in found.model.names) for n in sorted(names)}
+    words = _in_words(fits, {*repeats, *bounds, *names}, body)
+    population = population_of(fits, times, time_unit=time_unit)
     return Comparison(
         tuple(fits),
         tuple(sorted(compared, key=lambda p: p.p_value)),
         {n: runs for n, runs in having.items() if len(runs) < len(fits)},
         {n: tuple(runs) for n, runs in bounds.items()},
-        population_of(fits, times, time_unit=time_unit),
+        population if population is None else replace(population, words=words),
+        words,
     )
+
+
+def _in_words(fits: Mapping[str, Fitted], keys: Iterable[str], body: str) -> dict[str, str]:
+    """Return effects and parameters in words, each with its key."""
+    two = any(n.partition("@")[0] == "initial.omega_r" for found in fits.values() for n in found.estimates)
+    effects = {e.name: e for found in fits.values() for e in found.model.effects}
+    return {k: str(effect_name(k, CASING if two else body or "body", effects.values())) for k in keys}
 
 
 def _compared(name: str, unit: str, repeats: Sequence[Repeat]) -> ParameterComparison:

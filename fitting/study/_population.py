@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -105,6 +105,11 @@ class Population:
     values: Array  # shape (n, p); NaN where a run does not determine a parameter
     stderr: Array  # shape (n, p)
     level: float
+    words: Mapping[str, str] = field(default_factory=dict)  # of parameters, with their keys
+
+    def called(self, key: str) -> str:
+        """Return a parameter in words, with its key."""
+        return self.words.get(key, key)
 
     def __repr__(self) -> str:
         return on_screen([f"population of {len(self.runs)} runs", *self.sentences])
@@ -125,7 +130,7 @@ class Population:
             drift = f"drifts by {rounded(c.slope, c.slope_u, p.unit)} {per}"
             step = f"steps by {rounded(c.size, c.size_u, p.unit)} between {c.before} and {c.after}"
             what = {"drift": drift, "step": step}.get(c.kind, f"{drift}, or {step}")
-            lines.append(f"{p.name} {what} (p {probability(p.p_adjusted)}, adjusted).")
+            lines.append(f"{self.called(p.name)} {what} (p {probability(p.p_adjusted)}, adjusted).")
         if not lines and self.parameters:
             lines.append(
                 f"No drift or step in {len(self.parameters)} parameters of {len(self.runs)} runs "
@@ -136,7 +141,9 @@ class Population:
             more = f" and {len(self.outlying) - _SHOWN} more" if len(self.outlying) > _SHOWN else ""
             lines.append(f"Outlying runs, left out: {names}{more}.")
         for name, count in self.untested.items():
-            lines.append(f"{name} is not determined in {count} of {len(self.runs)} runs and not tested.")
+            lines.append(
+                f"{self.called(name)} is not determined in {count} of {len(self.runs)} runs and not tested."
+            )
         return lines
 
     def document(self) -> dict[str, Any]:

@@ -33,10 +33,11 @@ def open_page(chromium, tmp_path):
         return found.page
 
     yield start
-    for server, found in opened:
-        found.close([server.host, ""])
+    for server, _ in opened:
         server.process.terminate()
         server.process.communicate(timeout=20)
+    for server, found in opened:
+        found.close([server.host, ""])
 
 
 def _end(page):

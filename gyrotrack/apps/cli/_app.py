@@ -14,7 +14,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
@@ -97,6 +97,9 @@ def root(
     _config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Settings file; see `gyrotrack config`.")
     ] = None,
+    _rpm: Annotated[
+        bool, typer.Option("--rpm", help="Print speeds in revolutions per minute; JSON stays in rad/s.")
+    ] = False,
     _debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
 ) -> None:
     """From films of a spinning gyroscope to the physics that its model is missing."""
@@ -180,10 +183,11 @@ def _interrupted(*, as_json: bool) -> int:
 
 def run(arguments: Sequence[str]) -> int:
     """Run the program with `arguments` and return its exit code; all exceptions are handled."""
-    args, debug = _without_debug(list(arguments))
+    args, debug = _without("--debug", list(arguments))
+    args, rpm = _without("--rpm", args)
     as_json = "--json" in _options(args)
     try:
-        with warnings.catch_warnings(), marking(), running(arguments):
+        with warnings.catch_warnings(), marking(), running(arguments), _speeds(rpm=rpm and not as_json):
             if not debug:
                 warnings.simplefilter("ignore")
             code = _with_settings(args)
@@ -347,7 +351,16 @@ def _options(args: list[str]) -> list[str]:
     return args[: args.index("--")] if "--" in args else args
 
 
-def _without_debug(args: list[str]) -> tuple[list[str], bool]:
-    """Remove ``--debug``, anywhere before ``--``."""
+def _without(word: str, args: list[str]) -> tuple[list[str], bool]:
+    """Remove an option of the program, which may be anywhere before ``--``; return whether it was given."""
     head = _options(args)
-    return [a for a in head if a != "--debug"] + args[len(head) :], "--debug" in head
+    return [a for a in head if a != word] + args[len(head) :], word in head
+
+
+def _speeds(*, rpm: bool) -> AbstractContextManager[None]:
+    """Return the context in which speeds are printed in rpm, or in rad/s."""
+    if not rpm:
+        return nullcontext()
+    from fitting._numbers import speeds_in
+
+    return speeds_in("rpm")

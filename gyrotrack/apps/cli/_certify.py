@@ -251,12 +251,12 @@ def _table(found: Certificate, fit_id: str) -> str:
         "",
         f"fit {fit_id}, verdict: {found.verdict.replace('_', ' ')}",
     ]
-    lines += ["", "simulated recordings:", f"  {'simulated effect':<28}{'n':>5}  answers"]
+    lines += ["", "simulated recordings, by the simulated effect, with their answers:"]
     for effect, count, answers in found.rows:
-        first, *more = textwrap.wrap(answers, _WIDTH - 37) or [""]
-        lines += [f"  {effect:<28}{count:>5}  {first}", *(f"  {'':<35}{line}" for line in more)]
+        lines += [f"  {effect}, {count} recordings"]
+        lines += textwrap.wrap(answers, _WIDTH, initial_indent="    ", subsequent_indent="    ")
     covered = found.coverage("truth" if found.right_first is not None else "null")
     if covered:
         lines += ["", "share of 95 % intervals that contain the simulated value:"]
-        lines += [f"  {name:<32}{100 * share:>5.0f} %" for name, share in covered.items()]
+        lines += [f"  {found.in_words(name):<60}{100 * share:>5.0f} %" for name, share in covered.items()]
     return "\n".join(lines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import closing
@@ -115,7 +116,7 @@ def compare_command(
     times: Mapping[str, float] | None = None
     if at is not None:
         times, unit = _times_of(fits, at[0]), at[1]
-    found = compare(fits, times, time_unit=unit)
+    found = compare(fits, times, time_unit=unit, body=_single_body(files))
     written = drawn(found, picture, force=force)
     out.result(found.document() | {"failed": failed})
     out.show(comparison_table(found), *(f"not fitted: {n}: {why}" for n, why in failed.items()), *written)
@@ -136,6 +137,14 @@ def _files(runs: Sequence[Path]) -> list[Path]:
             raise DatasetError(f"The folder {run} has no case (.h5).", "Make cases with `gyrotrack import`.")
         files += cases
     return files
+
+
+def _single_body(files: Sequence[Path]) -> str:
+    """Return the name of the single body that the first case records; "" if it is a ledger."""
+    from fitting.inference._case_file import read_record
+
+    first = next((f for f in files if f.suffix == ".h5" and f.is_file()), None)
+    return "" if first is None else read_record(first).body
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
@@ -248,7 +257,8 @@ def comparison_table(found: Comparison) -> str:
     lines = []
     for p in found.parameters:
         size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
-        lines.append(f"{p.name}  (p {probability(p.p_value)}{size})")
+        heading = f"{found.called(p.name)}: p {probability(p.p_value)}{size}"
+        lines += textwrap.wrap(heading, 79, subsequent_indent="  ")
         width = max(len(r.run) for r in p.repeats)
         for r in p.repeats:
             total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
@@ -266,7 +276,7 @@ def _population_lines(found: Population) -> list[str]:
         mean, spread = rounded(p.mean, p.mean_u, p.unit), rounded(p.spread, p.spread_u, p.unit)
         drift, step, adjusted = map(probability, (p.p_drift, p.p_step, p.p_adjusted))
         lines += [
-            f"  {p.name}",
+            *textwrap.wrap(found.called(p.name), 79, initial_indent="  ", subsequent_indent="    "),
             f"    mean {mean}, spread {spread}, {p.runs} runs",
             f"    p of a drift {drift}, of a step {step}; smaller one adjusted {adjusted}",
         ]

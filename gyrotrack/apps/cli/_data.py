@@ -201,12 +201,15 @@ def _plots(case: Case) -> list[str]:
     """Return the speeds of the bodies over time, as lines of text."""
     import numpy as np
 
+    from fitting._numbers import speed, speed_unit
+
     lines = []
     for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
-        speed = series.omega[np.isfinite(series.omega)]
-        if len(speed):
+        omega = series.omega[np.isfinite(series.omega)]
+        if len(omega):
             lines.append(
-                f"speed of the {name}, {speed.min():.4g} to {speed.max():.4g} rad/s: {sparkline(speed)}"
+                f"speed of the {name}, {speed(omega.min()):.4g} to {speed(omega.max()):.4g} {speed_unit()}: "
+                f"{sparkline(omega)}"
             )
     return lines
 
@@ -227,10 +230,13 @@ def _plotted(case: Case) -> list[dict[str, Any]]:
 
 
 def _lines(document: dict[str, Any]) -> str:
+    from fitting._numbers import speed_unit
+
     casing, windows = document["casing"], document["rotor"]["windows"]
     unit = "rad" if casing["quantity"] == "angle" else "rad/s"
     heading = f"sigma [{unit}]"
-    lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{'speed [rad/s]':>20}{heading:>16}"]
+    rate = f"speed [{speed_unit()}]"
+    lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{rate:>20}{heading:>16}"]
     lines.append(_line("casing" if windows else "body", casing))
     lines += [_line(f"rotor {window['window']}", window) for window in windows]
     return "\n".join(
@@ -240,9 +246,8 @@ def _lines(document: dict[str, Any]) -> str:
 
 def _line(name: str, part: dict[str, Any]) -> str:
     time = f"{part['t_start']:.3f} to {part['t_stop']:.3f}"
-    known = part["omega_min"] is not None
-    speed = f"{part['omega_min']:.1f} to {part['omega_max']:.1f}" if known else "-"
-    return f"{name:<10}{part['samples']:>9} {time:>21} {speed:>19}{part['median_sigma']:>16.2g}"
+    rate = _speeds(part)
+    return f"{name:<10}{part['samples']:>9} {time:>21} {rate:>19}{part['median_sigma']:>16.2g}"
 
 
 class Table(StrEnum):
@@ -352,7 +357,7 @@ def _case_lines(summary: dict[str, Any]) -> list[str]:
         f"inertia  {_inertia(summary)}",
         f"measured {'angles' if summary['quantity'] == 'angle' else 'angular velocities'}",
         "",
-        _HEADER if summary["quantity"] == "angle" else _HEADER.replace("  sigma [mrad]", "sigma [mrad/s]"),
+        _header("mrad" if summary["quantity"] == "angle" else "mrad/s"),
         _motion_line("casing" if summary["bodies"] == "two" else "body", summary["casing"]),
     ]
     lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
@@ -409,20 +414,34 @@ def _recording_lines(summary: dict[str, Any]) -> list[str]:
         lines += ["", f"{'marker':<10}{'body':<10}" + "".join(f"{word:>9}" for word in _WORDS)]
     for name, marker in summary["markers"].items():
         lines.append(f"{name:<10}{marker['body']:<10}" + "".join(f"{marker[w]:>9}" for w in _WORDS.values()))
-    lines += ["", _HEADER]
+    lines += ["", _header("mrad")]
     lines += [_motion_line(name, body) for name, body in summary["bodies"].items()]
     return lines
 
 
 _WORDS = {"ok": "ok", "blurred": "blurred", "occluded": "occluded", "outside": "out_of_frame", "lost": "lost"}
-_HEADER = f"{'':<10}{'samples':>9}{'time [s]':>20}{'speed [rad/s]':>20}{'sigma [mrad]':>16}"
+
+
+def _header(sigma: str) -> str:
+    from fitting._numbers import speed_unit
+
+    rate = f"speed [{speed_unit()}]"
+    return f"{'':<10}{'samples':>9}{'time [s]':>20}{rate:>20}{f'sigma [{sigma}]':>16}"
 
 
 def _motion_line(name: str, motion: dict[str, Any]) -> str:
     time = _span(motion["t_start"], motion["t_stop"], 3)
-    speed = _span(motion["omega_min"], motion["omega_max"], 1)
+    rate = _speeds(motion)
     sigma = f"{1e3 * motion['median_sigma']:.2f}" if motion["median_sigma"] is not None else "-"
-    return f"{name:<10}{motion['samples']:>9}{time:>20}{speed:>20}{sigma:>16}"
+    return f"{name:<10}{motion['samples']:>9}{time:>20}{rate:>20}{sigma:>16}"
+
+
+def _speeds(motion: dict[str, Any]) -> str:
+    """Return the smallest and the largest speed in the unit in which speeds are printed."""
+    from fitting._numbers import speed
+
+    ends = (motion[k] if motion[k] is None else speed(motion[k]) for k in ("omega_min", "omega_max"))
+    return _span(*ends, 1)
 
 
 def _span(low: float | None, high: float | None, digits: int) -> str:

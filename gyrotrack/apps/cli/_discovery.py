@@ -120,6 +120,8 @@ def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool)
 
 def _laws_table(found: Laws, fit_id: str) -> str:
     """Return the result as text: summary, variables of the torque, laws, and where they differ."""
+    from fitting._numbers import speed, speed_unit
+
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     torques = found.torques
@@ -142,7 +144,7 @@ def _laws_table(found: Laws, fit_id: str) -> str:
             lines.append(f"  {d.formula}")
             lines.append(
                 f"      at most {d.torque_Nm:.1g} {unit} in {d.label}, {d.t_start:.3g} s to {d.t_stop:.3g} s, {body} "
-                f"{d.omega_c[0]:.3g} to {d.omega_c[1]:.3g} rad/s"
+                f"{speed(d.omega_c[0]):.3g} to {speed(d.omega_c[1]):.3g} {speed_unit()}"
             )
     if found.next_experiment:
         lines += ["", *textwrap.wrap(f"next experiment: {found.next_experiment}", 79)]
@@ -354,13 +356,17 @@ def _row(e: EffectLimits) -> str:
 
 def _limits_of_run(b: Bounds, body: str) -> str:
     """Return the limits of the next run as a sentence."""
+    from fitting._numbers import speed, speed_unit
+
+    def speeds(ends: tuple[float, float]) -> str:
+        return f"{speed(ends[0]):.0f} to {speed(ends[1]):.0f} {speed_unit()}"
+
     parts = []
     if b.omega_rotor[1] > 0:
         parts.append(
-            f"rotor {b.omega_rotor[0]:.0f} to {b.omega_rotor[1]:.0f} rad/s"
-            + (" in both senses of rotation" if b.reversible else "")
+            f"rotor {speeds(b.omega_rotor)}" + (" in both senses of rotation" if b.reversible else "")
         )
-    parts.append(f"{body} {b.omega_casing[0]:.0f} to {b.omega_casing[1]:.0f} rad/s")
+    parts.append(f"{body} {speeds(b.omega_casing)}")
     parts.append(f"duration {b.duration[0]:.0f} to {b.duration[1]:.0f} s")
     if b.inertia_casing[1] > 1:
         parts.append(f"inertia of the {body} up to {b.inertia_casing[1]:g} times the present value")

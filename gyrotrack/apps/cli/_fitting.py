@@ -221,15 +221,19 @@ def budget_command(
             fit, clock_rate_u=CRYSTAL if clock_rate is None else clock_rate, speed_scale_u=speed_scale or 0.0
         )
     out.result({"fit_id": fit_id, **budget_document(found)})
-    out.show(_budget_table(found, fit_id))
+    out.show(_budget_table(fit, found, fit_id))
 
 
-def _budget_table(found: Mapping[str, ParameterBudget], fit_id: str) -> str:
+def _budget_table(fit: Fit, found: Mapping[str, ParameterBudget], fit_id: str) -> str:
     from fitting._numbers import rounded
+    from gyrotrack.apps.cli._parameters import in_words, key_beneath
 
     lines = [f"uncertainty budget of fit {fit_id} (combined standard uncertainties)"]
     for name, b in found.items():
-        lines += ["", f"{name}  {rounded(b.value, b.u, b.unit)}"]
+        lines += [
+            "",
+            *key_beneath(f"{in_words(fit, name)}: {rounded(b.value, b.u, b.unit)}", fit.name(name).key),
+        ]
         lines.append(f"  {'source':<32}{'type':<6}{'u':>10}{'sensitivity':>13}{'share':>9}")
         for c in b.contributions:
             if c.share >= _MIN_SHARE:

@@ -263,73 +263,64 @@ _CANDIDATES = 8
 def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None = None) -> list[str]:
     """Return a fit as text: verdict, goodness of fit, parameters."""
     from fitting.inference._first_order import first_order, first_order_lines
-    from fitting.inference._result import VERDICT_TEXT, summary_lines
-    from fitting.study._serialisation import not_determined_together
+    from fitting.inference._result import VERDICT_TEXT, merit_lines
+    from gyrotrack.apps.cli._parameters import parameter_lines
 
-    lines = [f"fit {fit_id}: {VERDICT_TEXT[fit.verdict]}", "", *summary_lines(fit)]
+    lines = [f"fit {fit_id}: {VERDICT_TEXT[fit.verdict]}", "", *merit_lines(fit), ""]
+    lines += parameter_lines(fit, intervals)
     if fit.verdict != "not_converged":
         response = first_order_lines(first_order(fit))
         lines += ["", *response] if response else []
-    for direction in not_determined_together(fit):
-        parts = ", ".join(f"{n} by {100 * w:+.0f} %" for n, w in direction.items())
-        lines += _wrapped(f"degenerate parameters: {parts}")
-    if intervals:
-        lines += ["", "95 % intervals by profile likelihood:"]
-        lines += [f"  {n:<32}{_interval(i, fit.estimates[n].unit)}" for n, i in intervals.items()]
     return ["\n".join(lines)]
-
-
-def _interval(i: Interval, unit: str) -> str:
-    if i.lower_open and i.upper_open:
-        return "no limit on either side"
-    if i.lower_open:
-        return f"below {i.upper:.4g} {unit}"
-    if i.upper_open:
-        return f"above {i.lower:.4g} {unit}"
-    return f"{i.lower:.4g} to {i.upper:.4g} {unit}"
 
 
 def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
     """Return the bias of each parameter caused by a generated rotor curve."""
     from fitting._numbers import rounded
+    from gyrotrack.apps.cli._parameters import in_words
 
     if not bias:
         return []
     lines = ["", "the same model fitted to the rotor windows instead of the generated curve:"]
     for name, b in bias.items():
         value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
-        lines.append(f"  {name:<32}{value}")
-        lines.append(f"  {'':<32}bias by the generated curve: {b.errors:.0f} standard errors")
+        lines += [f"  {in_words(fit, name)}", f"    {value}"]
+        lines.append(f"    bias by the generated curve: {b.errors:.0f} standard errors")
     return ["\n".join(lines)]
 
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
     """Return the cross-validation errors of each case, in units of the noise, and of the casing rate."""
+    from fitting._numbers import speed, speed_unit
+
     if not predicted:
         return []
     lines = ["", "each case predicted from a fit of the others (touch point and initial rates free):"]
-    lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{'rmse [rad/s]':>14}")
+    lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{f'rmse [{speed_unit()}]':>14}")
     lines += [
-        f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{p.rmse:>14.4g}" for p in predicted
+        f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{speed(p.rmse):>14.4g}"
+        for p in predicted
     ]
     return ["\n".join(lines)]
 
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as text: summary, lack of fit, candidate effects."""
-    torque = f"torque [{d.fit.torque_unit}]"
+    from fitting._numbers import speed, speed_unit
+
+    torque, rate = f"torque [{d.fit.torque_unit}]", f"speed [{speed_unit()}]"
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {_verdict(d)}"]
     if d.failures:
         lines += [
             "",
             "significant lack of fit:",
-            f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{'speed [rad/s]':>15}{'sigma':>7}",
+            f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{rate:>15}{'sigma':>7}",
         ]
         for f in d.failures:
             time = " - ".join(f.times)
             lines.append(
                 f"  {f.label[:9]:<10}{f.called:<8}{time:>16}"
-                f"{f.residual_torque_Nm:>16.2g}{f.residual_rad_s:>15.2g}{f.size_sigma:>7.0f}"
+                f"{f.residual_torque_Nm:>16.2g}{speed(f.residual_rad_s):>15.2g}{f.size_sigma:>7.0f}"
             )
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
@@ -411,6 +402,7 @@ def _curves(d: Diagnosis) -> list[str]:
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     """Return a history of fits as text, one bar per fit; `record` is the record of any of the cases."""
+    from fitting._numbers import speed, speed_unit
     from fitting.effects._words import change_name
 
     lines = [
@@ -427,7 +419,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             added += f"  (from {r['parent']})"
         previous = r["fit_id"]
         lines.append(
-            f"{r['fit_id']:<6}{r['rmse_casing']:>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
+            f"{r['fit_id']:<6}{speed(r['rmse_casing']):>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
             f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         if left := r.get("torque_left_Nm"):
@@ -438,11 +430,15 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             lines += [f"      {line}" for line in _wrapped(comment)]
     last = steps[-1]
     counted = bool(last.get("samples"))
-    rmse, bic = _formatted(last.get("rmse_noise"), ".4g"), _formatted(last.get("bic_noise"), ".1f")
+    noise = last.get("rmse_noise")
+    rmse, bic = (
+        _formatted(noise if noise is None else speed(noise), ".4g"),
+        _formatted(last.get("bic_noise"), ".1f"),
+    )
     lines += [
         f"{'noise':<6}{rmse:>9} {1:>9} {1:>9} {bic:>10}  expected for noise alone",
         "",
-        f"rmse of the angular rate of the {record.body} [rad/s]; prediction: cross-validation",
+        f"rmse of the angular rate of the {record.body} [{speed_unit()}]; prediction: cross-validation",
         "error / noise"
         + (
             f"; {last['samples']} samples, {last['n_eff']:.0f} equivalent independent ones" if counted else ""

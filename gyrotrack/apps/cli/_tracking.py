@@ -672,15 +672,19 @@ def _response_lines(response: Response | None) -> list[str]:
     if response is None:
         return ["response   not of first order"]
     cause = f"input '{response.input}'" if response.input else "constant drive"
-    unit = f"rad/s per {response.unit or 'unit'}"
+    per = f" per {response.unit or 'unit'}"
     quantities = [
         ("tau", response.time_constant, "s"),
         ("delay", response.delay, "s"),
-        ("gain", response.gain, unit),
+        ("gain", response.gain, "rad/s"),
         ("final", response.final, "rad/s"),
     ]
     lines = [f"response   of first order to the {cause}; it explains {100 * response.explained:.1f} %"]
-    return lines + [f"{n:<9}  {rounded(q.value, q.stderr, u)}" for n, q, u in quantities if q is not None]
+    return lines + [
+        f"{n:<9}  {rounded(q.value, q.stderr, u)}{per if n == 'gain' else ''}"
+        for n, q, u in quantities
+        if q is not None
+    ]
 
 
 def _law_lines(document: dict[str, Any]) -> list[str]:
@@ -703,7 +707,7 @@ def _with_u(value: float, u: float) -> str:
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
-    from fitting._numbers import rounded
+    from fitting._numbers import rounded, speed, speed_unit
     from gyrotrack.io.readers._reading import units_of_file
 
     motion = document["motion"]
@@ -717,8 +721,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
             ("Q", motion.quality_factor, "", ""),
         ]
     else:
-        ends = (_with_u(motion.omega[end], motion.omega_u[end]) for end in ("first", "last"))
-        lines.append(f"omega      {' to '.join(ends)} rad/s")
+        ends = (_with_u(speed(motion.omega[end]), speed(motion.omega_u[end])) for end in ("first", "last"))
+        lines.append(f"omega      {' to '.join(ends)} {speed_unit()}")
         if "omega" in own:
             unit, scale = own["omega"]
             first, last = (motion.omega[end] / scale for end in ("first", "last"))

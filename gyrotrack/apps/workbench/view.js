@@ -619,7 +619,9 @@ const Laboratory = (() => {
     if (await act(() => ask("/api/quit", {}))) {
       Page.end();
       document.body.dispatchEvent(new Event("ended"));
-      document.body.replaceChildren(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. Close this page.")));
+      // hidden, not removed: answers that are still on their way are written there
+      for (const part of document.body.children) part.hidden = true;
+      document.body.append(element("main", {}, element("p", { id: "ended" }, "gyrotrack has ended. Close this page.")));
     }
   });
   if (document.body.dataset.case !== undefined) start();

@@ -1,0 +1,68 @@
+"""Tables of parameters in words, and speeds in rpm."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from fitting import Case, fit
+from gyrotrack.apps.cli._output import fit_tables
+from gyrotrack.apps.cli._parameters import key_beneath
+
+
+@pytest.fixture(scope="module")
+def found():
+    t = np.linspace(0.0, 20.0, 201)
+    speed = 40.0 * np.exp(-0.1 * t) + np.random.default_rng(1).normal(0.0, 0.02, len(t))
+    case = Case.from_arrays(wheel={"t": t, "omega": speed, "u": 0.02, "inertia": 2e-3})
+    return fit("air.linear", case)
+
+
+def test_a_fit_names_effects_in_words_with_symbol_and_key(found):
+    (text,) = fit_tables(found, "f1")
+    lines = text.splitlines()
+    at = lines.index("  linear air drag of the wheel")
+    assert lines[at + 1].startswith("    b2 = (2.00")
+    assert lines[at + 1].endswith("  air.linear.b2")
+    assert all(len(line) < 80 for line in lines)
+    assert any(line.startswith("wheel ") for line in lines)  # figures of merit of the body, by its name
+
+
+def test_speeds_are_printed_in_rpm_and_torques_as_before(found):
+    from fitting._numbers import rounded, speed, speed_unit, speeds_in
+
+    (plain,) = fit_tables(found, "f1")
+    with speeds_in("rpm"):
+        assert speed_unit() == "rpm"
+        assert speed(math.pi / 30) == pytest.approx(1.0)
+        assert rounded(10.0, 0.1, "rad/s") == "95.5 +- 1.0 rpm"
+        assert rounded(10.0, 0.1, "rad s-1") == "95.5 +- 1.0 rpm"
+        assert rounded(10.0, 0.1, "rad/s2") == "10.00 +- 0.10 rad/s2"
+        (turning,) = fit_tables(found, "f1")
+    assert speed_unit() == "rad/s"
+    assert rounded(10.0, 0.1, "rad/s") == "10.00 +- 0.10 rad/s"
+    assert "rmse [rad/s]" in plain
+    assert "rmse [rpm]" in turning
+    assert "rad" not in turning
+    (drag,) = (line for line in plain.splitlines() if "air.linear.b2" in line)
+    assert drag in turning
+
+
+def test_rpm_may_be_given_before_and_after_the_command_and_documents_stay_in_si(gyrotrack, tmp_path):
+    rows = "".join(f"{k / 10},{20 - k / 10}\n" for k in range(100))
+    table = tmp_path / "wheel.csv"
+    table.write_text("t [s],omega [rad/s]\n" + rows, encoding="utf-8")
+    words = ("import", "--body", table, "--dry-run")
+    assert "10.1 to 20.0" in gyrotrack(*words).out
+    for said in (gyrotrack("--rpm", *words), gyrotrack(*words, "--rpm")):
+        assert "speed [rpm]" in said.out
+        assert "96.4 to 191.0" in said.out
+    documents = [json.loads(gyrotrack(*words, "--json", *more).out) for more in ((), ("--rpm",))]
+    assert documents[0] == documents[1]
+
+
+def test_the_key_is_beneath_the_words_unless_it_is_the_same():
+    assert key_beneath("law -k*t on the casing", "") == ["law -k*t on the casing"]
+    assert key_beneath("a", "a") == ["a"]
+    assert key_beneath("linear air drag", "air.linear") == ["linear air drag", "  (air.linear)"]
