@@ -235,6 +235,7 @@ def open_study(
     rotor: str = "windows",
     prior: Path | None = None,
     prior_rotor: Path | None = None,
+    read: tuple[CaseData, ...] = (),
 ) -> Study:
     """Read cases and their ledger.
 
@@ -252,11 +253,13 @@ def open_study(
         Case or ledger of another study; the parameters of its latest fit are a prior for this one.
     prior_rotor : Path, optional
         A study of the single body that is the rotor here.
+    read : tuple of CaseData
+        The cases, if they have been read.
     """
     from fitting.inference._prior import Prior
     from fitting.study._history import Ledger
 
-    read = read_cases(cases, data=data, rotor=rotor)
+    read = read or read_cases(cases, data=data, rotor=rotor)
     kept = Ledger(ledger) if ledger is not None else Ledger.default_for(Path(cases[0]))
     if prior is not None and prior_rotor is not None and prior.resolve() == prior_rotor.resolve():
         what = f"{prior} is given as the study of both bodies."

@@ -440,8 +440,8 @@ def _speeds(motion: dict[str, Any]) -> str:
     """Return the smallest and the largest speed in the unit in which speeds are printed."""
     from fitting._numbers import speed
 
-    ends = (motion[k] if motion[k] is None else speed(motion[k]) for k in ("omega_min", "omega_max"))
-    return _span(*ends, 1)
+    low, high = (motion[k] if motion[k] is None else speed(motion[k]) for k in ("omega_min", "omega_max"))
+    return _span(low, high, 1)
 
 
 def _span(low: float | None, high: float | None, digits: int) -> str:

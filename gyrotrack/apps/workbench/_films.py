@@ -254,7 +254,8 @@ def preview(
 _MIDDLE = (
     1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
 )
-_SAMPLED = 5  # frames in which the outer edge of a marker is sought
+# number of frames in which the outer edge of a marker is sought, and their distance
+_SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # radius up to which it is sought, over that of the inner corners
 _INSIDE = (1.04, 1.12)  # radii of the colour of a marker, over that of the inner corners
 _STEPS = 80
@@ -266,20 +267,25 @@ def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> d
 
     Outwards from the inner corners the colour is that of the marker, up to its outer edge.
     """
-    found = {}
+    found, seen = {}, {}
     for m in recording.markers.values():
         known = np.flatnonzero((m.status == STATUS["ok"]) & np.isfinite(m.rho) & np.isfinite(m.angle_fine))
-        some = (
-            known[np.linspace(0, len(known) - 1, min(_SAMPLED, len(known))).astype(int)] if len(known) else []
-        )
         edges = []
-        for k in some:
+        for k in _spread(known):
             with suppress(GyrotrackError):
+                if k not in seen:
+                    seen[k] = picture(k)
                 angle = float(recording.sense * m.angle_fine[k])
-                edges.append(_outer_edge(picture(int(k)), recording.centre[k], angle, float(m.rho[k])))
+                edges.append(_outer_edge(seen[k], recording.centre[k], angle, float(m.rho[k])))
         edges = [e for e in edges if np.isfinite(e)]
         found[m.name] = 0.5 * (1.0 + float(np.median(edges))) if edges else _MIDDLE
     return found
+
+
+def _spread(known: NDArray[np.intp]) -> list[int]:
+    """Return a few of the first frames that show a marker: they are decoded in one pass, without seeking."""
+    first = known[: _SAMPLED * _APART : _APART]
+    return [int(k) for k in first]
 
 
 def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, radius: float) -> float:

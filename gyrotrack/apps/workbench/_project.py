@@ -140,6 +140,7 @@ class Project:
         self._saved = self.state.model_dump_json()
         self.history = History()
         self.when_fitted: Callable[[], object] = lambda: None  # called when a case can be opened
+        self.when_matched: Callable[[], object] = lambda: None  # called when a case is written
         self._analysing = False  # whether each step is followed by the next one
         self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
@@ -781,6 +782,8 @@ class Project:
             def matched(document: dict[str, Any]) -> None:
                 self.state.case = case
                 self.state.match, self.state.matched = self._match_result(document), words
+                if self._route() != "single":  # whose case is fitted by the same command
+                    self.when_matched()
 
             self._start("match", [*words, *again], matched)
 

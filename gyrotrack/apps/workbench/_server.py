@@ -15,22 +15,23 @@ import shlex
 import socket
 from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Lock, Thread, get_native_id
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
 from gyrotrack._errors import GyrotrackError, UsageError
-from gyrotrack.apps._study import open_study
+from gyrotrack.apps._study import open_study, read_cases
 from gyrotrack.apps.report._page import is_report
 from gyrotrack.apps.workbench import _films as films
 from gyrotrack.apps.workbench._address import Address
 from gyrotrack.apps.workbench._motion_charts import motion_board
-from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker
+from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker, in_background
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.io._hdf5 import read_case
@@ -41,6 +42,9 @@ from gyrotrack.plotting._tracking import jpeg
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
+
+    from fitting.inference._case_data import CaseData
+    from gyrotrack.io._records import Case
 
 
 Scope = Mapping[str, Any]
@@ -235,6 +239,30 @@ _ADDRESS = "127.0.0.1"
 
 
 @dataclass(frozen=True)
+class Opened:
+    """A case that was read, with the estimates of its noise, which need no fit."""
+
+    case: Path
+    stamp: int  # time of its file
+    tracked: Case
+    data: CaseData
+
+    @classmethod
+    def of(cls, case: Path) -> Opened:
+        """Read a case and estimate its noise."""
+        stamp, tracked = _modified(case), read_case(case)
+        (data,) = read_cases([case])
+        for name in ("nuisance", "process_noise"):  # kept by `data`
+            getattr(data, name)
+        return cls(case, stamp, tracked, data)
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the file is that which was read."""
+        return self.stamp == _modified(self.case)
+
+
+@dataclass(frozen=True)
 class Laboratory:
     """One case with its fits and films, and the processes that rank candidate effects and write the report."""
 
@@ -252,11 +280,17 @@ class Laboratory:
 
     @classmethod
     def open(
-        cls, case: Path, folders: Sequence[Path], ledger: Path | None = None, start: str | None = None
+        cls,
+        case: Path,
+        folders: Sequence[Path],
+        ledger: Path | None = None,
+        start: str | None = None,
+        *,
+        opened: Opened | None = None,
     ) -> Laboratory:
         """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted."""
-        tracked = read_case(case)
-        study = open_study([case], ledger)
+        tracked = read_case(case) if opened is None else opened.tracked
+        study = open_study([case], ledger, read=() if opened is None else (opened.data,))
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
@@ -353,10 +387,12 @@ class Workbench:
         self._laboratory, self.project = laboratory, project
         self._frames = films.SourceFrames()
         self._opening = Lock()
+        self._reading: Future[Opened] | None = None  # of the case that is being fitted
         self._opened: tuple[str, str, int] | None = None  # case, fit and time of the case that is open
         if project is not None:
             # the laboratory is ready when the page asks for it
             project.when_fitted = lambda: self._open(project)
+            project.when_matched = lambda: self._read_ahead(project.folder / project.state.case)
         self.stop: Callable[[], None] = lambda: None
 
     @property
@@ -499,11 +535,34 @@ class Workbench:
             if not p.state.case or not (p.folder / p.state.case).is_file():
                 raise UsageError("There is no case yet.", "Track and synchronise the films first.")
             folders = list(dict.fromkeys([p.folder, *(p.path(x).parent for x in p.state.sources)]))
-            found = Laboratory.open(p.folder / p.state.case, folders)
+            case = p.folder / p.state.case
+            found = Laboratory.open(case, folders, opened=self._read_before(case))
             old, self._laboratory, self._opened = self._laboratory, found, stamp
             if old is not None:
                 old.close()
         return {"opened": p.state.case}
+
+    def _read_ahead(self, case: Path) -> None:
+        """Read a case while it is fitted, so that its charts appear as soon as the fit has ended."""
+        reading: Future[Opened] = Future()
+        self._reading = reading
+
+        def work() -> None:
+            in_background(get_native_id())
+            try:
+                reading.set_result(Opened.of(case))
+            except Exception as error:  # it is read again when the laboratory opens, which then says why
+                reading.set_exception(error)
+
+        Thread(target=work, daemon=True).start()
+
+    def _read_before(self, case: Path) -> Opened | None:
+        """Return the case if it was read ahead, and has not changed since."""
+        reading, self._reading = self._reading, None
+        if reading is None or reading.exception() is not None:
+            return None
+        found = reading.result()
+        return found if found.case == case and found.is_current else None
 
     @asynccontextmanager
     async def _life(self, _app: Any) -> AsyncIterator[None]:
