@@ -170,6 +170,15 @@ class Entry:
                 return known
         return None
 
+    def latest_certificate(self) -> Certificate | None:
+        """Return the certificate that is stored with the fit, if made by the same code; one from films first."""
+        for key in (_OF_FILMS, _OF_DATA):
+            stored = self.document.get(key)
+            with suppress(*_DAMAGED):
+                if stored and (found := restored_certificate(StoredCertificate.model_validate(stored))):
+                    return found
+        return None
+
     def refit(self, data: Sequence[CaseData]) -> Fit:
         """Fit the model again with the stored parameters as initial values."""
         return robust_fit(

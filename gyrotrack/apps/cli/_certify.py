@@ -83,7 +83,7 @@ def certify_command(
     Example: gyrotrack certify case1.h5 -n 200
     """
     from fitting._workers import WorkerPool
-    from fitting.discovery._certificate import Certificate, certify, outcomes_of
+    from fitting.discovery._certificate import Certificate, certify, outcomes_of, planned
     from fitting.study._serialisation import certificate_document
 
     out = Output(as_json=as_json, quiet=quiet)
@@ -102,29 +102,32 @@ def certify_command(
     for case in cases if film else ():
         Filming.of(read_case(case))  # refuses a case without films before hours are spent
     pool = WorkerPool() if workers is None else WorkerPool(workers - 1)
-    with pool, out.progress("simulating recordings") as progress:
-        progress(0, None)
-        found, fit_id = study.answered(start, own, workers=pool)
-        earlier = study.ledger.find(fit_id).certificate(found, seed, film=film)
-        known = earlier.outcomes if earlier is not None else ()
-        empty = Certificate.of_answer(found, (), n, seed, film=film)
-        keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
-        if scheduler is None and not film:
-            done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
-        else:
-            words = [*(str(c.resolve()) for c in cases), "--seed", str(seed), "--from", fit_id]
-            words += ["--ledger", str(study.ledger.path.resolve())]
-            words += ["--effects", str(effects.resolve())] if effects is not None else []
-            words += ["--film"] if film else []
-            certificates = Certificates(tls_ca, tls_cert, tls_key)
-            place: Workers = (
-                LocalWorkers(workers or cores())
-                if scheduler is None
-                else ClusterWorkers(scheduler, new_sign(study.ledger.path.resolve().parent), certificates)
-            )
-            with closing(place):
-                done = _by_commands(found, empty, known, place, words, keep)
-        keep.store(done)
+    with pool:
+        with out.progress("analysing the recording") as progress:
+            progress(0, None)
+            found, fit_id = study.answered(start, own, workers=pool)
+        with out.progress("simulating recordings") as progress:
+            earlier = study.ledger.find(fit_id).certificate(found, seed, film=film)
+            known = earlier.outcomes if earlier is not None else ()
+            empty = Certificate.of_answer(found, (), n, seed, film=film)
+            keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
+            progress(0, len(planned(found, n)))  # the first recording takes its time
+            if scheduler is None and not film:
+                done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
+            else:
+                words = [*(str(c.resolve()) for c in cases), "--seed", str(seed), "--from", fit_id]
+                words += ["--ledger", str(study.ledger.path.resolve())]
+                words += ["--effects", str(effects.resolve())] if effects is not None else []
+                words += ["--film"] if film else []
+                certificates = Certificates(tls_ca, tls_cert, tls_key)
+                place: Workers = (
+                    LocalWorkers(workers or cores())
+                    if scheduler is None
+                    else ClusterWorkers(scheduler, new_sign(study.ledger.path.resolve().parent), certificates)
+                )
+                with closing(place):
+                    done = _by_commands(found, empty, known, place, words, keep)
+            keep.store(done)
     out.result({"fit_id": fit_id, **certificate_document(done)})
     out.show(_table(done, fit_id))
     return DONE

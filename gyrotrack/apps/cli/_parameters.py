@@ -63,7 +63,7 @@ def _key(fit: Fit, name: str) -> str:
 
 
 def _aligned(text: str, key: str) -> list[str]:
-    """Return a text with a key at the right end of its line, or on a line of its own."""
+    """Return a text with a key at the right end of the line, or on a second line."""
     room = _WIDTH - len(text) - len(key)
     return [f"{text}{' ' * room}{key}"] if room > 1 else [text, f"{key:>{_WIDTH}}"]
 

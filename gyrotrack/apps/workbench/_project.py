@@ -32,7 +32,8 @@ from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, 
 from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
 from gyrotrack.apps.workbench._history import Change, History, apply, difference
 from gyrotrack.apps.workbench._processes import Job, Jobs
-from gyrotrack.io._atomic import locked, new_file, new_path, refuse_special, remove_remains
+from gyrotrack.apps.workbench._uploads import Sent, Uploads
+from gyrotrack.io._atomic import locked, new_file, refuse_special, remove_remains
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
 from gyrotrack.io._records import Inertia, Recording
 from gyrotrack.io.readers._format_names import SUFFIXES
@@ -144,6 +145,7 @@ class Project:
         self._analysing = False  # whether each step is followed by the next one
         self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
+        self.uploads = Uploads(self.folder)
 
     def document(self) -> dict[str, Any]:
         """Return the state for the page."""
@@ -155,6 +157,7 @@ class Project:
                 "profiles": self.profiles(),
                 "samples": sample_folder() is not None,
                 "sources": [self._source_document(x) for x in s.sources],
+                "uploads": self.uploads.unfinished(),
                 "removed": [{"key": x.key, "name": Path(x.file).name} for x in s.removed],
                 "revision": self.revision,
                 "analysing": self._analysing,
@@ -365,29 +368,40 @@ class Project:
                     raise UsageError("This field cannot be set.", "Reload the page.")
             self._save(f"change of {name.replace('_', ' ')}")
 
-    async def receive(self, name: str, declared: int, pieces: AsyncIterator[bytes]) -> None:
-        """Write an uploaded file of the `declared` size [bytes] to the work folder, and add it.
+    async def receive(self, file: Sent, offset: int, pieces: AsyncIterator[bytes]) -> bool:
+        """Write an uploaded file to the work folder from byte `offset` on, and add it; return whether it is complete.
 
-        Folders in its name are ignored.
+        Folders in its name are ignored. What arrives before an interruption is kept: see `upload_state`.
         """
-        target = self._upload_target(name, declared)
-        with new_path(target) as part, part.open("r+b") as stream:
-            size = 0
-            async for piece in pieces:
-                size += len(piece)
-                if size > declared:
-                    break
-                stream.write(piece)
-            if size != declared:
-                what = f"The size of {target.name} is not as declared ({declared} bytes)."
-                raise UsageError(what, "Upload it again.")
+        target = self._upload_target(file)
+        part = await self.uploads.receive(file, offset, pieces)
+        if part is None:
+            return False
         try:
-            self.add(target, confined=True)
-        except GyrotrackError:
-            target.unlink(missing_ok=True)
-            raise
+            with self._lock:
+                target = self.folder / self._unused_name(target.name)
+                part.rename(target)
+                try:
+                    self.add(target, confined=True)
+                except GyrotrackError:
+                    target.unlink(missing_ok=True)
+                    raise
+        finally:
+            self.uploads.finished(file)
+        return True
 
-    def _upload_target(self, name: str, declared: int) -> Path:
+    def upload_state(self, file: Sent) -> dict[str, Any]:
+        """Return how much of a file has arrived; an error says that it cannot be uploaded."""
+        self._upload_target(file)
+        return self.uploads.state(file)
+
+    def discard_upload(self, key: str) -> None:
+        """Delete the part of a file that has arrived."""
+        self.uploads.discard(key)
+        self.revision += 1
+
+    def _upload_target(self, file: Sent) -> Path:
+        name, declared = file.name, file.size
         safe = re.sub(r"[^\w .+()-]", "_", name.replace("\\", "/").rpartition("/")[2]).strip(" .")[-120:]
         suffix = Path(safe).suffix.lower()
         if safe.startswith("-") or not (suffix in FILMS | TABLES | _DATASETS or safe == "study.toml"):
@@ -396,7 +410,7 @@ class Project:
         if not 0 < declared <= LARGEST_UPLOAD:
             what = f"{safe} has {declared} bytes; 1 to {LARGEST_UPLOAD} are accepted."
             raise UsageError(what, "Copy larger films to the work folder and select them there.")
-        if shutil.disk_usage(self.folder).free < 1.1 * declared:
+        if shutil.disk_usage(self.folder).free < 1.1 * (declared - self.uploads.state(file)["received"]):
             raise OutputError(f"There is not enough space for {safe} in {self.folder}.", "Free some space.")
         return self.folder / self._unused_name(safe)
 

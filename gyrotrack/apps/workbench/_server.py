@@ -34,6 +34,7 @@ from gyrotrack.apps.workbench._motion_charts import motion_board
 from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker, in_background
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
+from gyrotrack.apps.workbench._uploads import Sent
 from gyrotrack.io._hdf5 import read_case
 from gyrotrack.io._tables import valid
 from gyrotrack.plotting import _charts as charts
@@ -258,7 +259,7 @@ class Opened:
 
     @property
     def is_current(self) -> bool:
-        """Whether the file is that which was read."""
+        """Whether the file has not changed since it was read."""
         return self.stamp == _modified(self.case)
 
 
@@ -357,6 +358,9 @@ class Laboratory:
     def outcome(self, key: str) -> dict[str, Any]:
         """Return state, progress and document of the certificate, or of the plan of the next run."""
         job = self.jobs.get(key)
+        # a finished test is stored with its fit, which may be another one than that shown
+        if key == "certificate" and (job is None or job.state == "done"):
+            return {"state": "none", "document": self.session.certificate()}
         if job is None:
             return {"state": "none", "document": {}}
         document = job.document if job.state == "done" else {}
@@ -433,6 +437,7 @@ class Workbench:
                 ),
                 Route("/api/project/motion", self._get(lambda _: motion_board(p))),
                 Route("/api/project/frame", self._source_frame),
+                Route("/api/project/uploaded", self._get(lambda a: p.upload_state(sent(a)[0]))),
                 Route("/api/project/upload", self._upload, methods=["POST"]),
                 *(Route(f"/api/project/{k}", self._post(f), methods=["POST"]) for k, f in calls.items()),
             ]
@@ -494,6 +499,7 @@ class Workbench:
             "add": then(lambda a: p.add_named(text(a, "name"))),
             "samples": then(lambda _: p.add_samples()),
             "remove": then(lambda a: p.remove(text(a, "key"))),
+            "discard": then(lambda a: p.discard_upload(text(a, "key"))),
             "restore": then(lambda a: p.restore(text(a, "key"))),
             "undo": then(lambda _: p.undo()),
             "redo": then(lambda _: p.redo()),
@@ -676,15 +682,22 @@ class Workbench:
         return await pictured(work)
 
     async def _upload(self, request: Request) -> Response:
+        from starlette.requests import ClientDisconnect
         from starlette.responses import JSONResponse
 
         assert self.project is not None  # noqa: S101 - the route exists only then
-        length = request.headers.get("content-length", "")
-        declared = int(length) if length.isascii() and length.isdigit() and len(length) < _MAX_DIGITS else -1
+        query = dict(request.query_params)
         try:
-            await self.project.receive(request.query_params.get("name", ""), declared, request.stream())
+            file, offset = sent(query, request.headers.get("content-length", ""))
+            complete = await self.project.receive(file, offset, request.stream())
+        except ClientDisconnect:  # what has arrived is kept
+            return refusal(UsageError("The upload was interrupted.", "Send the file again to continue it."))
         except Exception as error:
             return refusal(error)
+        if not complete:
+            return refusal(
+                UsageError("A part of the file is missing.", "Send the file again to continue it.")
+            )
         return JSONResponse(self.project.document())
 
     def _quit(self, _query: dict[str, Any]) -> dict[str, Any]:
@@ -692,7 +705,20 @@ class Workbench:
         return {"stopped": True}
 
 
-_MAX_DIGITS = 15  # of a content length
+_MAX_DIGITS = 15  # of a number of bytes
+
+
+def sent(query: Mapping[str, Any], length: str = "") -> tuple[Sent, int]:
+    """Return the file that a page sends, and the byte from which on; without a size it is the content `length`."""
+
+    def count(text: str) -> int:
+        return int(text) if text.isascii() and text.isdigit() and len(text) < _MAX_DIGITS else -1
+
+    offset = count(str(query.get("offset", "0")))
+    size = count(str(query.get("size", length)))
+    if offset < 0:
+        raise UsageError("The upload does not say where it continues.", "Upload the file again.")
+    return Sent(text(dict(query), "name"), size, count(str(query.get("modified", "0")))), offset
 
 
 async def pictured(work: Callable[[], tuple[bytes, dict[str, str]]]) -> Response:

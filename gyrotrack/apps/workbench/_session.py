@@ -381,6 +381,18 @@ class Session:
             self._ledger.annotate(step.fit_id, name=step.name, note=step.note)
         return step.fit_id
 
+    def certificate(self) -> dict[str, Any]:
+        """Return the certificate that is stored with the current fit, as `certify --json`; empty without one."""
+        from fitting.study._serialisation import certificate_document
+
+        with self._lock:
+            fit_id = self.steps[self.current].fit_id
+            if not fit_id:
+                return {}
+            # written by another process
+            found = type(self._ledger)(self._ledger.path).find(fit_id).latest_certificate()
+        return {} if found is None else _document(certificate_document(found))
+
     def _sharpen(self, step: Step) -> None:
         from fitting.discovery._refine import refined
 

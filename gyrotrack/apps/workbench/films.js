@@ -50,6 +50,9 @@ const Films = (() => {
     undoable("films", project);
     same(at("removed"), JSON.stringify(project.removed), () => project.removed.map((x) => button(`restore ${x.name}`, `restore ${x.name}`, () => act("restore", { key: x.key }))));
     at("removed-list").hidden = project.removed.length === 0;
+    const stopped = sending ? [] : project.uploads;
+    at("stopped-list").hidden = stopped.length === 0;
+    same(at("stopped"), JSON.stringify(stopped), () => stopped.map((u) => element("li", {}, `${u.name}: ${Math.floor(100 * u.share)} % `, button("discard", `discard the part of ${u.name} that has arrived`, () => act("discard", { key: u.key })))));
     const working = Object.values(project.jobs).some(active) || project.sources.some((x) => Object.values(x.jobs).some(active));
     clearTimeout(timer);
     if (working) timer = setTimeout(refresh, 400);
@@ -322,7 +325,7 @@ const Films = (() => {
         bar.style.marginLeft = `${100 * (c.offset_s - first) / (last - first)}%`;
         bar.style.width = `${Math.max(0.5, 100 * (c.duration_s || 0) / (last - first))}%`;
         const text = c.rate === undefined ? "reference clock"
-          : `starts at ${c.offset_s.toFixed(4)} s \u00b1 ${(1e3 * c.offset_sigma_s).toPrecision(2)} ms; rate 1 ${c.rate < 1 ? "\u2212" : "+"} ${Math.abs(c.rate - 1).toExponential(1)} \u00b1 ${c.rate_sigma.toExponential(1)}; rms difference of the casing angles ${(1e3 * c.misfit_rad).toPrecision(2)} mrad${c.ambiguous ? "; AMBIGUOUS: the start is not unique" : ""}`;
+          : `starts at ${Charts.uncertain(c.offset_s, c.offset_sigma_s)} s; clock error ${Charts.uncertain(1e6 * (c.rate - 1), 1e6 * c.rate_sigma)} ppm; rms difference of the casing angles ${(1e3 * c.misfit_rad).toPrecision(2)} mrad${c.ambiguous ? "; AMBIGUOUS: the start is not unique" : ""}`;
         return element("div", { class: "clock" }, element("b", {}, c.name), element("span", { class: "line" }, bar), element("span", { class: c.ambiguous ? "fault" : "soft" }, text));
       });
     });
@@ -539,24 +542,58 @@ const Films = (() => {
     }
   }
 
-  /* upload a file with its progress; the request can be cancelled */
-  function upload(file) {
-    return new Promise((done) => {
-      complain(null);
-      const request = new XMLHttpRequest(), began = performance.now(), label = `uploading ${file.name}`;
-      const show = (loaded) => busy("upload", { done: loaded, total: file.size, seconds: (performance.now() - began) / 1000 }, label, () => request.abort());
-      request.open("POST", `/api/project/upload?name=${encodeURIComponent(file.name)}`);
-      request.upload.addEventListener("progress", (event) => show(event.loaded));
-      request.addEventListener("loadend", () => {
+  /* upload a file with its progress; it can be cancelled, continues by itself after an interruption, and where it
+   * stopped if the same file is chosen again, also after a restart */
+  async function upload(file) {
+    complain(null);
+    const words = `name=${encodeURIComponent(file.name)}&size=${file.size}&modified=${file.lastModified}`;
+    let cancelled = false, request = null;
+    const stop = () => { cancelled = true; request?.abort(); };
+    for (let attempt = 0; attempt < ATTEMPTS && !cancelled; attempt++) {
+      if (attempt) {
+        busy("upload", { seconds: 0 }, `connection lost, ${file.name} continues`, stop);
+        await new Promise((done) => setTimeout(done, Math.min(8000, 500 * 2 ** attempt)));
+      }
+      let known;
+      try { known = await ask(`/api/project/uploaded?${words}`); } catch (error) {
+        if (error.message.startsWith("No answer") && attempt + 1 < ATTEMPTS) continue;
         busy("upload", null);
-        try {
-          const found = JSON.parse(request.responseText);
-          if (found.error) complain(new Error(`${sentence(found.error.message)} ${found.error.hint}`)); else render(found);
-        } catch { if (request.status) complain(new Error(`The upload of ${file.name} failed. Try it again.`)); }
-        done();
-      });
+        complain(error);
+        return;
+      }
+      const offset = await same_(file, known) ? known.received : 0;
+      const answer = await part(file, offset, `${words}&offset=${offset}`, (r) => { request = r; if (cancelled) r.abort(); }, stop);
+      if (!answer) continue;
+      busy("upload", null);
+      if (answer.error) complain(new Error(`${sentence(answer.error.message)} ${answer.error.hint}`)); else render(answer);
+      return;
+    }
+    busy("upload", null);
+    if (!cancelled) complain(new Error(`The upload of ${file.name} was interrupted. Choose the file again: it continues where it stopped.`));
+    refresh();
+  }
+
+  const ATTEMPTS = 6;
+
+  /* whether the last bytes that have arrived are those of the file */
+  async function same_(file, known) {
+    if (!known.received) return false;
+    const tail = await file.slice(known.received - known.tail, known.received).arrayBuffer();
+    const sum = new Uint8Array(await crypto.subtle.digest("SHA-256", tail));
+    return [...sum].map((b) => b.toString(16).padStart(2, "0")).join("") === known.sha256;
+  }
+
+  /* send a file from a byte on; null if the connection was lost */
+  function part(file, offset, words, begun, cancel) {
+    return new Promise((done) => {
+      const request = new XMLHttpRequest(), began = performance.now();
+      const show = (loaded) => busy("upload", { done: offset + loaded, total: file.size, seconds: (performance.now() - began) / 1000 }, `uploading ${file.name}`, cancel);
+      request.open("POST", `/api/project/upload?${words}`);
+      request.upload.addEventListener("progress", (event) => show(event.loaded));
+      request.addEventListener("loadend", () => { try { done(JSON.parse(request.responseText)); } catch { done(null); } });
+      begun(request);
       show(0);
-      request.send(file);
+      request.send(file.slice(offset));
     });
   }
 

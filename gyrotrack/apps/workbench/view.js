@@ -109,6 +109,7 @@ const Laboratory = (() => {
         element("td", {}, r.parent >= 0 ? format(r.delta_bic, 3) : "\u2013"), acts);
     }));
     if (clip && shownFit !== state.current) film.show(film.index);
+    if (shownFit >= 0 && shownFit !== state.current) outcome("certificate");
     shownFit = state.current;
     for (const field of ["name", "note"]) if (document.activeElement !== at(field)) at(field).value = state.ladder.find((r) => r.place === state.current)?.[field] || "";
     enable();
@@ -372,13 +373,16 @@ const Laboratory = (() => {
     at(name === "plan" ? "plan" : "certify").disabled = running;
     at(`cancel-${name}`).hidden = !running;
     const line = at(name === "plan" ? "plan-state" : "certificate-state");
-    line.textContent = running ? progressText(name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "computing the next run" : state.total ? "simulating recordings" : "analysing the recording itself")
+    line.textContent = running ? progressText(expecting(name, state), name === "plan" ? "computing the next run" : state.total ? `simulating recordings, ${state.done} of ${state.total}` : "starting: the recording itself is analysed")
       : state.state === "failed" ? sentence(state.message) : state.state === "cancelled" ? (name === "plan" ? "Cancelled." : "Cancelled; the next test continues from here.") : "";
     line.classList.toggle("fault", state.state === "failed");
-    if (running) busy(name, name === "plan" ? { ...state, expected: 20 } : state, name === "plan" ? "planning" : "testing the answer", () => act(() => ask("/api/cancel", { key: name })).then(() => outcome(name)));
+    if (running) busy(name, expecting(name, state), name === "plan" ? "planning" : "testing the answer", () => act(() => ask("/api/cancel", { key: name })).then(() => outcome(name)));
     else busy(name, null);
     if (name === "certificate") certificate(state.document); else protocol(state.document);
   }
+
+  /* a step with its usual duration, until it counts its recordings */
+  const expecting = (name, state) => ({ ...state, expected: name === "plan" ? 20 : Number.isFinite(spent) ? spent : 12 });
 
   function certificate(d) {
     const box = at("certificate");

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.apps.cli._certify import _item, _Keeper
+from gyrotrack.apps.workbench._server import Laboratory
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,14 @@ def test_rates_are_printed_stored_and_shown_in_the_report(gyrotrack, wheel, tmp_
     assert said.code == 0
     assert "Of 3 simulated recordings" in said.out
     assert "  none, 3 recordings\n" in said.out
+    # the workbench shows it when it opens the case
+    laboratory = Laboratory.open(wheel, [])
+    try:
+        shown = laboratory.outcome("certificate")
+        assert shown["state"] == "none"
+        assert shown["document"]["sentence"] == found["sentence"]
+    finally:
+        laboratory.close()
     report = tmp_path / "report.html"
     assert gyrotrack("report", wheel, "-o", report, "-q").code == 0
     page = report.read_text(encoding="utf-8")

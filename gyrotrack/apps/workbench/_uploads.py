@@ -1,0 +1,127 @@
+"""Uploads to the work folder that continue where they stopped.
+
+The bytes that have arrived are kept in ``.upload-KEY.part``, with name and size of the file in ``.upload-KEY.json``.
+KEY is derived from name, size and date of the file, so that the same file, sent again by any page or after a restart,
+is found. Before it continues, the page compares the SHA-256 of the last bytes that have arrived with those of its file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gyrotrack._errors import OutputError, UsageError
+from gyrotrack.io._atomic import open_side_file
+
+_TAIL = 64 * 1024  # bytes whose checksum is compared before an upload continues
+_KEY_LENGTH = 16
+_MAX_ENTRY = 4096  # bytes
+
+
+class Sent(NamedTuple):
+    """A file that a page sends: name without folder, size [bytes], date [ms since 1970]."""
+
+    name: str
+    size: int
+    modified: int
+
+    @property
+    def key(self) -> str:
+        """Name under which its bytes are kept."""
+        text = f"{self.name}\n{self.size}\n{self.modified}"
+        return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
+
+
+class Uploads:
+    """The unfinished uploads of one work folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._active: set[str] = set()
+
+    def _part(self, key: str) -> Path:
+        return self._folder / f".upload-{key}.part"
+
+    def _entry(self, key: str) -> Path:
+        return self._folder / f".upload-{key}.json"
+
+    def state(self, file: Sent) -> dict[str, Any]:
+        """Return how many bytes of a file have arrived, and the SHA-256 of the last ones."""
+        part, received, tail = self._part(file.key), 0, b""
+        if part.exists():
+            with open_side_file(part) as stream:
+                received = min(os.fstat(stream.fileno()).st_size, file.size)
+                stream.seek(max(0, received - _TAIL))
+                tail = stream.read(min(received, _TAIL))
+        return {"received": received, "tail": len(tail), "sha256": hashlib.sha256(tail).hexdigest()}
+
+    def unfinished(self) -> list[dict[str, Any]]:
+        """Return the files of which a part has arrived and that are not being sent now."""
+        found = []
+        for entry in sorted(self._folder.glob(".upload-*.json")):
+            with suppress(OSError, ValueError, KeyError, TypeError, OutputError):
+                with open_side_file(entry) as stream:
+                    stated = json.loads(stream.read(_MAX_ENTRY))
+                file = Sent(str(stated["name"]), int(stated["size"]), int(stated["modified"]))
+                if entry == self._entry(file.key) and file.key not in self._active:
+                    share = self.state(file)["received"] / file.size
+                    found.append({"key": file.key, "name": file.name, "share": share})
+        return found
+
+    def discard(self, key: str) -> None:
+        """Delete the part of a file that has arrived."""
+        if key in self._active:
+            raise UsageError("This file is being uploaded.", "Cancel the upload first.")
+        if key not in {u["key"] for u in self.unfinished()}:
+            raise UsageError("There is no such upload.", "Reload the page.")
+        self._forget(key)
+
+    def _forget(self, key: str) -> None:
+        for path in (self._part(key), self._entry(key)):
+            path.unlink(missing_ok=True)
+
+    async def receive(self, file: Sent, offset: int, pieces: AsyncIterator[bytes]) -> Path | None:
+        """Write the bytes of a file from `offset` on; return the path of the whole file, or None if some are missing.
+
+        What arrives before an interruption is kept. The caller moves the returned file to its place.
+        """
+        with self._sending(file.key):
+            self._entry(file.key).write_text(json.dumps(file._asdict()), encoding="utf-8")
+            part = self._part(file.key)
+            with open_side_file(part, os.O_RDWR | os.O_CREAT) as stream:
+                if offset > os.fstat(stream.fileno()).st_size:
+                    what = f"{file.name} cannot continue at byte {offset}: fewer have arrived."
+                    raise UsageError(what, "Upload it again.")
+                stream.truncate(offset)
+                stream.seek(offset)
+                size = offset
+                async for piece in pieces:
+                    size += len(piece)
+                    if size > file.size:
+                        break
+                    stream.write(piece)
+                    stream.flush()
+            if size > file.size:
+                self._forget(file.key)
+                what = f"The size of {file.name} is not as declared ({file.size} bytes)."
+                raise UsageError(what, "Upload it again.")
+            return part if size == file.size else None
+
+    def finished(self, file: Sent) -> None:
+        """Forget a file that has arrived and was moved or refused."""
+        self._forget(file.key)
+
+    @contextmanager
+    def _sending(self, key: str) -> Iterator[None]:
+        if key in self._active:
+            raise UsageError("This file is already being uploaded.", "Wait until it has arrived.")
+        self._active.add(key)
+        try:
+            yield
+        finally:
+            self._active.discard(key)
