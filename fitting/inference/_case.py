@@ -48,6 +48,11 @@ _KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u")
 _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
 
 
+def is_body_name(name: str) -> bool:
+    """Whether a text can be the name of a body alone: an identifier without a meaning in the library."""
+    return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
+
+
 def outward(name: str, body: str) -> str:
     """Return a name of the library as that of a body alone; names of a gyroscope stay as they are."""
     if not body:
@@ -162,7 +167,7 @@ class Case:
                 f"bodies {', '.join(sorted(names))}: a case has one body, or the casing and the rotor of a gyroscope",
                 "give one body, or casing=dict(...) and rotor=dict(...)",
             )
-        if not gyroscope and (names[0] in _TAKEN - {"casing"} or not _BODY_NAME.fullmatch(names[0])):
+        if not gyroscope and not is_body_name(names[0]):
             raise RecordError(
                 f"{names[0][:40]!r} cannot be the name of a body alone: laws have a meaning for it",
                 "choose another name, for example wheel or disc",

@@ -187,6 +187,7 @@ def _read(path: Path, file: Any) -> Record:
         casing=casing,
         rotor=rotor,
         single=single,
+        name=_body_name(attributes) if single else "",
         start_sigma=_start_sigma(file, window, float(np.asarray(attributes.get("start_u", np.nan)))),
         quantity=quantity,
         source=str(path),
@@ -194,6 +195,14 @@ def _read(path: Path, file: Any) -> Record:
         correlated=_correlated(file),
         inputs=_inputs(path, file),
     )
+
+
+def _body_name(attributes: dict[str, Any]) -> str:
+    """Return the name of a single body; empty if there is none that keys of laws may begin with."""
+    from fitting.inference._case import is_body_name
+
+    name = text(attributes.get("body_name"))
+    return name if is_body_name(name) else ""
 
 
 # largest number of inputs that are read

@@ -86,6 +86,7 @@ class SpindownOptions:
     # times to include and to exclude, and whether to keep drive and rest at the ends of the record
     limits: Limits = field(default_factory=Limits)
     label: str = ""  # name of the case
+    body_name: str = ""  # name of the body, for example wheel
     # markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers
     profile: Path | None = None
     body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
@@ -155,6 +156,7 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
             )
         series = _rows(series, slice(first, last))
     case = replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem)
+    case = replace(case, body_name=options.body_name)
     return Source(case, body, table)
 
 

@@ -300,6 +300,16 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     return prior.renamed(renamed)
 
 
+def checked_body_name(name: str) -> str:
+    """Return the name of a single body; a UsageError says what is accepted."""
+    from fitting.inference._case import is_body_name
+
+    if name and not is_body_name(name):
+        what = f"{name[:40]!r} cannot be the name of a body: laws have a meaning for it, or it is no single word."
+        raise UsageError(what, "Use one word of letters and digits, for example wheel or disc.")
+    return name
+
+
 def read_cases(
     cases: Sequence[Path], *, data: str | None = None, rotor: str = "windows"
 ) -> tuple[CaseData, ...]:

@@ -88,7 +88,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 
 def describe_case(case: Case) -> dict[str, Any]:
     """Return a summary of a case: label, inertias, series, windows and clips."""
-    names = ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "per_inertia")
+    names = ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "body_name", "per_inertia")
     out: dict[str, Any] = {name: getattr(case, name) for name in names}
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}

@@ -366,6 +366,8 @@ class Case(_Tabular):
         Measured quantity; with "omega" the angle is its integral.
     bodies : {"two", "one"}
         With "one" the series `casing` is that of the single body, and `rotor` is empty.
+    body_name : str
+        Name of the single body, for example "wheel"; empty without one.
     per_inertia : int
         1 if no moment of inertia is known: `I_casing` is 1, and torques are per unit of inertia [rad/s2].
     inputs : tuple of Input
@@ -385,14 +387,20 @@ class Case(_Tabular):
     warnings: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
     bodies: str = "two"
+    body_name: str = ""
     per_inertia: int = 0
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
     start_u: float = math.nan
     inputs: tuple[Input, ...] = ()
 
+    @property
+    def main_body(self) -> str:
+        """Name of the body of the series `casing`: "casing", or that of a single body."""
+        return "casing" if self.bodies == "two" else self.body_name or "body"
+
     def __repr__(self) -> str:
-        bodies = [("body" if self.bodies == "one" else "casing", self.casing), ("rotor", self.rotor)]
+        bodies = [(self.main_body, self.casing), ("rotor", self.rotor)]
         lines = [f"Case {self.label!r}: {'angles' if self.quantity == 'angle' else 'angular velocities'}"]
         lines += [
             f"  {name}: {len(s.time)} samples, {s.time[0]:.6g} to {s.time[-1]:.6g} s, "

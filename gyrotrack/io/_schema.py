@@ -244,6 +244,7 @@ CASE_ATTRIBUTES = (
         0,
     ),
     Attribute("bodies", str, "", "two, or one (a single body, stored as the casing)", "two"),
+    Attribute("body_name", str, "", "name of a single body, for example wheel; empty without one", ""),
 )
 
 PLACEMENT_ATTRIBUTES = (

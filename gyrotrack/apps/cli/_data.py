@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import UsageError
+from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line, printable, sparkline
 from gyrotrack.apps.cli._settings import option
@@ -72,6 +73,7 @@ def import_command(
         ),
     ] = None,
     label: shared.Label = None,
+    body_name: shared.BodyName = "",
     surface: shared.Surface = "",
     inertia_rotor: shared.InertiaRotor = None,
     inertia_casing: shared.InertiaCasing = None,
@@ -136,6 +138,10 @@ def import_command(
     else:
         what = "A case needs either --casing and --rotor, or --body and --inertia."
         raise UsageError(what, "Give one of these pairs.")
+    if body is not None:
+        case = replace(case, body_name=checked_body_name(body_name))
+    elif body_name:
+        raise UsageError("--body-name is the name of a single body.", "Use it with --body, or omit it.")
     settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
     if dry_run:
         output = None
@@ -153,7 +159,7 @@ def import_command(
     out.result(document)
     if dry_run:
         out.show(*map(_reading_table, document["reading"]), *_plots(case))
-    out.show(*shared.reading_lines(document["reading"]), _lines(document))
+    out.show(*shared.reading_lines(document["reading"]), _lines(document, case.main_body))
     return NOT_TRUSTED if case.extra["doubts"] else DONE
 
 
@@ -204,7 +210,7 @@ def _plots(case: Case) -> list[str]:
     from fitting._numbers import speed, speed_unit
 
     lines = []
-    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+    for name, series in ((case.main_body, case.casing), ("rotor", case.rotor)):
         omega = series.omega[np.isfinite(series.omega)]
         if len(omega):
             lines.append(
@@ -219,7 +225,7 @@ def _plotted(case: Case) -> list[dict[str, Any]]:
     import numpy as np
 
     found = []
-    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+    for name, series in ((case.main_body, case.casing), ("rotor", case.rotor)):
         known = np.flatnonzero(np.isfinite(series.omega))
         rows = known[:: max(len(known) // _MOST_PLOTTED, 1)]
         if len(rows):
@@ -229,7 +235,7 @@ def _plotted(case: Case) -> list[dict[str, Any]]:
     return found
 
 
-def _lines(document: dict[str, Any]) -> str:
+def _lines(document: dict[str, Any], body: str) -> str:
     from fitting._numbers import speed_unit
 
     casing, windows = document["casing"], document["rotor"]["windows"]
@@ -237,7 +243,7 @@ def _lines(document: dict[str, Any]) -> str:
     heading = f"sigma [{unit}]"
     rate = f"speed [{speed_unit()}]"
     lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{rate:>20}{heading:>16}"]
-    lines.append(_line("casing" if windows else "body", casing))
+    lines.append(_line(body, casing))
     lines += [_line(f"rotor {window['window']}", window) for window in windows]
     return "\n".join(
         [*lines, f"written: {document['output']}" if document["output"] else "nothing was written"]
@@ -358,7 +364,7 @@ def _case_lines(summary: dict[str, Any]) -> list[str]:
         f"measured {'angles' if summary['quantity'] == 'angle' else 'angular velocities'}",
         "",
         _header("mrad" if summary["quantity"] == "angle" else "mrad/s"),
-        _motion_line("casing" if summary["bodies"] == "two" else "body", summary["casing"]),
+        _motion_line(_main_body(summary), summary["casing"]),
     ]
     lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
     if summary["inputs"]:
@@ -370,6 +376,10 @@ def _case_lines(summary: dict[str, Any]) -> list[str]:
             lines.append(_placement_line(clip["placement"]))
         lines += _recording_lines(clip)
     return lines
+
+
+def _main_body(summary: dict[str, Any]) -> str:
+    return "casing" if summary["bodies"] == "two" else summary["body_name"] or "body"
 
 
 def _input_line(name: str, i: dict[str, Any]) -> str:

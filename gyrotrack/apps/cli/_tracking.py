@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrotrack._errors import UsageError
+from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
 from gyrotrack.apps.cli._settings import option
@@ -563,6 +564,7 @@ def spindown_command(
         ),
     ] = False,
     label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
+    body_name: shared.BodyName = "",
     force: shared.Force = False,
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -597,6 +599,7 @@ def spindown_command(
         pulses_per_turn=pulses_per_turn,
         limits=Limits(start, stop, read_cuts(cut or ()), keep_all),
         label=label,
+        body_name=checked_body_name(body_name),
         profile=profile,
         body=body.value if body else None,
         columns=tuple(columns or ()),

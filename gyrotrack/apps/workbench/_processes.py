@@ -43,7 +43,7 @@ _BACKGROUND = 10  # added to the niceness of computations: the page is answered 
 
 
 def in_background(process: int) -> None:
-    """Lower the priority of a process, or of a thread by its native number (Linux); elsewhere nothing changes."""
+    """Lower the priority of a process; where the system has none, nothing changes."""
     with suppress(OSError, AttributeError):
         os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _BACKGROUND)
 

@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps._sample import sample_folder
+from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
 from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, without_correction
@@ -102,6 +103,7 @@ class State(BaseModel):
     inertia_rotor: _Text = ""
     inertia_casing: _Text = ""
     inertia: _Text = ""
+    body_name: Annotated[str, Field(pattern=r"^([A-Za-z][A-Za-z0-9_]{0,40})?$")] = ""
     label: _Text = ""
     surface: _Text = ""
     case: _OwnFile = ""
@@ -355,6 +357,8 @@ class Project:
             if not key:
                 if name not in _FIELDS or not isinstance(value, str):
                     raise UsageError("This field cannot be set.", "Reload the page.")
+                if name == "body_name":
+                    checked_body_name(value.strip())
                 setattr(self.state, name, value.strip())
             else:
                 x = self.source(key)
@@ -641,7 +645,8 @@ class Project:
         return ["extract", _argument(x.file), *rate, *profile, "-o", x.output]
 
     def _single_options(self) -> list[str]:
-        return [f"--{k}={getattr(self.state, k)}" for k in ("inertia", "label") if getattr(self.state, k)]
+        names = ("inertia", "label", "body_name")
+        return [f"--{k.replace('_', '-')}={v}" for k in names if (v := getattr(self.state, k))]
 
     def track(self, keys: Sequence[str] = ()) -> None:
         """Track films, by default all that are not tracked with their current settings."""
@@ -929,7 +934,7 @@ class Project:
         self._holds.close()
 
 
-_FIELDS = ("label", "surface", "inertia_rotor", "inertia_casing", "inertia")
+_FIELDS = ("label", "surface", "body_name", "inertia_rotor", "inertia_casing", "inertia")
 
 
 def _reading_document(document: dict[str, Any]) -> dict[str, Any]:

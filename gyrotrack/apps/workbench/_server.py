@@ -20,7 +20,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from threading import Lock, Thread, get_native_id
+from threading import Lock, Thread
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
@@ -31,7 +31,7 @@ from gyrotrack.apps.report._page import is_report
 from gyrotrack.apps.workbench import _films as films
 from gyrotrack.apps.workbench._address import Address
 from gyrotrack.apps.workbench._motion_charts import motion_board
-from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker, in_background
+from gyrotrack.apps.workbench._processes import Job, Jobs, Ranker
 from gyrotrack.apps.workbench._project import Project
 from gyrotrack.apps.workbench._session import Session, library_document
 from gyrotrack.apps.workbench._uploads import Sent
@@ -554,7 +554,6 @@ class Workbench:
         self._reading = reading
 
         def work() -> None:
-            in_background(get_native_id())
             try:
                 reading.set_result(Opened.of(case))
             except Exception as error:  # it is read again when the laboratory opens, which then says why

@@ -628,7 +628,7 @@ const Films = (() => {
     act("fit", {});
   });
   for (const step of ["match", "fit"]) at(`cancel-${step}`).addEventListener("click", () => { wantsLaboratory = false; act("cancel", { step }); });
-  for (const name of ["inertia_rotor", "inertia_casing", "inertia", "label", "surface"]) at(name).addEventListener("change", () => act("set", { name, value: at(name).value }));
+  for (const name of ["inertia_rotor", "inertia_casing", "inertia", "label", "surface", "body_name"]) at(name).addEventListener("change", () => act("set", { name, value: at(name).value }));
   at("analyse").addEventListener("click", () => { wantsLaboratory = true; act("analyse", {}); });
   at("follow").addEventListener("click", () => act("follow", { key: chosen }));
   at("find").addEventListener("click", () => act("find", { key: chosen }));

@@ -66,3 +66,20 @@ def test_the_key_is_beneath_the_words_unless_it_is_the_same():
     assert key_beneath("law -k*t on the casing", "") == ["law -k*t on the casing"]
     assert key_beneath("a", "a") == ["a"]
     assert key_beneath("linear air drag", "air.linear") == ["linear air drag", "  (air.linear)"]
+
+
+def test_the_name_of_a_body_is_stored_in_the_case_and_used_in_every_sentence(gyrotrack, tmp_path):
+    rng = np.random.default_rng(2)
+    rows = "".join(f"{k / 10},{20 * math.exp(-k / 100) + rng.normal(0, 0.01):.4f},0.01\n" for k in range(200))
+    table, case = tmp_path / "run.csv", tmp_path / "run.h5"
+    table.write_text("t,omega,sigma\n" + rows, encoding="utf-8")
+    words = ("import", "--body", table, "--inertia", "2e-3", "-o", case)
+    refused = gyrotrack(*words, "--body-name", "rotor")
+    assert refused.code == 2
+    assert "cannot be the name of a body" in refused.err
+    assert "\nflywheel " in "\n" + gyrotrack(*words, "--body-name", "flywheel").out
+    assert "\nflywheel " in gyrotrack("info", case).out
+    said = gyrotrack("fit", case).out
+    assert "air drag of the flywheel" in said
+    assert "casing" not in said
+    assert gyrotrack("import", "--casing", table, "--rotor", table, "--body-name", "x", "--dry-run").code == 2
