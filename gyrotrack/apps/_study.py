@@ -305,7 +305,9 @@ def checked_body_name(name: str) -> str:
     from fitting.inference._case import is_body_name
 
     if name and not is_body_name(name):
-        what = f"{name[:40]!r} cannot be the name of a body: laws have a meaning for it, or it is no single word."
+        what = (
+            f"{name[:40]!r} cannot be the name of a body: it has another meaning in laws, or is not one word."
+        )
         raise UsageError(what, "Use one word of letters and digits, for example wheel or disc.")
     return name
 
