@@ -1,5 +1,6 @@
 """From films to the missing effect, with the mouse alone, in a real browser."""
 
+import base64
 import json
 import re
 import shutil
@@ -234,3 +235,26 @@ def test_a_table_shows_how_it_is_read_before_it_becomes_a_case(open_page, tmp_pa
     plot.wait_for()
     assert "speed of the" in plot.get_attribute("aria-label")
     assert accessibility(page) == []
+
+
+@pytest.mark.slow
+def test_an_interrupted_upload_continues_where_it_stopped(open_page, tmp_path):
+    film = CLIPS / "rotor_1.mp4"
+    content = film.read_bytes()
+    page = open_page()
+    words = f"name=rotor_1.mp4&size={len(content)}&modified={int(film.stat().st_mtime * 1000)}"
+    half = len(content) // 2
+    page.evaluate(
+        "([words, part]) => fetch(`/api/project/upload?${words}&offset=0`, {method: 'POST',"
+        " body: Uint8Array.from(atob(part), (c) => c.charCodeAt(0))}).then((r) => r.status)",
+        [words, base64.b64encode(content[:half]).decode()],
+    )
+    page.reload()
+    page.locator("#stopped", has_text="rotor_1.mp4: ").wait_for()
+    offsets = []
+    page.on("request", lambda r: offsets.append(r.url) if "/api/project/upload?" in r.url else None)
+    page.set_input_files("#choose", [str(film)])
+    page.locator(".card", has_text="rotor_1.mp4").wait_for(timeout=30_000)
+    assert [re.search(r"offset=(\d+)", url)[1] for url in offsets] == [str(half)]
+    assert (tmp_path / "rotor_1.mp4").read_bytes() == content
+    page.locator("#stopped-list").wait_for(state="hidden")
