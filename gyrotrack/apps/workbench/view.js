@@ -72,6 +72,7 @@ const Laboratory = (() => {
     at("verdict").textContent = VERDICTS[state.verdict] || state.verdict;
     at("verdict").className = state.verdict;
     undoable("laboratory", state);
+    if (state.revision !== answered) at("limits").hidden = true;
     if (state.revision !== answered) at("sentence").textContent = state.verdict === "no_lack_of_fit" ? "The model describes the data within the noise." : "The deviation of the model exceeds the noise in the shaded intervals.";
     shown = state.current;
     charts = state.board.charts.filter((c) => !["sigma", "centre"].includes(c.name));
@@ -351,7 +352,10 @@ const Laboratory = (() => {
   /* the answer first; what every fit corrects is folded with the measures */
   function say(text) {
     const parts = text.replace(/^Significant lack of fit: /, "").split(/(?<=\.)\s+(?=[A-Z])/), answer = parts.filter((t) => /^(Missing|Cannot be told apart)\b/.test(t));
-    const corrected = parts.filter((t) => t.includes("nuisance parameter")), rest = parts.filter((t) => !answer.includes(t) && !corrected.includes(t));
+    const corrected = parts.filter((t) => t.includes("nuisance parameter")), hidden = parts.filter((t) => t.startsWith("Effects that could still be hidden"));
+    const rest = parts.filter((t) => ![answer, corrected, hidden].some((known) => known.includes(t)));
+    at("limits").hidden = hidden.length === 0;
+    at("limits-text").textContent = hidden.join(" ");
     at("sentence").replaceChildren(...answer.map((t) => element("strong", {}, t)), explained(sentence(rest.join(" "))));
     at("also").textContent = corrected.join(" ");
   }
