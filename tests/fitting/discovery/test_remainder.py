@@ -162,6 +162,7 @@ def test_a_law_outside_the_library_is_not_named_exactly():
     found = answer("resonance")
     assert found.form != "exact"
     assert found.verdict == "unexplained"
+    assert "No effect of the library explains it" in found.sentence
     assert found.explained < 0.95
     assert "% of the mean square unmodelled torque" in found.sentence
 

@@ -625,11 +625,11 @@ def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("periods", "searched"), [(30, True), (130, False)])
+@pytest.mark.parametrize(("periods", "searched"), [(12, True), (130, False)])
 def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_laws(
     tmp_path, capsys, monkeypatch, periods, searched
 ):
-    """A dry friction that begins halfway is no law of the list; 30 periods are searched for it."""
+    """A dry friction that begins halfway is no law of the list; 12 periods are searched for it."""
     monkeypatch.chdir(tmp_path)
     t = np.arange(0, periods * 2 * np.pi / 5, 0.05)
     later = 0.5 * t[-1]
