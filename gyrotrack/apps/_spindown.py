@@ -42,6 +42,7 @@ from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
+from gyrotrack.tracking._first_look import first_look, follow_long_body
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import (
     TrackedPoint,
@@ -246,6 +247,9 @@ def _film(
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
+    if (known := _by_silhouette(film, options, progress)) is not None:
+        recording, point = known
+        return recording, (film, point)
     try:
         recording, tracked = film_recording(film, options, progress)
     except TrackingError as error:
@@ -277,6 +281,24 @@ def _film(
     return recording, (film, tracked)
 
 
+def _by_silhouette(
+    film: Film, options: SpindownOptions, progress: Progress | None
+) -> tuple[Recording, TrackedPoint] | None:
+    """Track a ball on a string or a long body about a tilted axis, as the silhouettes of a few frames show it.
+
+    None for any other film. A ball whose pivot is inside the picture is left to the tracker of textures.
+    """
+    look = first_look(film)
+    if look.long is not None and options.tilt is None:
+        with suppress(TrackingError):
+            found = follow_long_body(film, look.long)
+            return _recording_of(film, options, found), found
+    if look.pendulum(options.hub):
+        with suppress(TrackingError):
+            return point_recording(film, options, progress)
+    return None
+
+
 def _papers_markers(
     source: Path, film: Film, options: SpindownOptions, progress: Progress | None
 ) -> Recording | None:
@@ -284,7 +306,8 @@ def _papers_markers(
     if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
-    with suppress(GyrotrackError):
+    # a drawn body whose angle never changes has no unique prediction: it is no marker that turns
+    with suppress(GyrotrackError, np.linalg.LinAlgError):
         if not is_coloured(source):
             return None
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)

@@ -14,8 +14,11 @@ I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a stri
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -26,6 +29,17 @@ from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._pivot import fit_arc
+from gyrotrack.tracking._silhouettes import (
+    ALIKE,
+    AS_LARGE,
+    Spot,
+    compact_body,
+    depth_of,
+    differs,
+    median_picture,
+    spot_of,
+    spots_in,
+)
 
 Floats = npt.NDArray[np.float64]
 Frames = npt.NDArray[np.int64]
@@ -35,21 +49,18 @@ Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _BACKGROUND = 60  # frames of which the background is the median, at most
-_BAND = 64  # rows of the picture of which the median is taken at a time
 _FEWEST = 12  # frames of a path
-_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
-_FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
-_SMALLEST = 1.5  # smallest radius of a spot [px]
-_OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
 _CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
+_COMPARED = 30  # frames in which the size of the only body is compared
+_LATE = 0.1  # share of the frames before the one in which it is seen first, at most
 _REACH = 12.0  # largest distance of a spot from the point that was given [px]
-_AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
 _SHARP = 0.05  # standard uncertainty of the position that a patch must allow [px]
 _MATCHED = 0.35  # mean square difference of a match over the contrast of the patch, at most
 _ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
 # smallest mean square difference from the background of a match over that of the patch in the first frame
 _PRESENT = 0.4
+_TEMPLATE = 12.0  # radius to which the picture of a large patch is reduced, by a whole factor [px]
 _COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
 _FOUND = 0.6  # smallest share of the frames in which a patch is found
 _LEARNT = 200  # frames from which the picture of the patch is learnt, at most
@@ -65,15 +76,6 @@ _UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
 # standard uncertainty of a rough position [px], and largest radial scatter of a rough path over its extent
 _ROUGH, _ROUGHLY_ROUND = 0.5, 0.06
 HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the patch
-
-
-@dataclass(frozen=True)
-class Spot:
-    """A patch of a frame: its centre (x, y), the radius, and the pixels of the body in a square about the centre."""
-
-    place: tuple[float, float]
-    radius: float  # [px]
-    mask: Plane
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,9 @@ def track_point(
     refuse_cut(film, usable)
     sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
     noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
-    background = _median(sample)
-    first = film.some(usable[:1])[0]
+    background = median_picture(sample)
     if start is not None:
+        first = film.some(usable[:1])[0]
         height, width = first.shape
         if not (0 <= start[0] < width and 0 <= start[1] < height):
             what = (
@@ -141,13 +143,103 @@ def track_point(
             first, noise, start, _moving(first, background, noise)
         )
     else:
-        spot = _only_spot(first, background, noise, film.path.name)
+        skipped, spot = _only_spot(film, usable, sample, background, noise)
+        usable = usable[skipped:]
+    factor = max(round(spot.radius / _TEMPLATE), 1)
+    where, unselected = spot.place, start is None
+    if factor == 1:
+        return _tracked(
+            film, usable, spot, background, noise, turn_of, progress, where=where, unselected=unselected
+        )
+    # the noise of the pixels that are averaged is independent: a smaller picture determines the position as well
+    small = _Reduced(film, factor)
+    path = _tracked(
+        small,
+        usable,
+        small.spot(spot),
+        small.mean(background).astype(np.float32),
+        noise / factor,
+        lambda place: turn_of(small.seen(place)),
+        progress,
+        where=where,
+        unselected=unselected,
+    )
+    return replace(
+        path,
+        place=small.seen(path.place),
+        covariance=factor**2 * path.covariance,
+        radius=factor * path.radius,
+    )
+
+
+class _Frames(Protocol):
+    """What is tracked: a film, or one whose frames are reduced."""
+
+    @property
+    def path(self) -> Path: ...
+
+    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
+
+    def some(self, index: Frames) -> Sequence[Plane]: ...
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """A film with the means of squares of `factor` px as pixels."""
+
+    film: Film
+    factor: int
+
+    @property
+    def path(self) -> Path:
+        return self.film.path
+
+    def mean(self, picture: Plane | Picture) -> npt.NDArray[Any]:
+        height, width = (n // self.factor for n in picture.shape)
+        whole = picture[: height * self.factor, : width * self.factor]
+        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+
+    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
+        for frame in self.film.frames(first, stop):
+            yield np.asarray(self.mean(frame), dtype=np.uint8)
+
+    def some(self, index: Frames) -> Sequence[Plane]:
+        return [np.asarray(self.mean(frame), dtype=np.uint8) for frame in self.film.some(index)]
+
+    def seen(self, place: Floats) -> Floats:
+        """Return where places (n, 2) of the reduced picture are in the film."""
+        return (place + 0.5) * self.factor - 0.5
+
+    def spot(self, spot: Spot) -> Spot:
+        """Return a spot of the film in the reduced picture."""
+        x, y = (np.array(spot.place) + 0.5) / self.factor - 0.5
+        middle = spot.mask.shape[0] // 2
+        half = math.ceil(middle / self.factor)
+        there = middle + self.factor * np.arange(-half, half + 1)
+        inside = np.flatnonzero((there >= 0) & (there < len(spot.mask)))
+        mask = np.zeros((len(there), len(there)), dtype=np.uint8)
+        mask[np.ix_(inside, inside)] = spot.mask[np.ix_(there[inside], there[inside])]
+        return Spot((float(x), float(y)), spot.radius / self.factor, mask)
+
+
+def _tracked(
+    film: _Frames,
+    usable: Frames,
+    spot: Spot,
+    background: Picture,
+    noise: float,
+    turn_of: Turn,
+    progress: Progress | None,
+    *,
+    where: tuple[float, float],
+    unselected: bool,
+) -> PointPath:
     rough, found = _follow(film, usable, spot, background)
-    if start is None and found.mean() >= _FOUND:
+    if unselected and found.mean() >= _FOUND:
         _retraced(rough[found], film.path.name)
     if found.mean() < _FOUND or found.sum() < _FEWEST:
         raise TrackingError(
-            f"The point at ({spot.place[0]:.0f}, {spot.place[1]:.0f}) px in {film.path.name} is followed through "
+            f"The point at ({where[0]:.0f}, {where[1]:.0f}) px in {film.path.name} is followed through "
             f"{found.sum()} of {len(found)} frames only.",
             "Give a more distinct point with --point X,Y, or cut the film to the motion.",
         )
@@ -175,44 +267,9 @@ def _retraced(place: Floats, name: str) -> None:
         )
 
 
-def _median(sample: Sequence[Plane]) -> Picture:
-    bands = range(0, len(sample[0]), _BAND)
-    return np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands]).astype(
-        np.float32
-    )
-
-
-def _differs(frame: Plane, background: Picture, noise: float) -> Plane:
-    """Return 1 where a frame differs from the background by more than noise."""
-    away = cv2.blur(np.abs(frame - background), (3, 3))
-    limit = max(_CONTRAST * noise / 3.0, _FAINTEST * float(np.quantile(away, 0.999)))
-    return np.asarray(away > limit, dtype=np.uint8)
-
-
-def _spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
-    """Return the compact part about the pixel `top` (x, y), the farthest from the edge, of a region; None if small."""
-    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    inner = float(depth[top[1], top[0]])
-    if inner < _SMALLEST:
-        return None
-    size = max(int(_OPENED * inner), 1)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
-    _, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))
-    number = label[top[1], top[0]]
-    if number == 0:
-        return None
-    y, x = np.nonzero(label == number)
-    centre = (float(x.mean()), float(y.mean()))
-    radius = math.sqrt(len(x) / math.pi)
-    half = math.ceil(float(np.hypot(x - centre[0], y - centre[1]).max())) + 1
-    mask = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.uint8)
-    mask[y - round(centre[1]) + half, x - round(centre[0]) + half] = 1
-    return Spot(centre, radius, mask)
-
-
 def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float, float]) -> Spot | None:
     """Return the compact moving body at a place of a frame; None if there is none."""
-    region = _differs(frame, background, noise)
+    region = differs(frame, background, noise)
     y, x = np.nonzero(region)
     if not len(x):
         return None
@@ -220,7 +277,7 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
     nearest = int(np.argmin(away))
     if away[nearest] > _REACH:
         return None
-    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    depth = depth_of(region)
     at = (int(x[nearest]), int(y[nearest]))
     while True:  # to the middle of the part that was pointed at
         reach = max(2, math.ceil(0.5 * float(depth[at[1], at[0]])))
@@ -231,7 +288,7 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
         if depth[best[1], best[0]] <= depth[at[1], at[0]]:
             break
         at = best
-    spot, inner = _spot_of(region, at), float(depth[at[1], at[0]])
+    spot, inner = spot_of(region, at), float(depth[at[1], at[0]])
     if spot is None or math.dist(spot.place, place) <= max(inner, _REACH):
         return spot
     # rods join the part that was pointed at to others: the inscribed disc about its middle
@@ -245,54 +302,51 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
     return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
-def _only_spot(frame: Plane, background: Picture, noise: float, name: str) -> Spot:
-    """Return the largest compact body that moves; a TrackingError if there is none, or another one as large."""
-    region = _differs(frame, background, noise)
-    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    # bodies that rods or strings join are apart in the region that a slightly smaller disc covers
-    size = max(int(_AS_LARGE * float(depth.max())), 1)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
-    count, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))
-    tops = []
-    for number in range(1, count):
-        inside = np.where(label == number, depth, 0.0)
-        row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
-        tops.append((float(inside[row, column]), (int(column), int(row))))
-        if len(tops) > 50:
+def _only_spot(
+    film: Film, usable: Frames, sample: Sequence[Plane], background: Picture, noise: float
+) -> tuple[int, Spot]:
+    """Return the compact body that moves, and the number of frames before the first one that shows it.
+
+    It has the size of the largest one in most frames of a sample: what passes through a few frames, for example a hand
+    or a shadow at the start, is another body. A TrackingError is raised if there is none, or another one as large.
+    """
+    body = compact_body(sample[:: max(1, len(sample) // _COMPARED)], background, noise)
+    for skipped, frame in enumerate(film.some(usable[: max(int(_LATE * len(usable)), 1)])):
+        spots = spots_in(differs(frame, background, noise), AS_LARGE, 2 if body is None else 5)
+        if body is not None:
+            spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
+        if len(spots) > 1:
+            raise _several(frame, spots, differs(frame, background, noise), film.path.name)
+        if spots:
+            return skipped, spots[0]
+        if body is None:
             break
-    tops.sort(reverse=True)
-    spots = [
-        s
-        for depth, top in tops[:2]
-        if depth > _AS_LARGE * tops[0][0] and (s := _spot_of(region, top)) is not None
-    ]
-    if not spots:
-        raise TrackingError(
-            f"No compact body moves in the first frame of {name}.", "Give a point to follow with --point X,Y."
-        )
-    if len(spots) > 1:
-        (x, y), (u, v) = spots[0].place, spots[1].place
-        _, parts = cv2.connectedComponents(region)
-        joined = parts[round(y), round(x)] == parts[round(v), round(u)] != 0
-        raise RefusedFilmError(
-            f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
-            f"{', which are joined' if joined else ''}.",
-            FOLLOW_LINKS
-            if joined
-            else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
-            kind="two links" if joined else "two bodies",
-            evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
-            frames=(frame,),
-        )
-    return spots[0]
+    raise TrackingError(
+        f"No compact body moves in the first frame of {film.path.name}.",
+        "Give a point to follow with --point X,Y.",
+    )
+
+
+def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> RefusedFilmError:
+    (x, y), (u, v) = spots[0].place, spots[1].place
+    _, parts = cv2.connectedComponents(region)
+    joined = parts[round(y), round(x)] == parts[round(v), round(u)] != 0
+    return RefusedFilmError(
+        f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
+        f"{', which are joined' if joined else ''}.",
+        FOLLOW_LINKS if joined else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
+        kind="two links" if joined else "two bodies",
+        evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
+        frames=(frame,),
+    )
 
 
 def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
     """Return the largest compact body that moves."""
-    region = _differs(frame, background, noise)
-    depth = cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    region = differs(frame, background, noise)
+    depth = depth_of(region)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    return _spot_of(region, (int(column), int(row)))
+    return spot_of(region, (int(column), int(row)))
 
 
 def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Spot | None) -> Spot:
@@ -349,7 +403,7 @@ def _matched(
     return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
 
 
-def _follow(film: Film, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Bools]:
+def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Bools]:
     """Follow a patch by template matching; returns its places (n, 2) and whether it was found (n,).
 
     It is searched where it is expected by its last steps, then in a reduced picture of the whole frame.
@@ -483,6 +537,10 @@ class _Layers:
         outside = (x < 0) | (y < 0) | (x > frame.shape[1] - 1) | (y > frame.shape[0] - 1)
         return np.where(outside, np.float32(np.nan), found)
 
+    @cached_property
+    def _slopes(self) -> tuple[Picture, Picture]:
+        return _derivatives(self.transparency), _derivatives(self.brightness)
+
     def register(self, frame: Plane, place: Floats, turn: float) -> tuple[Floats, Floats, float]:
         """Return the place of the patch in a frame, its covariance (2, 2), and the mean square normalised residual.
 
@@ -498,7 +556,7 @@ class _Layers:
         here = place - np.array([left, top])
         rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         begin = here
-        by_s, by_q = _derivatives(self.transparency), _derivatives(self.brightness)
+        by_s, by_q = self._slopes
         for _ in range(_STEPS):
             back = self.sampled(behind, here, turn, cv2.INTER_LINEAR)
             rest = self.sampled(part, here, turn) - self.transparency * back - self.brightness
@@ -540,7 +598,7 @@ def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], P
 
 
 def _learnt(
-    film: Film,
+    film: _Frames,
     frame: Frames,
     place: Floats,
     turn: Floats | None,
@@ -631,7 +689,7 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 
 
 def _measured(
-    film: Film,
+    film: _Frames,
     frame: Frames,
     place: Floats,
     turn: Floats | None,

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -78,12 +79,13 @@ class Orientation:
 def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
     """Turn a decoded PyAV frame into a `Frame`; formats other than 8 bit 4:2:0 are converted first."""
     pts = None if frame.pts is None else int(frame.pts)
-    if orientation.aspect != 1.0:
-        width, height = orientation.size(frame.width, frame.height)
-        frame = frame.reformat(width, height, format="yuv420p")
-    elif frame.format.name not in _PLANAR_420:
+    if frame.format.name not in _PLANAR_420:
         frame = frame.reformat(format="yuv420p")
     y, u, v = map(_view, frame.planes)
+    if orientation.aspect != 1.0:
+        width, height = orientation.size(frame.width, frame.height)
+        y = _resized(y, width, height)
+        u, v = (_resized(plane, -(-width // 2), -(-height // 2)) for plane in (u, v))
     if orientation.quarters or orientation.mirrored:
         y, u, v = map(orientation.apply, (y, u, v))
     damaged, interlaced = (bool(getattr(frame, name, False)) for name in ("is_corrupt", "interlaced_frame"))
@@ -124,6 +126,10 @@ _ORIENTATIONS: dict[tuple[int, ...], Orientation] = {
     (0, -1, -1, 0): Orientation(quarters=3, mirrored=True),
     (0, 1, 1, 0): Orientation(quarters=1, mirrored=True),
 }
+
+
+def _resized(plane: Plane, width: int, height: int) -> Plane:
+    return np.asarray(cv2.resize(plane, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
 
 
 def _view(plane: Any) -> Plane:

@@ -20,6 +20,8 @@ from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._first_look import FirstLook
+from gyrotrack.tracking._silhouettes import CompactBody
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 
@@ -419,6 +421,7 @@ def test_two_bodies_are_not_tracked_as_the_papers_gyroscope(monkeypatch):
 
     film = SimpleNamespace(info=SimpleNamespace(tag_fps=30.0))
     monkeypatch.setattr(_spindown, "Film", lambda _: film)
+    monkeypatch.setattr(_spindown, "first_look", lambda _: FirstLook((0, 0)))
     monkeypatch.setattr(_spindown, "film_recording", two)
     monkeypatch.setattr(_spindown, "extract", never)
     with pytest.raises(RefusedFilmError):
@@ -441,6 +444,7 @@ def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch, swing):
     shirt = SimpleNamespace(time=np.arange(200) / 30, angle=swing * np.sin(np.arange(200)))
     found = SimpleNamespace(bodies={"casing": shirt})
     monkeypatch.setattr(_spindown, "Film", lambda _: Frames())
+    monkeypatch.setattr(_spindown, "first_look", lambda _: FirstLook((0, 0)))
     monkeypatch.setattr(_spindown, "film_recording", none)
     monkeypatch.setattr(_spindown, "point_recording", none)
     monkeypatch.setattr(_spindown, "extract", lambda *_, **__: found)
@@ -643,3 +647,31 @@ def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_law
     assert found["oscillator"]["restoring"] == ["casing.spring.linear"]
     assert (len(found["ladder"]) > 1) is searched
     assert any("no law beyond" in w for w in found["warnings"]) is not searched
+
+
+@pytest.mark.parametrize(("hub", "way"), [(None, "point"), ((80.0, -100.0), "point"), ((80.0, 10.0), "ring")])
+def test_a_ball_whose_pivot_is_outside_the_picture_is_followed_as_a_point(monkeypatch, hub, way):
+    """The tracker of textures takes minutes for it, and its hub is wrong."""
+    place = np.stack([80 + 60 * np.sin(np.arange(30)), np.full(30, 60.0)], axis=1)
+    place += np.random.default_rng(0).normal(0, 0.3, place.shape)
+    look = FirstLook((120, 160), CompactBody(8.0, place, 0.9))
+    found = SimpleNamespace(width=160, height=120)
+    ring = SimpleNamespace(ring=SimpleNamespace(hub=(80.0, 10.0)))
+    monkeypatch.setattr(_spindown, "Film", lambda _: SimpleNamespace(info=SimpleNamespace(tag_fps=30.0)))
+    monkeypatch.setattr(_spindown, "first_look", lambda _: look)
+    monkeypatch.setattr(_spindown, "point_recording", lambda *_: (found, "point"))
+    monkeypatch.setattr(_spindown, "film_recording", lambda *_: (found, ring))
+    _, (_, tracked) = _spindown._film(Path("ball.mp4"), _spindown.SpindownOptions(hub=hub), None)
+    assert tracked == ("point" if way == "point" else ring)
+
+
+def test_a_failed_trial_of_the_papers_markers_leaves_the_film_to_other_trackers(monkeypatch):
+    """A drawn pendulum at rest made the prediction of its angle singular, and the command stopped there."""
+
+    def singular(*_, **__):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    film = SimpleNamespace(info=SimpleNamespace(tag_fps=30.0))
+    monkeypatch.setattr(_spindown, "is_coloured", lambda _: True)
+    monkeypatch.setattr(_spindown, "extract", singular)
+    assert _spindown._papers_markers(Path("drawn.gif"), film, _spindown.SpindownOptions(), None) is None

@@ -1,0 +1,115 @@
+"""What a few frames show of a film: a ball on a string, or a long body about a tilted axis, and its angles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._hub_search import spatial_noise
+from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
+from gyrotrack.tracking._point_tracker import PointPath
+from gyrotrack.tracking._silhouettes import (
+    CompactBody,
+    LongBody,
+    compact_body,
+    long_tilted_body,
+    median_picture,
+)
+
+Floats = npt.NDArray[np.float64]
+
+_BACKGROUND, _COMPARED = 60, 30  # frames of which the background is the median, and that are compared with it
+_FEWEST = 12  # frames of a motion
+_SHOWN = 0.8  # share of the frames in which a long body must be seen
+_EDGE = 0.3  # rough uncertainty of the end of a silhouette [px]
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """What moves before the background."""
+
+    shape: tuple[int, int]  # height and width of the picture [px]
+    compact: CompactBody | None = None
+    long: LongBody | None = None
+
+    def pendulum(self, hub: tuple[float, float] | None = None) -> bool:
+        """Return whether a compact body alone moves on an open arc about a pivot outside the picture.
+
+        `hub` is the pivot (x, y) if it is given [px].
+        """
+        pivot = None if self.compact is None else self.compact.pivot
+        if pivot is None:
+            return False
+        x, y = pivot if hub is None else hub
+        height, width = self.shape
+        return not (0 <= x < width and 0 <= y < height)
+
+
+def first_look(film: Film) -> FirstLook:
+    """Compare a few frames with the background, their median."""
+    usable = fresh_frames(film)
+    if len(usable) < _FEWEST:
+        return FirstLook((0, 0))
+    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
+    background = median_picture(sample)
+    noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
+    few = sample[:: max(1, len(sample) // _COMPARED)]
+    height, width = background.shape
+    return FirstLook(
+        (height, width), compact_body(few, background, noise), long_tilted_body(few, background, noise)
+    )
+
+
+def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
+    """Measure the angle of a long body about a tilted axis, in the plane of its motion, by the end of its axis.
+
+    A TrackingError is raised if it is not seen in most frames, or if its ends are not on one ellipse.
+    """
+    usable = fresh_frames(film)
+    wanted = set(usable.tolist())
+    rows = [(k, f) for k, x in enumerate(film.frames()) if k in wanted and (f := body.axis(x)) is not None]
+    if len(rows) < max(_SHOWN * len(usable), _FEWEST):
+        raise TrackingError(
+            f"The long body in {film.path.name} is seen in {len(rows)} of {len(usable)} frames only.",
+            "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",
+        )
+    half = np.array([h for _, (_, h, _) in rows])
+    for k in range(
+        1, len(half)
+    ):  # a line has no sense: it turns by less than a quarter turn from frame to frame
+        if half[k] @ half[k - 1] < 0:
+            half[k] *= -1.0
+    centroid = np.array([c for _, (c, _, _) in rows])
+    path = PointPath(
+        frame=np.array([k for k, _ in rows], dtype=np.int64),
+        place=hub_of(centroid, half) + half,
+        covariance=np.broadcast_to(_EDGE**2 * np.eye(2), (len(rows), 2, 2)),
+        radius=float(np.median([w for _, (_, _, w) in rows])) / 2.0,
+        searched=len(usable),
+        turns=True,
+        picture=np.zeros((1, 1), dtype=np.float32),
+    )
+    found = about_pivot(path, film.path.name)
+    if found.orbit is None:
+        raise TrackingError(
+            f"The ends of the long body in {film.path.name} are not on one ellipse.",
+            "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",
+        )
+    text = (
+        "The direction of the long body is that of the axis of its silhouette; both of its ends look alike. "
+        "--point X,Y follows a point instead."
+    )
+    return replace(
+        found, way="ellipse of the axis of a silhouette", warnings=(*film.warnings, *found.warnings, text)
+    )
+
+
+def hub_of(centroid: Floats, half: Floats) -> Floats:
+    """Return the hub (x, y) of a body, of which its centroid is displaced by a fixed part of its axis."""
+    away = half - half.mean(axis=0)
+    share = float(np.sum(away * (centroid - centroid.mean(axis=0))) / max(float(np.sum(away**2)), 1e-12))
+    return np.asarray(centroid.mean(axis=0) - share * half.mean(axis=0))

@@ -1,0 +1,231 @@
+"""Silhouettes of what moves before a background at rest, in a few frames: compact bodies, and long ones.
+
+They show early whether a film is that of a ball on a string, whose pivot is outside the picture, or of a rod about a
+tilted axis. Neither is a texture that turns about a hub in the picture. Places are (x, y) in px.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
+from gyrotrack.tracking._registration import TURN
+
+Floats = npt.NDArray[np.float64]
+Plane = npt.NDArray[np.uint8]
+Picture = npt.NDArray[np.float32]
+
+_BAND = 64  # rows of the picture of which the median is taken at a time
+_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
+_FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
+_SMALLEST = 1.5  # smallest radius of a spot [px]
+_OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
+AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
+_PARTS = 50  # largest number of separate parts of a frame that are compared
+ALIKE = 1.4  # largest ratio of the radii of one body in two frames
+_SEEN = 0.8  # share of the frames in which a body is seen
+_ALONE = 0.5  # share of what differs from the background that belongs to the body
+_LEAVES = 2.0  # extent of the path, in radii, from which a body leaves its place
+_ROUND = 0.06  # largest scatter about the arc over the extent of the path
+_OPEN = 0.5 * TURN  # largest range of the direction from the pivot on an open arc [rad]
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A patch of a frame: its centre (x, y), the radius, and the pixels of the body in a square about the centre."""
+
+    place: tuple[float, float]
+    radius: float  # [px]
+    mask: Plane
+
+
+def median_picture(sample: Sequence[Plane]) -> Picture:
+    """Return the median of some frames."""
+    bands = range(0, len(sample[0]), _BAND)
+    return np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands]).astype(
+        np.float32
+    )
+
+
+def differs(frame: Plane, background: Picture, noise: float) -> Plane:
+    """Return 1 where a frame differs from the background by more than noise."""
+    away = cv2.blur(np.abs(frame - background), (3, 3))
+    limit = max(_CONTRAST * noise / 3.0, _FAINTEST * float(np.quantile(away, 0.999)))
+    return np.asarray(away > limit, dtype=np.uint8)
+
+
+def spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
+    """Return the compact part about the pixel `top` (x, y), the farthest from the edge, of a region; None if small."""
+    depth = depth_of(region)
+    inner = float(depth[top[1], top[0]])
+    if inner < _SMALLEST:
+        return None
+    size = max(int(_OPENED * inner), 1)
+    _, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, _disc(size)))
+    number = label[top[1], top[0]]
+    if number == 0:
+        return None
+    y, x = np.nonzero(label == number)
+    centre = (float(x.mean()), float(y.mean()))
+    radius = math.sqrt(len(x) / math.pi)
+    half = math.ceil(float(np.hypot(x - centre[0], y - centre[1]).max())) + 1
+    mask = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.uint8)
+    mask[y - round(centre[1]) + half, x - round(centre[0]) + half] = 1
+    return Spot(centre, radius, mask)
+
+
+def depth_of(region: Plane) -> Picture:
+    """Return the distance of each pixel of a region from its edge [px]."""
+    return np.asarray(cv2.distanceTransform(np.pad(region, 1), cv2.DIST_L2, 5)[1:-1, 1:-1])
+
+
+def _disc(size: int) -> Plane:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1)))
+
+
+def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
+    """Return the compact parts of a region, the largest first, down to a share `least` of its inscribed radius."""
+    depth = depth_of(region)
+    # bodies that rods or strings join are apart in the region that a slightly smaller disc covers
+    opened = cv2.morphologyEx(region, cv2.MORPH_OPEN, _disc(max(int(least * float(depth.max())), 1)))
+    count, label, stats, _ = cv2.connectedComponentsWithStats(opened)
+    tops = []
+    for number in range(1, min(count, _PARTS + 1)):
+        left, top, width, height, _ = (int(v) for v in stats[number])
+        part = slice(top, top + height), slice(left, left + width)
+        inside = np.where(label[part] == number, depth[part], 0.0)
+        row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
+        tops.append((float(inside[row, column]), (left + int(column), top + int(row))))
+    tops.sort(reverse=True)
+    chosen = [top for inner, top in tops[:most] if inner > least * tops[0][0]]
+    return [s for top in chosen if (s := spot_of(region, top)) is not None]
+
+
+@dataclass(frozen=True)
+class CompactBody:
+    """The compact body that is seen in most of some frames.
+
+    Attributes
+    ----------
+    radius : float
+        Its median radius [px].
+    place : ndarray, shape (n, 2)
+        Its centroids in the frames that show it [px].
+    alone : float
+        Median share of the pixels that differ from the background that belong to it.
+    """
+
+    radius: float
+    place: Floats
+    alone: float
+
+    @property
+    def pivot(self) -> Floats | None:
+        """The centre (x, y) of the open arc on which it leaves its place; None for another path.
+
+        The centre of a straight path is at infinity.
+        """
+        place = self.place
+        extent = float(np.hypot(*np.ptp(place, axis=0)))
+        if self.alone < _ALONE or extent < _LEAVES * self.radius:
+            return None
+        arc = fit_arc(place, np.full(len(place), 0.5))
+        if math.hypot(arc.noise, arc.by_place) > max(_ROUND * extent, 1.0):
+            return None
+        if not arc.determined:
+            return np.full(2, np.inf)
+        away = place - arc.hub
+        direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+        gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+        return arc.hub if TURN - gap < _OPEN else None
+
+
+def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> CompactBody | None:
+    """Return the compact body that most of some frames show; None if there is none."""
+    every = []
+    for frame in sample:
+        region = differs(frame, background, noise)
+        every.append((spots_in(region, 0.5 * AS_LARGE, 3), int(region.sum())))
+    largest = [spots[0].radius for spots, _ in every if spots]
+    if len(largest) < _SEEN * len(sample):
+        return None
+    radius = float(np.median(largest))
+    chosen = [(min(spots, key=lambda s: _unlike(s, radius)), total) for spots, total in every if spots]
+    chosen = [(s, total) for s, total in chosen if _unlike(s, radius) < math.log(ALIKE)]
+    if len(chosen) < _SEEN * len(sample):
+        return None
+    place = np.array([s.place for s, _ in chosen])
+    return CompactBody(radius, place, float(np.median([s.mask.sum() / total for s, total in chosen])))
+
+
+def _unlike(spot: Spot, radius: float) -> float:
+    return abs(math.log(max(spot.radius, 1e-9) / radius))
+
+
+# a long body: smallest ratio of the moments of its axes, its area over that of the ellipse of the same moments, and
+# the smallest part of the largest piece that counts (a bar over the middle parts it)
+_LONG, _FILLED, _PIECE = 2.0, 1.4, 0.2
+# smallest tilt of its axis [rad], largest scatter about the ellipse over the radius, and largest gap of the orbit [rad]
+_TILTED, _ELLIPSE, _GAP = 0.4, 0.06, 0.25 * TURN
+_SIDES = ("light", "dark")
+
+
+@dataclass(frozen=True)
+class LongBody:
+    """A long body about a tilted axis: the side of the background on which its brightness is, and the noise level."""
+
+    side: str
+    background: Picture
+    limit: float  # grey levels
+
+    def axis(self, frame: Plane) -> tuple[Floats, Floats, float] | None:
+        """Return the centroid of its silhouette, half its length along its axis (x, y), and its width [px]; or None."""
+        away = cv2.blur(frame - self.background, (3, 3)) * (1.0 if self.side == "light" else -1.0)
+        shown = np.clip(away, 0.0, 255.0).astype(np.uint8)
+        strong = shown[shown > self.limit]
+        if len(strong) < 20:
+            return None
+        level, _ = cv2.threshold(strong[:, None], 0, 255, cv2.THRESH_OTSU)
+        # half the level of the body, as its silhouette is blurred at the edge
+        level = max(0.5 * float(np.median(strong[strong >= level])), self.limit)
+        _, label, stats, _ = cv2.connectedComponentsWithStats((shown > level).astype(np.uint8))
+        area = stats[1:, cv2.CC_STAT_AREA]
+        if not len(area):
+            return None
+        pieces = 1 + np.flatnonzero(area >= _PIECE * area.max())
+        y, x = np.nonzero(np.isin(label, pieces))
+        if len(x) < 20:
+            return None
+        values, axes = np.linalg.eigh(np.cov(x, y))
+        long, short = math.sqrt(max(float(values[1]), 0.0)), math.sqrt(max(float(values[0]), 1e-9))
+        if long < _LONG * short or 4.0 * math.pi * long * short > _FILLED * len(x):
+            return None
+        half = math.sqrt(3.0) * long * axes[:, 1]
+        return np.array([x.mean(), y.mean()]), half, math.sqrt(12.0) * short
+
+
+def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float) -> LongBody | None:
+    """Return the long body of some frames, if the ends of its axis are on an ellipse; None for any other film."""
+    for side in _SIDES:
+        body = LongBody(side, background, _CONTRAST * noise / 3.0)
+        found = [f for frame in sample if (f := body.axis(frame)) is not None]
+        if len(found) < _SEEN * len(sample):
+            continue
+        half = np.array([h for _, h, _ in found])
+        ends = np.concatenate([half, -half])
+        direction = np.sort(angles_about(np.zeros(2), ends) % TURN)
+        if float(np.max(np.diff(np.append(direction, direction[0] + TURN)))) > _GAP:
+            continue
+        orbit = fit_orbit(ends, np.full(len(ends), 0.5))
+        if not math.hypot(*orbit.value[3:]) < 1.0:
+            continue
+        off = float(np.std(np.hypot(*orbit.plane(ends).T))) / orbit.value[2]
+        if orbit.tilt[0] > _TILTED and off < _ELLIPSE:
+            return body
+    return None

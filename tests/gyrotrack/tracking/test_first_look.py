@@ -1,0 +1,134 @@
+"""Silhouettes of a few frames: a ball on a string, a long body about a tilted axis, and films that are neither."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _first_look
+from gyrotrack.tracking._first_look import FirstLook, follow_long_body, hub_of
+from gyrotrack.tracking._silhouettes import CompactBody, compact_body, long_tilted_body, median_picture
+
+SHAPE = (120, 160)
+Y, X = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
+
+
+def _noisy(picture, k):
+    noise = np.random.default_rng(k).normal(0, 1.0, SHAPE)
+    return np.clip(picture + noise, 0, 255).round().astype(np.uint8)
+
+
+def _discs(places, radius=8.0):
+    """Draw a dark disc at each place before a grey background."""
+    covers = [np.clip(radius - np.hypot(X - x, Y - y) + 0.5, 0, 1) for x, y in places]
+    return [_noisy(150.0 - 90.0 * c, k) for k, c in enumerate(covers)]
+
+
+def _rods(angles, tilt, middle=(80.0, 60.0)):
+    """Draw a light rod of 80 px that turns about an axis with a tilt [rad], before its shadow."""
+    found = []
+    for k, a in enumerate(angles):
+        u = np.array([np.cos(a), np.sin(a) * np.cos(tilt)])
+        length = float(np.hypot(*u))
+        e = u / length
+        picture = np.full(SHAPE, 120.0)
+        for shift, level in ((8.0, 100.0), (0.0, 180.0)):
+            along = (X - middle[0]) * e[0] + (Y - middle[1] - shift) * e[1]
+            across = -(X - middle[0]) * e[1] + (Y - middle[1] - shift) * e[0]
+            cover = np.clip(40.0 * length - np.abs(along) + 0.5, 0, 1) * np.clip(3.0 - np.abs(across), 0, 1)
+            picture += cover * (level - picture)
+        found.append(_noisy(picture, k))
+    return found
+
+
+def _arc(hub, length, amplitude, count=30):
+    a = amplitude * np.cos(np.linspace(0.0, 9.0, count))
+    return np.array(hub) + length * np.stack([np.sin(a), np.cos(a)], axis=1)
+
+
+def test_a_ball_on_a_string_is_a_compact_body_on_an_open_arc():
+    place = _arc((80.0, -120.0), 180.0, 0.3)
+    frames = _discs(place)
+    body = compact_body(frames, median_picture(frames), 1.0)
+    assert body.radius == pytest.approx(8.0, rel=0.15)
+    assert body.alone > 0.8
+    look = FirstLook(SHAPE, body)
+    assert body.pivot == pytest.approx((80.0, -120.0), abs=15.0)
+    assert look.pendulum()
+    assert look.pendulum((80.0, -100.0))
+    assert not look.pendulum((80.0, 10.0))
+
+
+def _body(place, radius=8.0, alone=0.9):
+    return CompactBody(radius, np.asarray(place), alone)
+
+
+@pytest.mark.parametrize(("alone", "seen"), [(0.45, False), (0.55, True)])
+def test_most_of_what_moves_is_the_body(alone, seen):
+    assert (_body(_arc((80.0, -120.0), 180.0, 0.3), alone=alone).pivot is not None) == seen
+
+
+@pytest.mark.parametrize(("radius", "seen"), [(45.0, True), (60.0, False)])
+def test_the_body_leaves_its_place(radius, seen):
+    """The arc is 106 px wide: 2 radii at least."""
+    assert (_body(_arc((80.0, -120.0), 180.0, 0.3), radius).pivot is not None) == seen
+
+
+@pytest.mark.parametrize(("amplitude", "open_arc"), [(1.4, True), (1.8, False)])
+def test_an_open_arc_is_shorter_than_half_a_turn(amplitude, open_arc):
+    place = _arc((80.0, 60.0), 50.0, amplitude, 60)
+    assert (_body(place).pivot is not None) == open_arc
+
+
+def test_a_straight_path_has_its_pivot_at_infinity():
+    place = np.stack([80.0 + 60.0 * np.cos(np.linspace(0, 9, 30)), np.full(30, 60.0)], axis=1)
+    place += np.random.default_rng(0).normal(0, 0.3, place.shape)
+    look = FirstLook(SHAPE, _body(place))
+    assert np.isinf(look.compact.pivot).all()
+    assert look.pendulum()
+
+
+def test_a_scattered_path_is_no_arc():
+    place = np.random.default_rng(0).uniform(20, 100, (30, 2))
+    assert _body(place).pivot is None
+
+
+def test_a_dot_that_turns_about_a_hub_in_the_picture_is_left_to_the_texture():
+    a = np.linspace(0, 20, 30)
+    frames = _discs(np.array((80.0, 60.0)) + 40.0 * np.stack([np.cos(a), np.sin(a)], axis=1))
+    assert not FirstLook(SHAPE, compact_body(frames, median_picture(frames), 1.0)).pendulum()
+
+
+def test_a_film_in_which_a_body_is_seen_in_some_frames_only_has_no_compact_body():
+    place = _arc((80.0, -120.0), 180.0, 0.3)
+    frames = [*_discs(place[:10]), *[_noisy(np.full(SHAPE, 150.0), 99 + k) for k in range(20)]]
+    assert compact_body(frames, median_picture(frames), 1.0) is None
+
+
+@pytest.mark.parametrize(("tilt", "seen"), [(0.2, False), (0.7, True), (1.0, True)])
+def test_a_rod_about_a_tilted_axis_is_a_long_body(tilt, seen):
+    """A rod seen along its axis is left to the tracker of textures."""
+    frames = _rods(np.linspace(0.1, 20.0, 30), tilt)
+    body = long_tilted_body(frames, median_picture(frames), 1.0)
+    assert (body is not None) == seen
+    if seen:
+        assert body.side == "light"
+
+
+def test_the_angle_of_a_rod_about_a_tilted_axis_is_that_in_its_plane(monkeypatch):
+    angle, tilt = 0.12 * np.arange(120), 1.0
+    frames = _rods(angle, tilt)
+    body = long_tilted_body(frames[::4], median_picture(frames[::4]), 1.0)
+    monkeypatch.setattr(_first_look, "fresh_frames", lambda _: np.arange(120))
+    film = SimpleNamespace(frames=lambda: iter(frames), path=SimpleNamespace(name="rod.mp4"), warnings=())
+    found = follow_long_body(film, body)
+    assert found.orbit.tilt[0] == pytest.approx(tilt, abs=0.03)
+    error = -found.angle - angle[found.frame]
+    assert np.std(error) < 0.02
+    assert np.polyfit(found.frame, -found.angle, 1)[0] == pytest.approx(0.12, rel=1e-3)
+
+
+def test_the_hub_of_a_body_is_where_its_centroid_is_displaced_from():
+    a = np.linspace(0, 4, 40)
+    half = 30.0 * np.stack([np.cos(a), 0.5 * np.sin(a)], axis=1)
+    assert hub_of(np.array((50.0, 70.0)) + 0.4 * half, half) == pytest.approx((50.0, 70.0))
