@@ -306,7 +306,7 @@ def _papers_markers(
     if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
-    # a drawn body whose angle never changes has no unique prediction: it is no marker that turns
+    # the angle of a drawn body at rest is constant: a prediction of it is singular
     with suppress(GyrotrackError, np.linalg.LinAlgError):
         if not is_coloured(source):
             return None

@@ -88,7 +88,7 @@ def test_a_straight_path_has_its_pivot_at_infinity():
     assert look.pendulum()
 
 
-def test_a_scattered_path_is_no_arc():
+def test_a_scattered_path_is_not_an_arc():
     place = np.random.default_rng(0).uniform(20, 100, (30, 2))
     assert _body(place).pivot is None
 
