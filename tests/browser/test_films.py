@@ -34,11 +34,12 @@ def open_page(chromium, tmp_path):
         return found.page
 
     yield start
-    for server, _ in opened:
-        server.process.terminate()
-        server.process.communicate(timeout=20)
     for server, found in opened:
-        found.close([server.host, ""])
+        try:
+            found.close([server.host, ""])
+        finally:
+            server.process.terminate()
+            server.process.communicate(timeout=20)
 
 
 def _end(page):
