@@ -45,6 +45,7 @@ _SPEEDS: dict[str, tuple[str, ...]] = {
     "casing": ("omega_c", "omega_r"),
     "bearing": ("delta", "omega_r"),
 }
+# trial exponents: quarters and halves beside the integers of the library
 _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
@@ -56,8 +57,8 @@ _COARSE_MOMENTS = MOMENTS[::3]
 _FEWEST_PERIODS = 0.5
 # trial frequencies: phase difference over the record [rad], and the highest of them [rad/s]
 _PHASE_STEP = 2.0
-_HIGHEST = 5.0
-_MOST_FREQUENCIES = 800
+_HIGHEST = 5.0  # highest trial frequency [rad/s]; a faster one is a spectral line
+_MOST_FREQUENCIES = 800  # trial frequencies at most
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ _SWITCHED = {
     "bearing": ("delta", "delta*abs(delta)"),
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
-_HARMONICS = (3, 4)
+_HARMONICS = (3, 4)  # orders of the angle beyond those of the library
 
 
 def grammar(

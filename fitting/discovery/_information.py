@@ -230,7 +230,7 @@ class Rival:
     weight: float = 1.0  # its posterior probability among the rivals
 
 
-MOST_RIVALS = 6
+MOST_RIVALS = 6  # rivals of an effect that a plan considers
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:

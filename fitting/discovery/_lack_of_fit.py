@@ -167,7 +167,7 @@ def _choices(values: Array) -> list[tuple[int, Array, int]]:
 _FEWEST_PERIODS = 10  # periods within a record from which a frequency is tried; fewer are a trend
 # trial frequencies per peak, and of the finer search about the highest one
 _PER_PEAK = 2
-_FINER = 16
+_FINER = 16  # trial frequencies of the finer search about the highest peak
 # share of its response that a torque must retain orthogonal to the free columns
 _RETAINED = 1e-3
 

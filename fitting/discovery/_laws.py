@@ -85,19 +85,19 @@ from fitting.inference._trace import Refit, attempt, recorded_map, recording
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_DRAWS = 1000
+_DRAWS = 1000  # simulated scores: a quantile of 1 % has an error of a third of its tail
 # laws that are refitted after the first and after each later search, and laws that take part in the later ones
 _FIRST, _LATER, _KEPT = 5, 9, 48
-_SEARCHES = 3
-_POINTS = 1000
+_SEARCHES = 3  # searches, each beside the laws found before
+_POINTS = 1000  # points of a curve along the motion
 # share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise
 _COMPARABLE_SHARE = 0.8
 # difference of explained shares below which two variables explain as much
 _EXPLAINED_TIE = 0.01
 # steps of the refinement of two shape constants, and points of each
 _ROUNDS, _GRID = 4, 5
-_STEPS = 8
-_RANK = 1e-9
+_STEPS = 8  # steps of the progress bar
+_RANK = 1e-9  # relative singular value below which a direction is rounding
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ _APPARATUS_GAIN = 1.5
 _AMPLE = 4.0
 # largest logarithm of a gain in information that counts
 _CAP = 50.0
-_RANDOM = 20
+_RANDOM = 20  # random runs before the model of the gain directs the search
 # steps of the local search end at this share of the bounds
 _FINEST = 0.02
 # difference of deviance that some run must reach, or two rivals count as inseparable

@@ -69,8 +69,8 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pair = tuple[Finite, Finite]
 
-_SEED = 1
-_LARGEST = 1_000_000
+_SEED = 1  # of simulated runs: a plan is reproducible
+_LARGEST = 1_000_000  # characters of a plan: a limit of memory
 _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 
 
@@ -278,7 +278,7 @@ def _first_error(fault: ValidationError) -> str:
 
 Progress = Callable[[int, int | None], None]
 
-_EVALUATIONS = 60
+_EVALUATIONS = 60  # runs that the search of the next run tries
 # simulations of described recordings over which the power is averaged, and further ones for estimates of the process
 # noise alone
 _SIMULATIONS, _ESTIMATES = 2, 8

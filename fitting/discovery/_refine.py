@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _NEIGHBOURHOOD, _STEPS = 0.04, 48
 # searches for changepoints of cases whose process noise remains high
 _SEARCHES = 3
-_RANK = 1e-7
+_RANK = 1e-7  # relative singular value below which a direction is rounding
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
@@ -292,7 +292,7 @@ def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
     return values
 
 
-_WIDTHS = (0.02, 0.1, 0.5, 2.0)
+_WIDTHS = (0.02, 0.1, 0.5, 2.0)  # trial widths of a step [s]
 _POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_[rc]|delta)\*\*2")
 _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 

@@ -55,7 +55,7 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-_POINTS = 2000
+_POINTS = 2000  # points of a torque along the motion
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ class Grade:
     noisy: bool = False
 
 
-_INNER_KNOTS = 4
+_INNER_KNOTS = 4  # inner knots of a smooth law: it represents any cubic and one bend
 # powers of a speed that no effect of the usual base has, by joint and speed
 _SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
     ("casing", "omega_c", (2, 3)),

@@ -38,13 +38,13 @@ from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]
 
-NODES = 10
+NODES = 10  # Gauss nodes of an interval
 # times per interval above which one product for each interval is faster than one for each time
 _MANY_PER_INTERVAL = 12
-TOLERANCE = 1e-10
-_MAX_NEWTON = 25
-MAX_INTERVALS = 40_000
-_CASING = 1
+TOLERANCE = 1e-10  # relative truncation error of an interval: far below the noise of any camera
+_MAX_NEWTON = 25  # iterations; Newton doubles the digits in each
+MAX_INTERVALS = 40_000  # intervals at most: a limit of memory
+_CASING = 1  # place of the casing in a state
 # step after which the error is rounding
 _SMALL = 1e-9
 # largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten
@@ -53,7 +53,7 @@ _LARGEST_ERROR = 1e-13
 _MEASURED = 1e-6
 # truncation error below which an interval of twice the length is resolved as well (the error grows by 2^9 and more)
 _RESOLVED = 1e-14
-_FEWEST = 12
+_FEWEST = 12  # intervals that a coarser mesh keeps
 # relaxation time so long that a slip is constant [s]
 _CONSTANT_SLIP = 1e12
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"

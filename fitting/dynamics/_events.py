@@ -47,10 +47,10 @@ from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]
 
-_CASING = 1
+_CASING = 1  # place of the casing in a state
 # relative speed below which a change of sign is rounding
 ROUNDING = 1e-10
-_STOPPED = 1e-11
+_STOPPED = 1e-11  # share of the largest speed below which the casing stands: rounding
 
 
 @dataclass(frozen=True)
@@ -466,10 +466,10 @@ def _first_crossing(path: Path) -> float | None:
     return float(t + share * (times[i] - t))
 
 
-_MAX_EVENTS = 2000
+_MAX_EVENTS = 2000  # reversals of a record at most
 # number of reversals from which on all stretches of an oscillation are solved at once
 _MANY = 3
-_MOST_STEPS = 25
+_MOST_STEPS = 25  # Newton steps for the times of all reversals
 # largest time between two reversals of an oscillation, within which the next event is sought first
 _HORIZON = 2.0
 # shares of the reversals that are solved at once: near a known solution, and near the measured motion
@@ -477,8 +477,8 @@ _NEARBY = (1.0, 0.97)
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
 # longest first stretch that is determined again, over the second one, and longest one that is added
 _BRIEF, _LONGEST_BEGINNING = 0.1, 0.3
-_SMALL = 1e-9
-_EXACT = 1e-13
+_SMALL = 1e-9  # relative change of the times below which Newton has converged
+_EXACT = 1e-13  # change that is rounding
 # speed of an oscillating casing, over its largest one, below which errors are no longer relative to it
 _SLOW = 1e-3
 # largest change of the time of a reversal in a step, as a share of the time to its neighbours

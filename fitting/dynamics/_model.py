@@ -294,7 +294,7 @@ INERTIA_ROTOR = "inertia.rotor"
 INERTIA_CASING = "inertia.casing"
 # the sense in which the casing turns: +1, -1, or 0 while friction holds it
 SENSE = "sense"
-_CASING = 1
+_CASING = 1  # place of the casing in a state
 
 
 class Dynamics:

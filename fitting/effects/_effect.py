@@ -28,7 +28,7 @@ _BASE: dict[str, Dimension] = {
     "1": NONE, "rad": NONE, "px": NONE, "N": (1, 1, -2, 0, 0, 0), "J": (1, 2, -2, 0, 0, 0),
 } | {name: (*NONE[:i], 1.0, *NONE[i + 1 :]) for i, name in enumerate(_SYMBOLS)}  # fmt: skip
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-9  # difference of exponents of units that is rounding
 
 
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:

@@ -161,8 +161,8 @@ def symbols(e: Expr) -> set[str]:
     return {node.name for node in nodes(e) if node.op == "sym"}
 
 
-MAX_LENGTH = 500
-MAX_DEPTH = 40
+MAX_LENGTH = 500  # characters of a formula
+MAX_DEPTH = 40  # levels of a formula: below the recursion limit of Python
 _BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
     ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: div, ast.Pow: power,
 }  # fmt: skip
@@ -299,7 +299,7 @@ def _power_rule(e: Expr, du: Expr, dv: Expr) -> Expr:
 
 
 Array = NDArray[np.float64]
-_TINY = 1e-300
+_TINY = 1e-300  # smallest argument of a logarithm
 
 
 def _log(x: Any) -> Any:

@@ -454,7 +454,7 @@ PAPER = MappingProxyType(
     }
 )
 INERTIA_ROTOR, INERTIA_CASING = 5.54e-5, 2.06e-5
-_BUDGET = 1e-4
+_BUDGET = 1e-4  # torque budget of the paper [N m], from which the starts of constants are scaled
 
 
 def of_the_rotor(effect: Effect) -> Effect | None:

@@ -62,12 +62,12 @@ _UNLIKELY = 0.25
 # correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 _LEVELS = np.geomspace(0.3, 300.0, 13)
-_FIRST_LEVELS = (2, 5, 8)
+_FIRST_LEVELS = (2, 5, 8)  # places in _LEVELS of a first, coarse search
 # half width of the parabola at the most likely level, in its logarithm
 _HALF_WIDTH = 0.3
 # correlation times of the process noise, in lengths of a block
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
-_FINER = 16
+_FINER = 16  # points of the finer grid per interval of the coarse one
 _NEGLIGIBLE = 0.01  # variance of a stated error in units of the white noise of a row
 # standard deviation of the logarithm of a level that the data hardly determine
 _LARGEST_RELATIVE_U = 0.7
@@ -424,8 +424,8 @@ _GROUPS, _FEWEST_IN_GROUP, _FEWEST_GROUPS = 128, 4, 40
 _WINDOW_TIMES, _SHORTEST, _LONGEST = 15, 64.0, 3.0
 # variance of angle noise over that of the white noise of a group
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
-_NEGLIGIBLE_SHARE = 1e-4
-_RANK = 1e-7
+_NEGLIGIBLE_SHARE = 1e-4  # share of the weight below which a correlation time is left out: four digits remain
+_RANK = 1e-7  # relative singular value below which a direction is rounding
 # median of chi-square with one degree of freedom; variance of the third difference of unit white noise
 _MEDIAN_CHI2, _THIRD_DIFFERENCE, _TINY = 0.4549, 20.0, 1e-300
 

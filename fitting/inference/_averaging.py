@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Parts = Sequence[tuple[NDArray[np.intp], Array, Array]]
 
 _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
-_STEPS = 3
-_DEGREE = 5
+_STEPS = 3  # passes: the equations are linear about the strengths found before
+_DEGREE = 5  # degree of the polynomial between averaged points
 # share of the harmonics of a torque below which its averages vanish
 _NEGLIGIBLE = 1e-6
 LARGEST_PHASE_ERROR = 0.7

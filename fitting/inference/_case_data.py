@@ -126,12 +126,12 @@ Array = NDArray[np.float64]
 
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
-_GENERATED_BLOCKS = 20
+_GENERATED_BLOCKS = 20  # blocks of a generated curve, which is smooth
 # smallest number of rows of a rotor window with which correlated noise is estimated
 _WINDOW_ROWS = 8
 # of an oscillation: smallest number of samples of a block, rough speeds in each period
 _PERIOD_SAMPLES = 24
-_POINTS_PER_PERIOD = 24
+_POINTS_PER_PERIOD = 24  # rough speeds in each period of an oscillation
 # of a driven body: largest number of rough speeds, smallest number of samples of each
 _DRIVEN_POINTS, _DRIVEN_SAMPLES = 1000, 6
 # least rise of the speed of a driven body, over its largest speed
@@ -140,7 +140,7 @@ _RISE = 0.1
 _INDEPENDENT = 1e-6
 # for smoothed speeds: blocks that are long compared with the smoothing, and noise rows of a window that resolve it
 SPEED_BLOCKS = 30
-SPEED_NOISE_ROWS = 28
+SPEED_NOISE_ROWS = 28  # further polynomials of a block of speeds, twice those of angles
 
 
 class Block(NamedTuple):
@@ -830,7 +830,7 @@ def _gradients(speeds: Samples) -> Array:
 
 # columns of `camera_columns` that belong to each nuisance effect, in the order of the library
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
-_SMOOTHED = 25
+_SMOOTHED = 25  # samples between the knots of a rough speed
 _RUN_PARTS, _PERIOD_PARTS = 50, 16
 # standard deviations of a displaced centre, of the radius, of the second harmonic of a tilt, and of the change of the
 # first harmonic by motion blur at the largest speed [rad]; tracked films err by 0.5 to 5 mrad once a turn

@@ -16,7 +16,7 @@ from fitting.inference._record import Quantity, Record, make_record
 
 Array = NDArray[np.float64]
 
-_MAX_SAMPLES = 50_000_000
+_MAX_SAMPLES = 50_000_000  # samples of an array: 53 hours at 260 frames per second
 # largest compression ratio of deflate is 1032; chunks are padded
 _INFLATION, _SLACK = 1100, 2**22
 
@@ -75,7 +75,7 @@ def text(value: Any) -> str:
 _CHECKSUM_PREFIX = b"\ngyrotrack sha256 "
 _CHECKSUM_LENGTH = len(_CHECKSUM_PREFIX) + 65
 _STRING_HEAP = b"GCOL\x01\x00\x00\x00"
-_HEADER = 16
+_HEADER = 16  # bytes of the header of a heap object (HDF5 file format, level 1E)
 
 
 def is_open_elsewhere(path: Path) -> bool:
@@ -122,7 +122,7 @@ def _is_endless(content: bytes, place: int) -> bool:
 
 
 FORMAT = "gyrotrack"
-MAJOR = 1
+MAJOR = 1  # major version of the layout
 
 
 def read_record(path: str | Path) -> Record:

@@ -28,7 +28,7 @@ from fitting.inference._compression import Compressed
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
-_GAUSS = 3
+_GAUSS = 3  # nodes of the Gauss rule in a cell: exact to degree 5
 # iterations of the argument of a law that it changes itself; change of the angle at convergence, relative to the
 # uncertainty of a mean of all samples; that of a derivative, relative to its fast part; iterations remembered
 _PASSES, _NEGLIGIBLE, _CHANGE, _MEMORY = 20, 0.01, 1e-3, 6
@@ -173,7 +173,7 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 
 Array = NDArray[np.float64]
 
-_INTERVALS = 12
+_INTERVALS = 12  # intervals of the first mesh, which is refined to the tolerance
 # intervals of the first mesh between two reversals of an oscillation: ten nodes resolve a sinusoid over a fifth of the
 # half period to 1e-11 (Bessel function J_8 of pi / 10), so that few intervals have to be halved
 _PER_REVERSAL = 5

@@ -51,10 +51,10 @@ from fitting.inference._trace import attempt, of_model, record_result, with_purp
 
 Array = NDArray[np.float64]
 
-_OTHER_POWERS = (0.7, 1.35)
+_OTHER_POWERS = (0.7, 1.35)  # further starts of the exponent of a power law, on either side of 1
 # a casing slower than this share of its largest speed counts as at rest
 _AT_REST = 0.01
-_MOST_STEPS = 60
+_MOST_STEPS = 60  # iterations of a trial search; a fit that needs more is continued
 
 
 def search_with_noise(

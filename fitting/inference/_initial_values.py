@@ -46,7 +46,7 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-_FIRST_SHARE = 0.1
+_FIRST_SHARE = 0.1  # share of the bearing torque that the power law has at the start of the search
 # a casing slower than this share of its largest speed counts as at rest, for initial values
 _AT_REST = 0.01
 # the last tenth of a run is its end
@@ -55,8 +55,8 @@ _END = 10
 _DEAD_TIMES, _LONGEST_DEAD_TIME = 40, 0.1
 # of an oscillation: periods of the first search, smallest number of its samples, largest number of its steps
 _FIRST_PERIODS = 2.0
-_FEWEST_SAMPLES = 24
-_MOST_STEPS = 60
+_FEWEST_SAMPLES = 24  # smallest number of its samples
+_MOST_STEPS = 60  # largest number of its steps
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
@@ -370,8 +370,8 @@ def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
 
 # trial exponents of a power law, and largest number of trial shapes of a law
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-_MOST = 80
-_COLLINEAR = 1e-7
+_MOST = 80  # largest number of trial shapes of a law
+_COLLINEAR = 1e-7  # relative singular value below which columns are collinear
 # trial levels over the level of random torque without the law
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 

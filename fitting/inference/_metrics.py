@@ -298,8 +298,8 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
 
 
 _KNOTS = 21  # knots of the slow torques of the lack-of-fit test
-_RANK = 1e-4
-_RANK_FREE = 1e-7
+_RANK = 1e-4  # relative singular value below which a tested direction is one of the model
+_RANK_FREE = 1e-7  # relative singular value below which a free direction is rounding
 # number of cases above which the slow torques of each case are projected out first
 _MANY = 4
 

@@ -179,7 +179,7 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
-_ROUNDING = 1e-20
+_ROUNDING = 1e-20  # share of the largest response below which a row does not respond
 # ratio to the lowest level that the recording allows from which on a level counts as raised
 _MORE = 1.5
 # unresolved levels: the lowest over that to which the most responsive row responds as much as to white noise, or over
@@ -257,7 +257,7 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 # cells of the torque per row, and groups of cells of which the first rows that respond are known
 _CELLS_PER_ROW = 2.5
-_GROUPS = 8
+_GROUPS = 8  # groups of cells of which the first rows that respond are known
 
 
 class TorqueResponse:

@@ -25,7 +25,7 @@ ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
 # a fall of the sum of squares, in variances of the noise, with which no parameter changes by a tenth of its error
 _NEGLIGIBLE_FALL = 0.01
-_NO_DAMPING = 1e-20
+_NO_DAMPING = 1e-20  # damping of a Gauss-Newton step: far below rounding
 
 
 @dataclass(frozen=True)

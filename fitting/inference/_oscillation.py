@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 
 # hysteresis of a reversal: in standard uncertainties, and as a share of the range
 _SIGMAS = 8.0
-_SHARE = 0.01
-_FEWEST = 3
+_SHARE = 0.01  # hysteresis of a reversal, as a share of the range
+_FEWEST = 3  # reversals of an oscillation at least
 # largest net rotation over the total path of a body that oscillates
 _PROGRESS = 0.6
-_PHASE_DEGREE = 5
+_PHASE_DEGREE = 5  # degree of the polynomial of the phase
 # harmonics of an oscillation, and highest power of time of the amplitude of each
 _HARMONICS, _MODULATION = 3, 3
 # largest number of windows of a slow motion, number below which they are shorter than three periods, smallest number of

@@ -210,7 +210,7 @@ def covers(name: str, key: str) -> bool:
 
 # smallest |g - m|: closer to m the difference of the two terms loses digits, and the torque hardly changes
 _NEAREST = 3e-3
-_SAME = 1e-9
+_SAME = 1e-9  # relative difference that a change of coordinates may leave: rounding
 
 
 @dataclass(frozen=True)

@@ -224,7 +224,7 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
     return directions
 
 
-_FIRST_LEVEL = 0.01
+_FIRST_LEVEL = 0.01  # first random torque, as a share of the median torque on the rotor
 # share of the blocks at rest up to which these are left out where the level of random torque is estimated
 _MOST_AT_REST = 0.5
 # correlation time over the length of the record: a slower torque would absorb the error of the initial values

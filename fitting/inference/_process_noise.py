@@ -37,28 +37,28 @@ FLAT_PRIOR_SIGMA = 1e6
 # twice the logarithm of a likelihood ratio up to which two descriptions of the data are consistent
 CONSISTENT = 6.0
 
-_MOST_STRETCHES = 6
+_MOST_STRETCHES = 6  # stretches of a record, each with a level
 # grid of the level in one stretch, in units of the noise of the rows; cells of the random torque per row
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-_CELLS_PER_ROW = 2.5
-_DEGREE = 11
+_CELLS_PER_ROW = 2.5  # cells of the random torque per row
+_DEGREE = 11  # degree of the polynomial of a stretch
 # number of blocks, and degree, of a stretch that holds several periods of an oscillation
 _SHORT_BLOCKS, _SHORT_DEGREE = 4, 14
-_MOST_ROWS = 170
+_MOST_ROWS = 170  # rows of two stretches together: the cost is their cube
 # up to this number of stretches none may have a separate level
 _FEW_STRETCHES = 2
-_OWN_LEVEL_SHARE = 0.05
+_OWN_LEVEL_SHARE = 0.05  # prior probability of a separate level
 # correlation times in lengths of a block, levels in units of the noise of the rows, finer levels per level
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
 _LEVELS = np.geomspace(1e-4, 1e6, 121)
-_FINER = 16
+_FINER = 16  # levels of the finer grid per level of the coarse one
 # share of the largest probability of a time from which on the grid of times is refined about it
 _REFINED_SHARE = 1e-4
-_STUDENT_DOF = 3
+_STUDENT_DOF = 3  # degrees of freedom of the prior of a level: heavy tails, finite variance
 # the lowest level that the recording allows is this quantile
 _LEAST_QUANTILE = 1e-3
-_NEGLIGIBLE = 1e-25
-_BINS = 60
+_NEGLIGIBLE = 1e-25  # probability below which a level is left out
+_BINS = 60  # bins of the marginal distribution of the level
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.95
+LEVEL = 0.95  # coverage of an interval
 # tolerance of an end in standard deviations, fits for each end, steps of each fit
 _NEAR, _FITS, _MOST_STEPS = 0.02, 20, 300
 # relative uncertainty above which a parameter is weakly determined

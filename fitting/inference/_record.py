@@ -356,8 +356,8 @@ def _digest(record: Record) -> str:
     return hasher.hexdigest()
 
 
-WIDTH = 51
-DROPPED = 50
+WIDTH = 51  # points of the running median of the paper
+DROPPED = 50  # points that the paper drops at each end
 # windows sorted at a time: their copies stay in the cache
 _CHUNK = 1024
 
@@ -396,7 +396,7 @@ def running_median(value: Array, width: int) -> Array:
     return out
 
 
-_POINTS = 160
+_POINTS = 160  # points of the rough speeds of a run
 # share of a run from which on a rotor window is divided like the run
 _LONG_WINDOW = 0.5
 

@@ -32,7 +32,7 @@ from fitting.inference._sampled import predicted_samples
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-_GAUSS = 3
+_GAUSS = 3  # nodes of the Gauss rule in a cell: exact to degree 5
 # iterations of a law of an angle that changes its own argument; the response is small compared with a radian
 _PASSES = 8
 # cells of a random torque: per correlation time at least, and in all

@@ -17,7 +17,7 @@ from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
-_CASING = 1
+_CASING = 1  # place of the casing in a state
 
 
 class Solved(Protocol):

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 _PER_TURN = 0.5
 # a mesh for a boundary layer at the start: its first interval over the duration, and its number of intervals
 _FIRST_INTERVAL, _GRADED = 1e-6, 60
-_NOISE_STEP = 0.02
+_NOISE_STEP = 0.02  # step of a simulated random torque [s]; its correlation time is 1 s by default
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _TURN = 2 * math.pi
 # difference quotients from which a local speed is estimated
 _NEIGHBOURS = 31
-_MAD = 1.4826
+_MAD = 1.4826  # standard deviation over the median absolute deviation of a normal variable
 
 
 @dataclass(frozen=True)

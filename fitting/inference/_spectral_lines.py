@@ -34,16 +34,16 @@ from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_in
 
 Array = NDArray[np.float64]
 
-_FEWEST_PERIODS = 10
+_FEWEST_PERIODS = 10  # periods of a line in a record: fewer are a slow torque
 # trial frequencies per peak, and of the finer search about the highest one
 _PER_PEAK = 2
-_FINER = 16
+_FINER = 16  # trial frequencies of the finer search about the highest peak
 # highest frequency: radians per row
 _FASTEST = 2.5
-_MOST = 4
+_MOST = 4  # lines of a record at most
 # share of its rows that a line must have orthogonal to the polynomials
 _RETAINED = 0.05
-_TINY = 1e-6
+_TINY = 1e-6  # determinant of cosine and sine below which phases are not determined
 # relative singular value of a direction that is rounding
 _ROUNDING = 1e-7
 # shares of the most likely process noise without a line, which is an upper bound

@@ -57,7 +57,7 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
 
 
 _PARTS = {"casing": 2, "rotor": 5}
-_POINTS = 40
+_POINTS = 40  # points of the mean over a block
 
 
 @dataclass(frozen=True, repr=False)

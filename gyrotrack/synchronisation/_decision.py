@@ -60,13 +60,13 @@ MAX_LENGTH = 3.0  # s
 GRID = 0.1  # s
 FINE_GRID = 0.005  # s
 MIN_DISTANCE = 0.3  # s, between candidates
-MAX_CANDIDATES = 5
+MAX_CANDIDATES = 5  # starts of a clip that are refined
 THRESHOLD = 100.0  # in chi2
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])  # of the cubic, in rad s-1, s-2, s-3
-INTERVALS = (2, 4, 8, 16, 32)
-BIC_BLOCKS = 30
+INTERVALS = (2, 4, 8, 16, 32)  # numbers of intervals of the spline that are tried
+BIC_BLOCKS = 30  # blocks whose means are independent
 PARAMETERS = 16  # in addition to one per interval: ends of the spline, harmonics, start, rate, direction
-ROUNDS = 2
+ROUNDS = 2  # passes of noise and rejection
 MAX_MISFIT = 0.015  # largest difference of the cameras beyond noise [rad]
 RATE_LIMIT = 5 * RATE_SIGMA
 RIVAL = 60.0  # largest increase of chi2 of alternative starts for the joint solution
@@ -76,7 +76,7 @@ MAX_START_SIGMA = 1e-3  # largest uncertainty of a start that is not ambiguous [
 MAX_CHANCE = 1e-3  # largest probability that directions agree by chance
 AGREE = 4.0  # largest difference of equal directions, or rates [sigma]
 RESOLVED = TURN / 10  # largest uncertainty of a direction that identifies the turn [rad]
-MAX_COMBINATIONS = 64
+MAX_COMBINATIONS = 64  # combinations of starts that are compared
 
 
 @dataclass(frozen=True)

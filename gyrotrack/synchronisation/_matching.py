@@ -62,8 +62,8 @@ def moved(point: Sequence[Start], step: Floats) -> list[Start]:
     ]
 
 
-OUTLIER = 6.0
-BLOCKS = 60
+OUTLIER = 6.0  # standard deviations from which a sample is an outlier
+BLOCKS = 60  # blocks of a residual
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -79,8 +79,8 @@ def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
     return residual[: count * length].reshape(count, length).mean(axis=1), length
 
 
-MIN_FRAMES = 60
-NEIGHBOURS = 15
+MIN_FRAMES = 60  # frames of a clip at least
+NEIGHBOURS = 15  # samples of a running median
 MIN_DURATION = 0.2  # s
 
 
@@ -140,11 +140,11 @@ def harmonics(angle: Floats) -> Floats:
     return np.column_stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)])
 
 
-DEGREE = 5
+DEGREE = 5  # degree of the spline: its torque is smooth
 MARGIN = 2.0  # margin of the window on both sides [half lengths of the clip]
 HARMONIC_SIGMA = 0.02  # prior standard deviation of the harmonics [rad]
 SPLINE_SIGMA = 1.0  # prior standard deviation of the spline from the quartic [rad]
-HARMONICS = 4
+HARMONICS = 4  # cosine and sine of the first and second order
 
 
 @dataclass(frozen=True)
@@ -213,8 +213,8 @@ def link_matrix(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
 
 START_SIGMA = 5.0  # prior standard deviation of a start about its window [s]; regularises a constant speed
 MAX_STEP = 0.3  # s
-MAX_ROUNDS = 40
-MAX_REDUCTIONS = 6
+MAX_ROUNDS = 40  # Gauss-Newton steps
+MAX_REDUCTIONS = 6  # halvings of a step that does not reduce chi-square
 TOLERANCE = 1e-3  # expected decrease of chi2 at convergence
 
 

@@ -462,8 +462,8 @@ def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
 
 # smallest share of the samples in which two markers on one body have the same angular distance
 LEAST_TOGETHER = 0.75
-_LEAST_COMMON = 8
-_NEAR = 0.2
+_LEAST_COMMON = 8  # samples that show both markers
+_NEAR = 0.2  # difference of angular distances that are the same [rad]
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:

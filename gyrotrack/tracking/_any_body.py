@@ -74,8 +74,8 @@ _DISPLACED = 0.05
 _PATH_ERROR = 0.1
 # what a film may be measured with in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
-_COARSE = 48.0
-_FINE = 200.0
+_COARSE = 48.0  # samples of a radius in the search
+_FINE = 200.0  # samples of a radius in the measurement
 _EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
 # the same for a hub that is not given and outside the picture, or of whose ring only this share is inside (as in a
 # corner): rotation resembles translation

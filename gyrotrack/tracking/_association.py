@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128  # number of recent angles in the fit
-FEWEST = 16
+FEWEST = 16  # recent angles from which a motion is predicted
 LONGEST_USE = 130  # frames after which the fit is repeated
 LEAST_SCATTER = 1.5e-3  # lower limit of the scatter of a coarse angle [rad]
 # prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes
@@ -96,8 +96,8 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
     return solution, np.asarray(inverse, dtype=np.float64), scatter
 
 
-LOCK_FRAMES = 24
-LONGEST_COAST = 40
+LOCK_FRAMES = 24  # frames that are scored together until a body is found
+LONGEST_COAST = 40  # frames without the body after which its prediction is no longer trusted
 REACH = 0.35  # half width of the search window about a prediction [rad]
 
 

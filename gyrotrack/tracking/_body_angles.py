@@ -697,8 +697,8 @@ def _followed(
 _HARMONICS = range(1, 13)
 _FIRST_STATED = 3  # order from which harmonics are not caused by the camera
 _LAWS_OF_SPEED = 4  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
-_DEGREE = 5
-_FEWEST_BATCHES = 5
+_DEGREE = 5  # degree of the slow change of angle in a batch
+_FEWEST_BATCHES = 5  # batches beyond the free constants from which amplitudes have a variance
 # variance of an amplitude over that of a complete set of angles from which an order resembles the motion
 _RESEMBLES_MOTION = 2.0
 _FAR_FROM_NOISE = 3.0  # standard deviations of the mean square from which an error is stated
@@ -823,8 +823,8 @@ def by_texture(
 _AVERAGED = (
     0.1  # time over which angles are averaged before they are compared [s]: a torque takes longer to act
 )
-_FEWEST_AVERAGED = 8
-_FEWEST_MEANS = 12
+_FEWEST_AVERAGED = 8  # frames of an average at least
+_FEWEST_MEANS = 12  # averages from which their variance is known within about 40 %
 _MOST_NOISE = 2.0  # ratio of the standard uncertainties of two angles from which the noisier one is not used
 
 

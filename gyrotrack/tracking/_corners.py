@@ -106,7 +106,7 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
 
 # number of bands into which the rows of a side, and the columns of the near edge, are averaged
 SIDE_BANDS, NEAR_BANDS = 4, 5
-_LEAST_FALL = 1e-9
+_LEAST_FALL = 1e-9  # fall of grey below which an edge is flat: rounding
 
 
 def near_corners(

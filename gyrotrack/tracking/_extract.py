@@ -309,7 +309,7 @@ _BODY = (
     1.5  # radius of the bodies, for example the ring of the casing, relative to the outer end of the markers
 )
 LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
-_STEPS = 12
+_STEPS = 12  # frames over which the speed on either side of a gap is measured
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:

@@ -63,7 +63,7 @@ OVERLAP = 64  # frames that two neighbouring parts share
 # smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the parts
 # are tracked, and largest number of such parts
 LEARNT, MOST_LEARNT = 256, 8
-_RATE = 24
+_RATE = 24  # frames on either side of a seam whose mean speed continues the angle
 _STAMPS = "stamps"
 _TEXTURE = "texture/angle"
 

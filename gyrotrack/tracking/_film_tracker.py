@@ -234,9 +234,9 @@ Rows = dict[str, npt.NDArray[Any]]
 
 Progress = Callable[[int, int | None], None]
 
-BATCH = 512
+BATCH = 512  # frames that are measured together
 HOLD = 64  # frames in memory at a time, in which a body that is not found at its prediction is searched
-HELD_BYTES = 24_000_000
+HELD_BYTES = 24_000_000  # memory of the frames that are held: a limit of memory
 SLOW = 3.0 * LEAST_SCATTER  # smallest step of the fastest body [rad] for which equal frames count as repeated
 _MOVE = 0.6  # distance of the disc from the centre of the rings [px] beyond which the rings are moved
 

@@ -30,7 +30,7 @@ AROUND = 20  # frames to each side from which the typical step of a body is dete
 # smallest step of a body, in standard deviations of its steps, for which a repetition can be detected: half a step,
 # below which the body counts as unmoved, is then three standard deviations
 CLEAR = 6.0
-FEWEST = 4
+FEWEST = 4  # steps from which a scatter is known
 
 
 @dataclass(frozen=True)

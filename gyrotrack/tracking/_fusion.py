@@ -56,7 +56,7 @@ TURN = 2.0 * np.pi
 ALL = slice(None)
 # angular rate [rad/s] at which an amplitude of the acceleration of 10 rad/s^2 (large unbalance) is 2 mrad
 FAST = 70.0
-_LEFT = 0.2
+_LEFT = 0.2  # least share of the scatter of a marker that is its own
 
 
 class Residuals:
@@ -235,7 +235,7 @@ def _weight(sigma: Floats) -> Floats:
     return np.where(known, (median_of(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)
 
 
-KNOTS = 72
+KNOTS = 72  # knots of a closed curve: every 5 degrees
 _BEND, _SIZE = 4e-3, 3e-2
 
 
@@ -589,7 +589,7 @@ def _without_common(mounts: dict[str, float]) -> Floats:
     return np.stack([np.concatenate(list(curves.values())) for curves in kept], axis=1)
 
 
-ROUNDS = 5
+ROUNDS = 5  # passes of the fusion
 
 
 @dataclass(frozen=True)
@@ -686,7 +686,7 @@ def join(
 # small part of one marker. It carries 1/100 of the information of a typical frame, and its errors, those of the edge
 # of the object that hides the marker, are not normally distributed
 WEAKEST_BODY = 10.0
-_NEIGHBOURS = 101
+_NEIGHBOURS = 101  # frames of the running median of u
 # leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough
 UNCONFIRMED = 0.9
 

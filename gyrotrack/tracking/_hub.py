@@ -85,13 +85,13 @@ class DiscWindow:
 Complexes = npt.NDArray[np.complex128]
 
 HOLE = 8  # correlation length of the errors of a compressed film [frames]
-_HALVES = (24, 48, 96, 192)
+_HALVES = (24, 48, 96, 192)  # half lengths of the windows of a spectrum [frames]
 # half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`
 _SHORT_HALVES = (2, 6, 12, 0)
 _ALTERNATIVES = 48  # frames from which the radii of the markers select one of these paths
 _PARTIAL_STEP = 6.0  # displacement of a partly covered disc over the typical one from frame to frame
-_LINE_POWER = 7.0
-_PIECES = 64
+_LINE_POWER = 7.0  # power of a line over the floor of its spectrum: noise exceeds it in 0.1 %
+_PIECES = 64  # windows that are transformed together: a limit of memory
 # lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture
 LEAST_SIGMA = 0.05
 
@@ -291,7 +291,7 @@ def _path_sigma(left: Complexes, half: int) -> float:
 
 
 _TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
-_RIDGE = 1e-9
+_RIDGE = 1e-9  # ridge of the normal equations: rounding
 
 
 def wandering_centre(

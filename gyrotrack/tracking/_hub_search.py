@@ -23,9 +23,9 @@ from gyrotrack.tracking._registration import TURN, Picture, Ring
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
-_PAIRS = 40
-_LAGS = (1, 4, 16)
-_FEATURES = 400
+_PAIRS = 40  # pairs of frames of each lag
+_LAGS = (1, 4, 16)  # distances of the frames of a pair, for fast and slow bodies
+_FEATURES = 400  # features of a frame at most
 _STRAY = 8.0  # residual from the similarity at which a feature is discarded [px]
 _NEAR = 640.0  # width of the picture over the largest residual of an inlier
 _FEWEST = 12  # features that a similarity needs

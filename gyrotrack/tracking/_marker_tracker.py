@@ -104,9 +104,9 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 
 
 LARGEST = 24.0  # upper limit of the excess of a squared misfit
-FEWEST = 30
+FEWEST = 30  # frames from which a scatter is measured
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
-_FAULT = 5.0
+_FAULT = 5.0  # standard deviations from which an angle is a fault
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
@@ -171,7 +171,7 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
     return float(np.median(values[whole])) if whole.any() else 1.0
 
 
-ROUNDS = 8
+ROUNDS = 8  # iterations of a match
 FINENESS = 8  # displacements per sample at which the template is tabulated; it is interpolated linearly
 
 

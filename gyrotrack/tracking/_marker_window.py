@@ -335,7 +335,7 @@ def _blurred(rows: Floats, half: int) -> Floats:
 
 Mask = npt.NDArray[np.bool_]
 
-_COLUMNS = 360
+_COLUMNS = 360  # columns of the map per turn: one degree
 _SCALE = _COLUMNS / (2.0 * np.pi)
 
 

@@ -153,11 +153,11 @@ def _mode(values: Floats) -> float:
     return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
 
 
-MOST_OBSERVATIONS = 2000
-LEAST_OBSERVATIONS = 30
+MOST_OBSERVATIONS = 2000  # observations of an orbit: more do not reduce its error by place
+LEAST_OBSERVATIONS = 30  # the fewest
 # correlation length of errors by place [rad]; their sixth harmonic is as large as the first
 CELL = np.pi / 6.0
-LEAST_COVER = 5.0
+LEAST_COVER = 5.0  # part of the turn that an orbit must cover [rad]
 _ROUNDS = 6  # smallest angle [rad] covered by the observations for which the orbit of a marker is fitted
 
 

@@ -107,7 +107,7 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
 
 CELLS = 12  # parts of an arc, of which each has one error by place
-_FEWEST_IN_CELL = 3
+_FEWEST_IN_CELL = 3  # angles of a part of an arc that determine its error
 # smallest curvature of a path that determines a hub, in standard uncertainties
 STRAIGHT = 4.0
 

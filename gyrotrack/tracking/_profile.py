@@ -94,7 +94,7 @@ def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, floa
 
 # smallest length of the chroma vector (of 255) of a colour with a hue
 _LEAST_CHROMA = 14.0
-_BRIGHT = 110.0
+_BRIGHT = 110.0  # grey level from which a patch without a hue is white
 _LEAST_AREA = 3  # of a patch of colour [px]
 
 

@@ -49,12 +49,12 @@ from gyrotrack.video._decoder import frames_at
 Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
-BINS = 120
+BINS = 120  # bins of the hue: every 3 degrees
 APART = np.deg2rad(24.0)  # smallest difference between two hues that count as different [rad]
 SECTOR = np.deg2rad(45.0)
 LEAST_CHANGE = 6.0  # smallest change of chroma of a moving colour [grey levels]
 LEAST_SHARE = 0.004  # smallest share of a hue in the total change of chroma
-MOST = 8
+MOST = 8  # colours that are proposed
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def apart(a: float, b: float) -> float:
 TRIALS = 1500
 # smallest contrast times share of samples of a second patch of a hue, relative to the first one
 _AMBIGUOUS = 0.35
-_SAME_HUE = 18.0
+_SAME_HUE = 18.0  # difference of equal hues [degrees]
 _DISC_HUES = range(0, 360, 30)
 # smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly
 _LEAST_DISC = 14.0
@@ -246,7 +246,7 @@ Mask = npt.NDArray[np.bool_]
 
 EVEN = 0.6  # smallest share of the observations that are in phase with a steady rotation
 _REST_STEP, _MOVED = 2e-3, 0.25
-_FEWEST = 8
+_FEWEST = 8  # observations from which a rotation is tested
 
 
 @dataclass(frozen=True)

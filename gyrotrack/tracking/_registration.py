@@ -29,8 +29,8 @@ Area = tuple[int, int, int, int]
 
 TURN = 2 * np.pi
 _PHASES = 8  # copies of the template shifted by fractions of a column
-_ITERATIONS = 6
-_ROUNDS = 2
+_ITERATIONS = 6  # Gauss-Newton steps of a frame
+_ROUNDS = 2  # alternations of body and fixed picture
 _CLOSE = 1e-3  # columns; a step below this ends the iteration
 ALL = slice(None)
 

@@ -90,8 +90,8 @@ KEYS = 20
 LATER = 32  # number of samples from the rest of a film with fewer key frames
 # largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller
 DECODED = 240
-FEWEST = 8
-_BLOB_WIDTH = 400
+FEWEST = 8  # frames of a film at least
+_BLOB_WIDTH = 400  # width of the chroma plane from which blobs are searched at half size [px]
 
 
 _BLOCK = 8  # frames in a file

@@ -65,7 +65,7 @@ MANY_TURNS = 3.0  # from which errors that repeat with the turn are distinguisha
 # standard uncertainty of the centre of a ring in luma [px]: centres are measured in chroma, whose samples are displaced
 # by half a pixel in each direction between the conventions of encoders
 CENTRE_ERROR = 0.3
-_ROUNDS = 2
+_ROUNDS = 2  # passes of the template: the second one uses the angles of the first
 _LEAST_SHARE = 0.1  # smallest variance of a zone relative to that of its differences
 # of the polynomial that describes the motion in a batch: the first that is sufficient, or the last one over many turns.
 # A motion that remained would seem correlated with the errors of some zones

@@ -377,7 +377,7 @@ def _tagged_rate(metadata: Any) -> float | None:
 
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
-_LONGEST_XML = 2**20
+_LONGEST_XML = 2**20  # bytes of a description that are read: a limit of memory
 
 
 def _sony_rate(path: Path) -> float | None:

@@ -42,7 +42,7 @@ T = TypeVar("T")
 CHUNK = 8  # frames transferred at a time; waking a thread for each one would take longer than its decoding
 _CHUNK_BYTES = 5_000_000  # ... unless they are large: several chunks are in memory at a time
 WAITING = 2  # largest number of waiting chunks
-_PATIENCE = 0.05
+_PATIENCE = 0.05  # time after which a waiting thread looks whether it is to stop [s]
 
 
 class ReadAhead(Generic[T]):
@@ -101,7 +101,7 @@ class ReadAhead(Generic[T]):
 
 
 _STAMP_S = 2e-3  # resolution of timestamps in whole ms
-_NO_STAMP = -(1 << 63)
+_NO_STAMP = -(1 << 63)  # the value of FFmpeg for a missing timestamp
 
 
 @dataclass(frozen=True)
@@ -323,11 +323,11 @@ def _decoded(
 # largest difference of a repeated frame from the previous one, relative to the recent typical difference
 SAME = 0.3
 SMALL = 0.35  # size of a packet, relative to its neighbours, below which it has little information
-_AROUND = 31
-_LARGE = 80
-_ROWS = 12
-_MOST = 0.8
-_FEWEST = 5
+_AROUND = 31  # packets of a running quantile
+_LARGE = 80  # the quantile [percent]
+_ROWS = 12  # rows of a frame that are compared
+_MOST = 0.8  # quantile of the differences that a repeated frame must fall below
+_FEWEST = 5  # repeats from which their spacing is judged
 
 Rows = npt.NDArray[np.uint8]
 

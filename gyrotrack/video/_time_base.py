@@ -128,9 +128,9 @@ SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05  # share by which the stamps' rate may differ from the capture rate in a film that was not slowed down
 # largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that
 EVEN = 5e-3
-_ROUNDED = 0.75
-_ODD = 0.01
-_HALF = 20
+_ROUNDED = 0.75  # residual of rounded stamps [ticks]: half a tick, and a margin
+_ODD = 0.01  # share of stamps that may be wrong
+_HALF = 20  # stamps on either side of a local fit
 
 
 @dataclass(frozen=True)
