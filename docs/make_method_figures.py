@@ -1,6 +1,6 @@
 """Draw the figures of docs/explanation/method.md from the sample films: `python docs/make_method_figures.py`.
 
-It also prints the numbers of the worked example on that page.
+It also prints the numbers of the worked examples on that page.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
 
 import gyrotrack
@@ -45,14 +46,20 @@ def main() -> None:
     """Analyse the films, draw both figures, and print the numbers of the page."""
     mpl.use("agg")
     with tempfile.TemporaryDirectory() as place:
-        case = case_of_films(Path(place) / "sample.h5")
+        file = Path(place) / "sample.h5"
+        case = case_of_films(file)
+        synchronised = gyrotrack.read_case(file)
+        for name, recording in synchronised.recordings.items():
+            sigma = {b: f"{1e3 * np.median(track.sigma):.2f} mrad" for b, track in recording.bodies.items()}
+            print(synchronised.placements[name], sigma)
     base = fit("reduced", case)
     diagnosis = diagnose(base)
     final = improve(base, first=diagnosis.candidates)[-1].fit
     draw_residuals(base, final, diagnosis).savefig(TARGET / "residual.png", dpi=100)
     diagnosis.plot().savefig(TARGET / "candidates.png", dpi=100)
     for name, shown in (("base", base), ("final", final)):
-        print(f"{name}: {shown.cases[0].casing}")
+        print(f"{name}: {shown.cases[0]}")
+    print(final.fit_report(), final.noise, diagnose(final).sentence, sep="\n")
     print(diagnosis.sentence)
     for candidate in diagnosis.candidates[:6]:
         words = base.name(candidate.effect).words
