@@ -24,33 +24,15 @@ from fitting.dynamics._inputs import Input
 from fitting.dynamics._model import NAMED, Model
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
-from fitting.inference._record import Record, make_record
+from fitting.inference._record import Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
 
-_BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 # prefixes of names in the library, and what follows the name of a body in their place
 _PLACES = (("touchpoint.", "support."), ("external.", "external."), ("casing.", ""))
 _GYROSCOPE = ("casing", "rotor")
-_TAKEN = {
-    "rotor",
-    "casing",
-    "bearing",
-    "touchpoint",
-    "external",
-    "input",
-    "camera",
-    "setup",
-    "contact",
-    "initial",
-}
 _KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u")
 _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
-
-
-def is_body_name(name: str) -> bool:
-    """Whether a text can be the name of a body alone: an identifier without a meaning in the library."""
-    return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
 
 
 def outward(name: str, body: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import RecordError
 from fitting.dynamics._inputs import Input
-from fitting.inference._record import Quantity, Record, make_record
+from fitting.inference._record import Quantity, Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
 
@@ -199,8 +199,6 @@ def _read(path: Path, file: Any) -> Record:
 
 def _body_name(attributes: dict[str, Any]) -> str:
     """Return the name of a single body; empty if there is none that keys of laws may begin with."""
-    from fitting.inference._case import is_body_name
-
     name = text(attributes.get("body_name"))
     return name if is_body_name(name) else ""
 

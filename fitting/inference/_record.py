@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
@@ -180,6 +181,27 @@ class Record:
         """The first and the last time of any sample [s]."""
         ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
         return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
+
+
+_BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+# names with a meaning in the library
+_TAKEN = {
+    "rotor",
+    "casing",
+    "bearing",
+    "touchpoint",
+    "external",
+    "input",
+    "camera",
+    "setup",
+    "contact",
+    "initial",
+}
+
+
+def is_body_name(name: str) -> bool:
+    """Whether a text can be the name of a body alone: an identifier without a meaning in the library."""
+    return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
 
 
 def make_record(

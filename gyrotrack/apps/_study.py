@@ -302,7 +302,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
 
 def checked_body_name(name: str) -> str:
     """Return the name of a single body; a UsageError says what is accepted."""
-    from fitting.inference._case import is_body_name
+    from fitting.inference._record import is_body_name
 
     if name and not is_body_name(name):
         what = (
