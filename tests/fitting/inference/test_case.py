@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import data
 from scipy.optimize import curve_fit
 
 import fitting
@@ -218,8 +219,6 @@ def test_laws_of_a_body_with_an_input():
 
 
 def test_a_gyroscope_keeps_its_names(case):
-    from cases import data
-
     record = data(seed=0).record
     runs = [{"t": w.time, "angle": w.value, "u": w.sigma, "inertia": record.I_rotor} for w in record.rotor]
     casing = {"t": record.casing.time, "angle": record.casing.value, "u": record.casing.sigma}
