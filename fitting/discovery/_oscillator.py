@@ -32,9 +32,8 @@ _SPRING, _CUBIC, _GRAVITY = "casing.spring.linear", "casing.spring.cubic", "casi
 _RESTORING: tuple[Names, ...] = ((_SPRING,), (_GRAVITY,), (_SPRING, _CUBIC))
 _DAMPING = ("touchpoint.constant", "casing.air.linear", "casing.air.quadratic")
 _GENERAL = (_SPRING, _CUBIC, *_DAMPING)
-_MOST_CORRELATED = (
-    0.98  # upper limit of the correlation of adjacent amplitudes: a hundred effective samples of 10,000
-)
+# upper limit of the correlation of adjacent amplitudes: a hundred effective samples of 10,000
+_MOST_CORRELATED = 0.98
 _BLOCKS = 12  # parts of the jackknife
 # relative error of a strength by the averaged equations, which are of first order: up to 0.5 % for a pendulum of 94
 # degrees and for springs that soften by a tenth

@@ -200,7 +200,7 @@ _TAKEN = {
 
 
 def is_body_name(name: str) -> bool:
-    """Whether a text can be the name of a body alone: an identifier without a meaning in the library."""
+    """Return whether a text can be the name of a single body: an identifier without a meaning in the library."""
     return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
 
 

@@ -78,9 +78,8 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
             "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",
         )
     half = np.array([h for _, (_, h, _) in rows])
-    for k in range(
-        1, len(half)
-    ):  # a line has no sense: it turns by less than a quarter turn from frame to frame
+    # a line has no sense: it turns by less than a quarter turn from frame to frame
+    for k in range(1, len(half)):
         if half[k] @ half[k - 1] < 0:
             half[k] *= -1.0
     centroid = np.array([c for _, (c, _, _) in rows])

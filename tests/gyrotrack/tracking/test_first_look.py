@@ -7,7 +7,13 @@ import pytest
 
 from gyrotrack.tracking import _first_look
 from gyrotrack.tracking._first_look import FirstLook, follow_long_body, hub_of
-from gyrotrack.tracking._silhouettes import CompactBody, compact_body, long_tilted_body, median_picture
+from gyrotrack.tracking._silhouettes import (
+    CompactBody,
+    LongBody,
+    compact_body,
+    long_tilted_body,
+    median_picture,
+)
 
 SHAPE = (120, 160)
 Y, X = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
@@ -132,3 +138,40 @@ def test_the_hub_of_a_body_is_where_its_centroid_is_displaced_from():
     a = np.linspace(0, 4, 40)
     half = 30.0 * np.stack([np.cos(a), 0.5 * np.sin(a)], axis=1)
     assert hub_of(np.array((50.0, 70.0)) + 0.4 * half, half) == pytest.approx((50.0, 70.0))
+
+
+@pytest.mark.parametrize(("scatter", "seen"), [(3.0, True), (14.0, False)])
+def test_the_scatter_about_an_arc_is_small_beside_its_extent(scatter, seen):
+    """The arc is 106 px wide, and 6 % of its extent are allowed."""
+    place = _arc((80.0, -120.0), 180.0, 0.3, 60)
+    place[:, 1] += scatter * np.random.default_rng(1).standard_normal(60)
+    assert (_body(place).pivot is not None) == seen
+
+
+@pytest.mark.parametrize(("ratio", "seen"), [(1.25, True), (1.6, False)])
+def test_one_body_has_alike_radii_in_most_frames(ratio, seen):
+    place = _arc((80.0, -120.0), 180.0, 0.3)
+    frames = [f for k, p in enumerate(place) for f in _discs([p], 8.0 * ratio if k % 3 == 0 else 8.0)]
+    assert (compact_body(frames, median_picture(frames), 1.0) is not None) == seen
+
+
+@pytest.mark.parametrize(("swing", "seen"), [(1.0, False), (2.2, True)])
+def test_the_orbit_of_a_long_body_has_no_gap_of_a_quarter_turn(swing, seen):
+    """Both ends count: a swing of 1 rad leaves gaps of 2.1 rad, one of 2.2 rad gaps of 0.9 rad at most."""
+    frames = _rods(np.linspace(-0.5, 0.5, 30) * swing + 0.5 * np.pi, 0.7)
+    assert (long_tilted_body(frames, median_picture(frames), 1.0) is not None) == seen
+
+
+def test_the_axis_of_a_rod_has_its_half_length():
+    body = LongBody("light", np.full(SHAPE, 120.0, dtype=np.float32), 3.0)
+    centroid, half, width = body.axis(_rods([0.0], 0.0)[0])
+    assert np.abs(half) == pytest.approx((40.0, 0.0), abs=1.5)
+    assert centroid == pytest.approx((80.0, 60.0), abs=0.5)
+    assert 3.0 < width < 8.0
+
+
+def test_two_discs_are_not_a_long_body():
+    """Their axis is long, but most of the ellipse of the same moments is empty."""
+    cover = [np.clip(6.5 - np.hypot(X - x, Y - 60.0), 0, 1) for x in (40.0, 120.0)]
+    body = LongBody("light", np.full(SHAPE, 120.0, dtype=np.float32), 3.0)
+    assert body.axis(_noisy(120.0 + 60.0 * (cover[0] + cover[1]), 0)) is None
