@@ -9,7 +9,7 @@ motion that is not plane, increases the errors in this way.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
+from fitting._errors import FittingError
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged
 from fitting.inference._case_data import CaseData
+from fitting.inference._fit import fit
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._result import Fit
@@ -63,6 +65,15 @@ class Strength:
 
 
 @dataclass(frozen=True)
+class LawSet:
+    """Names of restoring and damping torques with their strengths by the averaged equations."""
+
+    restoring: Names
+    damping: Names
+    parameters: dict[str, Strength]
+
+
+@dataclass(frozen=True)
 class OscillatorLaws:
     """The laws of an oscillator."""
 
@@ -73,6 +84,7 @@ class OscillatorLaws:
     restoring_classes: tuple[Names, ...]
     damping_classes: tuple[Names, ...]
     parameters: dict[str, Strength]  # strengths of the chosen set
+    sets: tuple[LawSet, ...] = ()  # all that describe the phase, by BIC
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
@@ -127,14 +139,59 @@ def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorL
         return None
     found.sort(key=lambda f: f[0])
     close = [f for f in found if f[0] - found[0][0] < criteria.equivalence_width]
-    _, restoring, damping, best = min(close, key=lambda f: len(f[1]) + len(f[2]))
+    chosen = min(close, key=lambda f: len(f[1]) + len(f[2]))
+    sets = {(f[1], f[2]): LawSet(f[1], f[2], _strengths(f[3], shares, data)) for f in found}
     return OscillatorLaws(
-        restoring,
-        damping,
+        chosen[1],
+        chosen[2],
         tuple(dict.fromkeys(f[1] for f in close)),
         tuple(dict.fromkeys(f[2] for f in close)),
-        _strengths(best, shares, data),
+        sets[chosen[1], chosen[2]].parameters,
+        tuple(sets.values()),
     )
+
+
+def fit_oscillator(
+    laws: OscillatorLaws, model_of: Callable[[Names], Model], data: CaseData, criteria: Criteria = DEFAULT
+) -> tuple[OscillatorLaws, Fit]:
+    """Return the laws of an oscillator and their exact fit.
+
+    Amplitude and phase of a period contain less than its samples, and the averaged equations err by more than the data
+    where the amplitude is large. So the damping torques that they leave are fitted exactly with the restoring torque of
+    the lowest BIC, and the best of them with the other restoring torques; BIC decides. Through so many reversals that
+    only one candidate is refitted, the chosen set alone is fitted.
+    """
+    reversals = 0 if data.oscillation is None else len(data.oscillation.reversals)
+    if not laws.sets or criteria.refits_through(reversals) == 1:
+        return laws, fit(model_of((*laws.restoring, *laws.damping)), [data])
+    fits: list[tuple[LawSet, Fit]] = []
+    failures: list[FittingError] = []
+
+    def fitted(sets: Iterable[LawSet]) -> None:
+        for one in sets:
+            try:
+                fits.append((one, fit(model_of((*one.restoring, *one.damping)), [data])))
+            except FittingError as error:
+                failures.append(error)
+        fits.sort(key=lambda f: f[1].bic)
+
+    first = laws.sets[0].restoring
+    fitted(s for s in laws.sets if s.restoring == first and s.damping in laws.damping_classes)
+    damping = fits[0][0].damping if fits else laws.damping
+    fitted(s for s in laws.sets if s.restoring != first and s.damping == damping)
+    if not fits:
+        raise failures[0]
+    close = [f for f in fits if f[1].bic - fits[0][1].bic < criteria.equivalence_width]
+    chosen, exact = min(close, key=lambda f: len(f[1].model.effects))
+    found = OscillatorLaws(
+        chosen.restoring,
+        chosen.damping,
+        tuple(dict.fromkeys(f[0].restoring for f in close)),
+        tuple(dict.fromkeys(f[0].damping for f in close)),
+        chosen.parameters,
+        laws.sets,
+    )
+    return found, exact
 
 
 def possible_restoring(

@@ -602,7 +602,7 @@ def _analysed(
     from fitting._criteria import DEFAULT
     from fitting._errors import FittingError
     from fitting._workers import WorkerPool
-    from fitting.discovery._oscillator import oscillator_laws
+    from fitting.discovery._oscillator import fit_oscillator, oscillator_laws
     from fitting.discovery._select import improve, rank
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
@@ -688,8 +688,10 @@ def _analysed(
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case; an oscillation has no solution without a
             # restoring torque, and while one law is missing the next one imitates it
-            names = REDUCED if laws is None else (*laws.restoring, *laws.damping)
-            base = fit(study.model(names), study.data)
+            if laws is None:
+                base = fit(study.model(REDUCED), study.data)
+            else:
+                laws, base = fit_oscillator(laws, study.model, study.data[0])
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)

@@ -75,16 +75,19 @@ class Bob:
             for s in np.linspace(-0.5, 0.5, 5) * self.exposure / self.fps:
                 a = float(self.angle(t + s))
                 px, py = self.hub[0] + self.length * np.sin(a), self.hub[1] + self.length * np.cos(a)
-                u, v = (
-                    np.cos(a) * (x - px) - np.sin(a) * (y - py),
-                    np.sin(a) * (x - px) + np.cos(a) * (y - py),
-                )
-                picture = still
+                picture = still.copy()
                 if self.thread:
+                    u = np.cos(a) * (x - px) - np.sin(a) * (y - py)
+                    v = np.sin(a) * (x - px) + np.cos(a) * (y - py)
                     cover = np.clip(1.0 - np.abs(u), 0.0, 1.0) * (v < 0)
-                    picture = picture + cover * (70.0 - picture)
+                    picture += cover * (70.0 - picture)
+                reach = self.radius + 2.0
+                near = tuple(slice(max(int(c - reach), 0), max(int(c + reach) + 1, 0)) for c in (py, px))
+                dx, dy = x[near] - px, y[near] - py
+                u, v = np.cos(a) * dx - np.sin(a) * dy, np.sin(a) * dx + np.cos(a) * dy
                 cover = np.clip(self.radius - np.hypot(u, v) + 0.5, 0.0, 1.0)
-                total = total + picture + cover * (self._pattern(u, v) - picture)
+                picture[near] += cover * (self._pattern(u, v) - picture[near])
+                total = total + picture
             picture = total / 5.0
             if self.bar is not None:
                 picture = np.where((x >= self.bar[0]) & (x < self.bar[1]), 200.0, picture)

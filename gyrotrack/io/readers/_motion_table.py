@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.legendre import legvander
 from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
@@ -42,11 +43,12 @@ from gyrotrack.io.readers._raw_table import (
 from gyrotrack.io.readers._reading import Reading, Taken
 
 _GAP = 20.0
-_BLOCK = 15
-_ORDER = 3
-_NEIGHBOURS = 41
+_BLOCK = 15  # samples of a local polynomial: the fewest that leave degree 9 five degrees of freedom
+_DEGREES = (3, 5, 7, 9)  # the last one shows only whether the one before it is sufficient
+# variance over that of the next degree from which on the motion is not described: a random walk has 1.36, white noise 1
+_INSUFFICIENT = 1.6
+_NEIGHBOURS = 41  # blocks of a running median: its own standard error is 8 %
 _FLOOR = 1e-6
-_MEDIAN_OF_CHI2 = 11 * (1 - 2 / (9 * 11)) ** 3 / 11  # median of chi2 / dof for dof = _BLOCK - _ORDER - 1 = 11
 _MOST_REPEATED = 0.7  # largest share of rows with the time of the row before
 _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
 # share, and number, of the changes between neighbours that are not usual; the greater applies
@@ -755,31 +757,37 @@ def pieces(time: Floats) -> list[slice]:
 
 
 def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
-    """Return the standard uncertainty of each of at least 8 unwrapped samples, from the residuals of local cubics.
+    """Return the standard uncertainty of each of at least 8 unwrapped samples, from the residuals of local polynomials.
 
-    Cubics are fitted to blocks of 15 samples. The variance is the running median of their residual variances over 41
-    blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. Errors that
-    vary more slowly than a block (centre offset, tilt) are not included. `floor` is a lower bound, in the unit of
-    `value`.
+    Polynomials are fitted to blocks of 15 samples. The variance is the running median of their residual variances over
+    41 blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. The
+    degree is the lowest of 3, 5 and 7 whose variance is less than 1.6 times that of the next degree, which keeps cubics
+    for noise, white or correlated: of an oscillation with few samples a period, cubics leave a part of the motion.
+    Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is a lower bound, in the
+    unit of `value`.
     """
-    starts = np.arange(0, max(len(time) - _BLOCK, 0) + 1, _BLOCK)
-    centre = np.array([float(np.mean(time[i : i + _BLOCK])) for i in starts])
-    variance = np.array([_residual_variance(time[i : i + _BLOCK], value[i : i + _BLOCK]) for i in starts])
+    size = min(_BLOCK, len(time))
+    count = len(time) // size
+    t, v = time[: count * size].reshape(count, size), value[: count * size].reshape(count, size)
+    centre = t.mean(axis=1)
+    away = (t - centre[:, None]) / np.maximum(np.ptp(t, axis=1), 1e-300)[:, None] * 2
+    # column j of Q belongs to degree j: the squares of the coefficients beyond a degree are those of its residuals
+    orthogonal = np.linalg.qr(legvander(away, min(_DEGREES[-1], size - 1)), mode="complete")[0]
+    squares = np.einsum("kij,ki->kj", orthogonal, v - v.mean(axis=1, keepdims=True)) ** 2
     half = _NEIGHBOURS // 2
-    smooth = [np.median(variance[max(0, k - half) : k + half + 1]) for k in range(len(starts))]
-    known = np.asarray(smooth)
+    near = [slice(max(0, k - half), k + half + 1) for k in range(count)]
+    smooth = np.zeros((len(_DEGREES), count))
+    for d, degree in enumerate(_DEGREES):
+        free = size - degree - 1
+        if free > 0:
+            variance = squares[:, degree + 1 :].sum(axis=1) / free
+            # the median of chi2 / dof (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
+            smooth[d] = np.array([np.median(variance[part]) for part in near]) / (1 - 2 / (9 * free)) ** 3
+    sufficient = smooth[:-1] < _INSUFFICIENT * smooth[1:]
+    lowest = np.where(sufficient.any(axis=0), sufficient.argmax(axis=0), 0)
+    known = smooth[lowest, np.arange(count)]
     # values that do not change at all, of a body at rest under a coarse resolution, do not show the noise
     shows = known > floor**2
     if shows.any():
         known = np.where(shows, known, np.median(known[shows]))
-    sigma = np.sqrt(np.interp(time, centre, known) / _MEDIAN_OF_CHI2)
-    return np.asarray(np.maximum(sigma, floor))
-
-
-def _residual_variance(time: Floats, value: Floats) -> float:
-    if len(time) <= _ORDER + 1:
-        return 0.0
-    width = max(float(np.ptp(time)), 1e-300)
-    basis = np.vander((time - time.mean()) / width, _ORDER + 1)
-    residual = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
-    return float(residual @ residual) / (len(time) - _ORDER - 1)
+    return np.asarray(np.maximum(np.sqrt(np.interp(time, centre, known)), floor))

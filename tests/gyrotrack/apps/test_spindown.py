@@ -570,7 +570,7 @@ def _said(capsys, *arguments):
 
 def _pendulum(tmp_path, law):
     """Write 20 periods of a pendulum released at 1.4 rad, with dry friction of 0.07 rad/s2 and noise of 2 mrad."""
-    t = np.arange(0, 22, 1 / 60)
+    t = np.arange(0, 22, 1 / 40)
     run = solve_ivp(
         lambda t, y: [y[1], law(*y) - 0.07 * np.tanh(y[1] / 1e-3)],
         (0, 22), [1.4, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, method="LSODA",
@@ -581,11 +581,12 @@ def _pendulum(tmp_path, law):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quadratic", "viscous", "damping"),
     [
-        (0.01, 0.0, {"touchpoint.constant", "casing.air.quadratic"}),
         (0.0, 0.05, {"touchpoint.constant", "casing.air.linear"}),
+        (0.01, 0.0, {"touchpoint.constant", "casing.air.quadratic"}),
     ],
 )
 def test_gravity_and_two_kinds_of_friction_are_named_together(
@@ -603,6 +604,7 @@ def test_gravity_and_two_kinds_of_friction_are_named_together(
     assert strength["value"] == pytest.approx(37.2, abs=4 * strength["stderr"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
 def test_a_computed_table_is_described(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -285,9 +285,9 @@ def test_a_mount_angle_in_the_profile_fixes_the_zero(casing_clip):
     assert moved.markers["red"].mount_angle == pytest.approx(0.5)
 
 
-def test_the_same_film_gives_the_same_numbers(casing_clip):
-    one, two = (extract(casing_clip[0], threads=t).bodies["casing"].angle for t in (1, 2))
-    np.testing.assert_array_equal(one, two)
+def test_any_number_of_threads_gives_the_same_numbers(casing, casing_clip):
+    other = extract(casing_clip[0], threads=2)
+    np.testing.assert_array_equal(other.bodies["casing"].angle, casing[0].bodies["casing"].angle)
 
 
 def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monkeypatch):

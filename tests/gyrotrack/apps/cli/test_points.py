@@ -13,7 +13,7 @@ from gyrotrack.apps.cli._app import run
 @pytest.fixture(scope="module")
 def film(bob, made_once):
     """A blue bob on a thread with the pivot above the picture, and what was drawn."""
-    drawn = bob(frames=90, colour=True)
+    drawn = bob(frames=60, period=0.6, colour=True)
     return made_once("film-bob", lambda folder: drawn.write(folder / "bob.mp4")) / "bob.mp4", drawn
 
 
@@ -38,7 +38,7 @@ def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     words = ["extract", str(path), "--point", click(drawn), "-o", str(target), "--json"]
     assert run([*words, "--capture-fps", "50"]) == 0
     said, _ = document(capsys)
-    assert said["points"]["point"]["samples"] == 90
+    assert said["points"]["point"]["samples"] == 60
     assert 0.002 < said["points"]["point"]["median_sigma_px"] < 0.1
     assert run(["export", str(target), "--table", "points", "-o", str(table)]) == 0
     found = rows(table)
@@ -47,7 +47,7 @@ def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     ]  # fmt: skip
     x = np.array([float(row["x [px]"]) for row in found])
     assert (x - drawn.place[:, 0]).std() < 0.2  # the place on the bob that is followed turns with it
-    assert float(found[-1]["time [s]"]) == pytest.approx(89 / 50)
+    assert float(found[-1]["time [s]"]) == pytest.approx(59 / 50)
 
 
 def test_a_scale_gives_metres(film, tmp_path, capsys):
@@ -70,7 +70,7 @@ def test_a_scale_gives_metres(film, tmp_path, capsys):
     found = rows(table)
     y = np.array([float(row["y [m]"]) for row in found])
     exact = drawn.place[[int(row["frame_number"]) for row in found], 1]
-    assert len(found) > 80
+    assert len(found) > 50
     assert np.abs(y / 0.002 - exact).max() < 1.5  # of chroma, which has half the resolution
     assert run(["info", str(target)]) == 0
     assert "NOT SOUND" not in capsys.readouterr().out
@@ -78,14 +78,14 @@ def test_a_scale_gives_metres(film, tmp_path, capsys):
 
 def test_several_points_have_a_track_each(bob, tmp_path, capsys):
     one, two = (
-        bob(hub=(x, -120.0), amplitude=0.1, frames=60, thread=False, texture=0.0) for x in (45.0, 115.0)
+        bob(hub=(x, -120.0), amplitude=0.1, frames=40, thread=False, texture=0.0) for x in (45.0, 115.0)
     )
 
     class Both(bob):
         def pictures(self):
             return [np.minimum(a, b) for a, b in zip(one.pictures(), two.pictures(), strict=True)]
 
-    path = Both(frames=60).write(tmp_path / "two.mp4")
+    path = Both(frames=40).write(tmp_path / "two.mp4")
     target = tmp_path / "two.h5"
     clicks = " ".join(f"{b.place[0, 0]:.0f},{b.place[0, 1]:.0f}" for b in (one, two))
     assert (
@@ -93,7 +93,7 @@ def test_several_points_have_a_track_each(bob, tmp_path, capsys):
         == 0
     )
     said, _ = document(capsys)
-    assert {name: part["samples"] for name, part in said["points"].items()} == {"point_1": 60, "point_2": 60}
+    assert {name: part["samples"] for name, part in said["points"].items()} == {"point_1": 40, "point_2": 40}
     table = tmp_path / "two.csv"
     assert run(["export", str(target), "--table", "points", "-o", str(table)]) == 0
     second = [float(r["x [px]"]) for r in rows(table) if r["point"] == "point_2"]
@@ -130,14 +130,14 @@ def test_points_are_of_films_and_a_table_is_refused(tmp_path, capsys):
 @pytest.fixture(scope="module")
 def tilted(bob, made_once):
     """A pendulum seen from above at 36.9 degrees: all heights shrink to 0.8."""
-    drawn = bob(frames=90, texture=0.0, thread=False)
+    drawn = bob(frames=64, texture=0.0, thread=False)
 
     class Squeezed(bob):
         def pictures(self):
             return [cv2.resize(p, (160, 96), interpolation=cv2.INTER_AREA) for p in drawn.pictures()]
 
     return made_once(
-        "film-tilted", lambda folder: Squeezed(size=(96, 160), frames=90).write(folder / "t.mp4")
+        "film-tilted", lambda folder: Squeezed(size=(96, 160), frames=64).write(folder / "t.mp4")
     )
 
 
@@ -148,7 +148,7 @@ def test_a_given_tilt_corrects_the_angles(tilted, bob, tmp_path, tilt, right):
     from gyrotrack.apps._spindown import SpindownOptions, point_recording
     from gyrotrack.tracking._film import Film
 
-    drawn = bob(frames=90)
+    drawn = bob(frames=64)
     hub, start = ((x, 0.8 * (y + 0.5) - 0.5) for x, y in (drawn.hub, drawn.place[0]))
     options = SpindownOptions(point=start, hub=hub, capture_fps=50.0, tilt=tilt and read_tilt(tilt))
     recording, found = point_recording(Film(tilted / "t.mp4", tilt=options.tilt), options)
