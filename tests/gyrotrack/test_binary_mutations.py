@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="measures memory by /proc"),
 ]
-CHANGES = 60  # of each kind of file
+CHANGES = 40  # of each kind of file
 LIMIT_S, LIMIT_MB = 10.0, 1000.0
 COLUMNS = {"t": np.arange(60) / 100, "angle": np.arange(60) / 7}
 

@@ -93,14 +93,14 @@ def test_harmonics_are_free_only_where_the_angle_shows_a_torque(strength, step, 
 @pytest.mark.parametrize(("strength", "quantity"), [(1.1, "omega"), (0.03, "omega"), (1.1, "angle")])
 def test_standard_errors_are_those_of_repeats(strength, quantity):
     errors = []
-    for seed in range(12):
+    for seed in range(8):
         record, phase = wheel(
             strength, 100 + seed, quantity=quantity, step=0.01 if quantity == "omega" else 0.03
         )
         found = fit(fitting.Model.of([*BASE, "casing.unbalance"]), [record])
         errors.append(pulls(found, strength, phase))
-    # rms of 12 normal deviates
-    assert (np.sqrt(np.mean(np.square(errors), axis=0)) < 1.7).all()
+    # rms of 8 normal deviates
+    assert (np.sqrt(np.mean(np.square(errors), axis=0)) < 1.8).all()
     assert np.sqrt(np.mean(np.square(errors))) > 0.6
 
 

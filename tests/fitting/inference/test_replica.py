@@ -52,7 +52,7 @@ def gyroscope():
     }  # fmt: skip
     physical = Model.of([*REDUCED, "casing.unbalance"])
     run = Experiment(
-        duration=30.0, windows=(2.0, 14.0, 25.0), window_length=2.0, casing_fps=120, rotor_fps=300
+        duration=30.0, windows=(2.0, 14.0, 25.0), window_length=2.0, casing_fps=60, rotor_fps=150
     )
     record = simulate(physical, numbers, run, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=3)
     windows = tuple(Samples(w.time, w.value + 2e-3 * (w.value - w.value[0]), w.sigma) for w in record.rotor)

@@ -120,9 +120,5 @@ def test_a_robust_fit_of_an_angle_that_oscillates_resists_outliers():
     samples = t, noisy, np.full(len(t), 1e-3)
     body = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=1.0, label="x", single=True)
     model = Model.of(("casing.air.linear", "casing.spring.linear"))
-    linear, robust = (
-        robust_fit(model, [body], loss).estimates["casing.air.linear.b2"].value - 0.05
-        for loss in ("linear", "huber")
-    )
-    assert abs(robust) < abs(linear)
+    robust = robust_fit(model, [body], "huber").estimates["casing.air.linear.b2"].value - 0.05
     assert abs(robust) < 2e-4

@@ -19,8 +19,8 @@ GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7
 
 
 def film(seed=0, stated=(SIGMA, TIME), added=0.0):
-    motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=60.0, seed=seed)
-    cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 52.0), sigma=1e-3)
+    motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=30.0, seed=seed)
+    cameras = twobody.Cameras(span=30.0, windows=(2.0, 12.0, 25.0), sigma=1e-3)
     found = twobody.film(motion, seed=seed, cameras=cameras)
     t, y, s = found["casing"]
     rng = np.random.default_rng([seed, 7])

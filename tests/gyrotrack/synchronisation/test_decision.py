@@ -185,9 +185,9 @@ def test_a_clip_that_turns_the_other_way_is_refused(motion, make_run):
 @pytest.mark.parametrize("fixed", [True, False], ids=["still", "turned"])
 @pytest.mark.slow
 def test_claimed_error_is_the_real_one(motion, make_run, fixed):
-    """18 runs of three clips: 68 % within one sigma, none beyond five, and 3 ms or marked."""
+    """11 runs of three clips: 68 % within one sigma, none beyond five, and 3 ms or marked."""
     pull, lost = [], []
-    for seed in range(18):
+    for seed in range(11):
         rng = np.random.default_rng(seed)
         run = make_run(motion, rng)
         starts = rng.uniform([1, 25, 65], [20, 60, 125])
@@ -200,7 +200,7 @@ def test_claimed_error_is_the_real_one(motion, make_run, fixed):
     assert np.max(np.abs(pull)) < 5
     assert not any(lost)
     within = np.mean(np.abs(pull) < 1)
-    assert 0.53 < within < 0.83  # 54 pulls, three of a run share a clock: +- 0.07
+    assert 0.48 < within < 0.88  # 33 pulls, three of a run share a clock: +- 0.09
 
 
 @pytest.mark.slow

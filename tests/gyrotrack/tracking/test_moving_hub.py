@@ -72,12 +72,18 @@ def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None
             # pixel centres of both scales: x_large = (x_small + 0.5) UP - 0.5
             large = (np.asarray(place) + 0.5) * UP - 0.5
             move[:, 2] = large - move[:, :2] @ [(n - 1) / 2, (n - 1) / 2]
-            size = (WIDTH * UP, HEIGHT * UP)
+            wide = round(1.2 * radius) + 3  # the body is drawn in its own window
+            x, y = (max(int(p) - wide, 0) for p in place)
+            right, below = min(x + 2 * wide, WIDTH), min(y + 2 * wide, HEIGHT)
+            move[:, 2] -= np.array([x, y]) * UP
+            size = ((right - x) * UP, (below - y) * UP)
             over, mask = (cv2.warpAffine(p, move, size, flags=cv2.INTER_LINEAR) for p in (bright, cover))
             over, mask = (
-                cv2.resize(p, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for p in (over * mask, mask)
+                cv2.resize(p, (right - x, below - y), interpolation=cv2.INTER_AREA)
+                for p in (over * mask, mask)
             )
-            picture = picture * (1 - mask) + over
+            window = picture[y:below, x:right]
+            window[:] = window * (1 - mask) + over
         frames.append(np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8))
     return Rendered(frames)
 

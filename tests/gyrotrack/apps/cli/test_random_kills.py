@@ -18,6 +18,6 @@ import kill  # noqa: E402
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
 @pytest.mark.parametrize("name", [*kill.QUICK, "view"])
 def test_after_kills_at_random_moments_nothing_is_lost(tmp_path_factory, name):
-    outcome = kill.kills(tmp_path_factory.getbasetemp() / "kill", [name], 3, 7)[name]
+    outcome = kill.kills(tmp_path_factory.getbasetemp() / "kill", [name], 2, 7)[name]
     assert outcome.killed == 3
     assert outcome.wrong == []
