@@ -16,7 +16,7 @@ from gyrotrack._correlated_noise import Estimate, correlated_least_squares
 from gyrotrack._errors import DatasetError
 from gyrotrack.io.readers._plausibility import rises
 from gyrotrack.io.readers._pulses import Passages
-from gyrotrack.io.readers._run import start_of_oscillation, upward_crossings
+from gyrotrack.io.readers._run import end_of_oscillation, start_of_oscillation, upward_crossings
 from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -600,15 +600,18 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
 
 def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
-    """Return the sample from which a body that does not turn back is at rest to the end, else their number.
+    """Return the sample from which a body is at rest to the end, else the number of samples.
 
-    At rest the speed over every window of a fiftieth of the record is below 2 % of its largest, or below 5 standard
-    errors. Rest of less than a twentieth of the record counts as motion. A body that is stopped, whose speed falls to
-    rest within one window, moves freely up to the sample before.
+    A body that turns back rests by `end_of_oscillation`. Of another one, at rest the speed over every window of a
+    fiftieth of the record is below 2 % of its largest, or below 5 standard errors. Rest of less than a twentieth of the
+    record counts as motion. A body that is stopped, whose speed falls to rest within one window, moves freely up to the
+    sample before.
     """
     windows = _speeds(time, angle, sigma)
-    if windows is None or _turns_back(*windows[1:]):
+    if windows is None:
         return len(time)
+    if _turns_back(*windows[1:]):
+        return end_of_oscillation(time, angle, sigma)
     edges, speed, error = windows
     size = np.abs(speed)
     moving = np.flatnonzero(size > max(0.02 * size.max(), 5 * error))

@@ -31,6 +31,8 @@ _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a br
 _SIGNIFICANT = 6.0  # smallest difference of the slopes before and after the end of a drive [standard errors]
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
+# largest extent of the means at rest: standard errors (of 200 normal deviates the range is 5.5), share of the range
+_STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
 _MIN_STEPS = 2  # smallest deflection for which quantisation errors are independent [steps of the resolution]
 
 
@@ -192,27 +194,60 @@ def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
-    """Return an oscillation up to the last deflection of more than `_MIN_STEPS` steps of the resolution."""
-    step = table.least_sigma * np.sqrt(12)
-    if not step > 0:
+    """Return an oscillation up to where the resolution shows no more of it, or where the body is at rest."""
+    last, what = (
+        _end_of_resolution(table, value),
+        f"the deflection is at most {_MIN_STEPS} steps of the resolution",
+    )
+    if last == len(value):
+        last = end_of_oscillation(table.time, value, scatter(table.time, value))
+        what = "the body is at rest within the noise"
+    if last == len(value) or last < 60:
         return table, value
+    keep = np.arange(len(value)) < last
+    note = (
+        f"{table.path.name}: after {table.time[last - 1]:.2f} s {what}; {int((~keep).sum())} samples were excluded "
+        "(--keep-all keeps them)"
+    )
+    return table.only(keep, note), value[keep]
+
+
+def _end_of_resolution(table: MotionTable, value: Floats) -> int:
+    """Return the sample after the last deflection beyond `_MIN_STEPS` steps of a resolution coarser than the noise."""
+    step = table.least_sigma * np.sqrt(12)
     deflection = value - np.median(value[-max(len(value) // 50, 1) :])
     beyond = np.flatnonzero(np.abs(deflection) > _MIN_STEPS * step)
-    if not len(beyond):
-        return table, value
+    if not step > 0 or not len(beyond):
+        return len(value)
     moving = slice(0, int(beyond[-1]) + 1)
     crossings = table.time[moving][1:][np.diff(np.sign(deflection[moving])) != 0]
     if len(crossings) < 3 or table.time[-1] - table.time[beyond[-1]] < 2 * np.max(np.diff(crossings[-3:])):
-        return table, value
-    keep = np.arange(len(value)) <= beyond[-1]
-    if keep.sum() < 60 or table.least_sigma < np.median(scatter(table.time[keep], value[keep])) / 2:
-        return table, value
-    last = float(table.time[beyond[-1]])
-    note = (
-        f"{table.path.name}: the deflection after {last:.2f} s is at most {_MIN_STEPS} steps of the resolution; "
-        f"{int((~keep).sum())} samples were excluded (--keep-all keeps them)"
-    )
-    return table.only(keep, note), value[keep]
+        return len(value)
+    coarse = table.least_sigma >= np.median(scatter(table.time[moving], value[moving])) / 2
+    return moving.stop if coarse else len(value)
+
+
+def end_of_oscillation(time: Floats, value: Floats, sigma: Floats) -> int:
+    """Return the sample from which an oscillation is at rest to the end of the record, else the number of samples.
+
+    At rest the means over eighths of a period vary by less than 8 of their standard errors, or by less than 0.2 % of
+    the range of the record: dry friction then holds the body at a place that depends on the last reversal, and no law
+    is determined by it. The rest lasts for at least a period, else all is motion. `value` is the angle or the
+    angular velocity.
+    """
+    crossings = upward_crossings(value - 0.5 * (value.min() + value.max()))
+    if len(crossings) < 2:
+        return len(value)
+    period = float(np.median(np.diff(time[crossings])))
+    size = max(int(len(time) * period / (8 * (time[-1] - time[0]))), _MIN_BLOCK)
+    count = len(value) // size
+    first = len(value) - count * size
+    means = value[first:].reshape(count, size).mean(axis=1)[::-1]
+    extent = np.maximum.accumulate(means) - np.minimum.accumulate(means)
+    error = float(np.median(sigma)) / np.sqrt(size)
+    moving = np.flatnonzero(extent > max(_STILL_SIGMA * error, _STILL_SHARE * float(np.ptp(value))))
+    last = len(value) - int(moving[0]) * size if len(moving) else 0
+    return last if last and time[-1] - time[last - 1] >= period else len(value)
 
 
 def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
