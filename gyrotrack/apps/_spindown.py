@@ -59,6 +59,7 @@ from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
     from fitting.discovery._oscillator import OscillatorLaws
+    from fitting.discovery._select import Step
     from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
@@ -714,13 +715,13 @@ def _analysed(
             if history.stopped:
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
-            strengths = laws_of_body(history[-1].fit)
             if laws is not None:
                 # the last fit that does not contradict amplitude and phase
                 found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
                 laws, disagreement = next((f for f in found_laws if not f[1]), found_laws[-1])
                 warnings += [disagreement] if disagreement else []
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
+            strengths = laws_of_body(_supported(base, history, found.verdict))
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
             if report is not None:
@@ -749,6 +750,11 @@ def _analysed(
         "diagnosis": diagnosis,
         "warnings": warnings,
     }
+
+
+def _supported(base: Fit, history: Sequence[Step], verdict: str) -> Fit:
+    """Return the fit whose laws the answer states: the last one, or the first where no effect is established."""
+    return base if verdict in {"undecided", "unexplained"} else history[-1].fit
 
 
 def _drive(read: Source) -> Drive | None:
