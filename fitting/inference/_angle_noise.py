@@ -65,6 +65,7 @@ _LEVELS = np.geomspace(0.3, 300.0, 13)
 _FIRST_LEVELS = (2, 5, 8)  # places in _LEVELS of a first, coarse search
 # half width of the parabola at the most likely level, in its logarithm
 _HALF_WIDTH = 0.3
+_FEWEST_BLOCKS = 4  # blocks of the shortest stretch, in which the motion is a cubic
 # correlation times of the process noise, in lengths of a block
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
 _FINER = 16  # points of the finer grid per interval of the coarse one
@@ -153,6 +154,8 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     prior.
     """
     needed = criteria.correlated_noise
+    if len(run.lift) < _FEWEST_BLOCKS:
+        return AngleNoise()  # the motion of the whole record is no cubic, and would be taken for noise
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
     block = span / len(run.lift)
