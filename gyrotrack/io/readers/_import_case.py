@@ -24,6 +24,7 @@ from gyrotrack.io.readers._motion_table import (
     scatter,
 )
 from gyrotrack.io.readers._number_range import within_number_range
+from gyrotrack.io.readers._outliers import without_outliers
 from gyrotrack.io.readers._plausibility import wraps_at_no_turn
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
@@ -275,7 +276,11 @@ def import_case(
     tables = [limited(table, limits or Limits()) for table in tables]
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
-    body, *rotor = (pieces_of(table, unwrapped(table, notes), notes) for table in tables)
+    keep_all = limits is not None and limits.keep_all
+    body, *rotor = (
+        pieces_of(*without_outliers(table, unwrapped(table, notes), notes, keep_all=keep_all), notes)
+        for table in tables
+    )
     windows = sorted((piece for pieces in rotor for piece in pieces), key=lambda piece: piece.time[0])
     notes += _window_warnings(body, windows)
     sense, warnings = _sense(body, windows)
@@ -352,7 +357,8 @@ def case_of_body(
         limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
-    read, value = run_of(read, unwrapped(read, notes), limits)
+    clean = without_outliers(read, unwrapped(read, notes), notes, keep_all=limits.keep_all)
+    read, value = run_of(*clean, limits)
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
     sense = 1
