@@ -560,7 +560,7 @@ def spindown_command(
         bool,
         option(
             "--keep-all",
-            "Keep the start of the record, also if the body is driven there, and rest at its end.",
+            "Keep the start of the record, also if the body is driven there, rest at its end, and outliers.",
         ),
     ] = False,
     label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
