@@ -62,7 +62,8 @@ def import_command(
     stop: shared.StopTime = None,
     cut: shared.Cuts = None,
     keep_all: Annotated[
-        bool, option("--keep-all", "Keep outliers, and drive, brake and rest at the ends of the record (--body).")
+        bool,
+        option("--keep-all", "Keep outliers, and drive, brake and rest at the ends of the record (--body)."),
     ] = False,
     start_u: Annotated[
         float | None,

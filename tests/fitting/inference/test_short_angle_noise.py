@@ -22,7 +22,7 @@ def white(seed=1):
 
 
 @pytest.mark.parametrize("samples", [100, 400])
-def test_quadratic_drag_is_no_noise(samples):
+def test_quadratic_drag_is_not_called_noise(samples):
     """11.3 / (1 + 0.048 t) rad/s: a cubic does not describe the angle of the whole record within 5 mrad."""
     angle = (np.log1p(0.00426 * 11.3 * T) / 0.00426 + white())[:: len(T) // samples]
     assert noise_of(angle, 1).is_white

@@ -680,6 +680,6 @@ def test_a_failed_trial_of_the_papers_markers_leaves_the_film_to_other_trackers(
     ("verdict", "last"),
     [("adequate", True), ("missing_effect", True), ("undecided", False), ("unexplained", False)],
 )
-def test_laws_that_are_not_established_are_no_laws_of_the_body(verdict, last):
+def test_laws_of_the_body_are_established(verdict, last):
     steps = [SimpleNamespace(fit=name) for name in ("base", "with a step")]
     assert _spindown._supported("base", steps, verdict) == ("with a step" if last else "base")
