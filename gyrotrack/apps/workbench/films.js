@@ -55,7 +55,7 @@ const Films = (() => {
     same(at("stopped"), JSON.stringify(stopped), () => stopped.map((u) => element("li", {}, `${u.name}: ${Math.floor(100 * u.share)} % `, button("discard", `discard the part of ${u.name} that has arrived`, () => act("discard", { key: u.key })))));
     const working = Object.values(project.jobs).some(active) || project.sources.some((x) => Object.values(x.jobs).some(active));
     clearTimeout(timer);
-    if (working) timer = setTimeout(refresh, 400);
+    if (working) timer = setTimeout(refresh, 300);
     whole();
     moving(working);
     if (wantsLaboratory && !working && !project.analysing) {
@@ -80,7 +80,7 @@ const Films = (() => {
   async function moving(working) {
     if (document.body.dataset.part !== "films") return;
     if (charted?.waiting) { charted.again = true; return; }
-    const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.done || 0) : 0]);
+    const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.angles || 0) : 0]);
     if (key === drawn) return;
     drawn = key;
     charted = { ...charted, waiting: true };
