@@ -144,6 +144,7 @@ class Project:
         self.history = History()
         self.when_fitted: Callable[[], object] = lambda: None  # called when a case can be opened
         self.when_matched: Callable[[], object] = lambda: None  # called when a case is written
+        self.when_started: Callable[[], object] = lambda: None  # called when a step begins
         self._analysing = False  # whether each step is followed by the next one
         self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
@@ -713,6 +714,7 @@ class Project:
 
         self.revision += 1
         self.jobs.start(key, words, finished)
+        self.when_started()
 
     def _tracked(self, key: str, words: list[str], document: dict[str, Any]) -> None:
         x = self.source(key)
