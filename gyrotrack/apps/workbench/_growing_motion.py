@@ -91,7 +91,7 @@ def stored_parts(records: Iterable[Record]) -> list[Part]:
 def joined_motion(parts: Iterable[Part], rate: float) -> dict[str, list[Piece]]:
     """Return the motion of each body in the parts of a film, with angles that continue from one part to the next.
 
-    `rate` is that of the frames [1/s]. As in a recording of the paper's markers, the angles increase.
+    `rate` is that of the frames [1/s]. The first angle is zero. As in a recording with markers, the angles increase.
     """
     found: dict[str, list[tuple[Array, Array]]] = {}
     last: dict[str, tuple[Array, Array]] = {}
@@ -104,10 +104,11 @@ def joined_motion(parts: Iterable[Part], rate: float) -> dict[str, list[Piece]]:
             known = np.isfinite(angle)
             if known.sum() > _WIDTH:
                 found.setdefault(body, []).append((frame[known] / rate, angle[known]))
+    begin = {b: p[0][1][0] for b, p in found.items()}
     turns = {b: net_turn(np.concatenate([a for _, a in p])) for b, p in found.items()}
     # a single body turns as it is seen
     sense = 1 if "single" in found else find_rotation_sense(turns, None)
-    return {b: [(t, sense * a, speed(t, sense * a)) for t, a in p] for b, p in found.items()}
+    return {b: [(t, sense * (a - begin[b]), speed(t, sense * a)) for t, a in p] for b, p in found.items()}
 
 
 def speed(time: Array, angle: Array) -> Array:

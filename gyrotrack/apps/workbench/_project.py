@@ -24,6 +24,7 @@ from typing import Annotated, Any, Literal
 from filelock import Timeout
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from fitting._numbers import short, with_uncertainty
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps._sample import sample_folder
 from gyrotrack.apps._study import checked_body_name
@@ -974,8 +975,9 @@ def _inertia_field(text: str, field: str) -> dict[str, str]:
         found = Inertia.of(text, field.partition("_")[2] or "body")
     except UsageError as error:
         return {"value": "", "error": f"{error.message} {error.hint}"}
-    u = f" ± {found.u:g}" if math.isfinite(found.u) else ", no uncertainty given"
-    return {"value": f"{found.value:g} kg m²{u}", "error": ""}
+    if math.isfinite(found.u):
+        return {"value": with_uncertainty(found.value, found.u, "kg m2"), "error": ""}
+    return {"value": f"{short(found.value, 4)} kg m², no uncertainty given", "error": ""}
 
 
 def _stored_result(document: dict[str, Any]) -> dict[str, Any]:

@@ -78,6 +78,8 @@ def test_figures_have_units_and_bands(story):
     assert bars.get_yticklabels()[0].get_text() == "quadratic air drag of the casing"
     left, right = ladder.plot().axes
     assert "[rad/s]" in left.get_xlabel()
+    assert [t.get_text() for t in left.get_yticklabels()] == ["base", "+ quadratic air drag of the casing"]
+    assert "casing.air.quadratic" not in ladder._repr_html_()
     assert "[noise]" in right.get_xlabel()
     for figure in (base.plot(), diagnosis.plot(), ladder.plot()):
         figure.canvas.draw()

@@ -59,7 +59,7 @@ class TestReports:
         assert angle == pytest.approx(OMEGA * time, abs=1e-4)
         assert speed == pytest.approx(OMEGA, abs=2e-3)
 
-    def test_lines_that_are_no_reports_are_skipped(self):
+    def test_lines_of_another_form_are_skipped(self):
         job = Job(("extract",))
         lines = [
             '{"angles": 3}',
@@ -133,7 +133,8 @@ class TestParts:
     @pytest.mark.parametrize("turns", [0, 3, -2])
     def test_angles_continue_from_one_part_to_the_next(self, turns):
         # the second part, which overlaps the first one, is further than its end
-        parts = _motion(_report(0, 210), _report(200, 400, part=200, begin=2 * np.pi * turns)).parts()
+        first = _report(0, 210, begin=2.5)
+        parts = _motion(first, _report(200, 400, part=200, begin=2.5 + 2 * np.pi * turns)).parts()
         found = growing.joined_motion(parts, RATE)["casing"]
         assert len(found) == 2
         for time, angle, speed in found:
