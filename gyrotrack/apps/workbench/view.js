@@ -411,7 +411,7 @@ const Laboratory = (() => {
     const n = (x) => format(x, 3), windows = r.windows.map((t, k) => `rotor film ${k + 1} at ${n(t)} s`).join(", ");
     const speed = (w) => `${n(Math.abs(w))} rad/s (${n(Math.abs(w) * 30 / Math.PI)} rpm)`, one = last.body !== "casing";
     // the steps contain the first sentence
-    box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence).replace(/^.*?\. (?=[A-Z])/, "")),
+    box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence).replace(/^.*?\. (?=[A-Z])/, "").replace(/^It /, "This run ")),
       element("ol", {}, ...(one ? [
         `Set up the ${last.body} and the camera as before, exposure and focus locked.`,
         `Start the camera, then release the ${last.body} at ${speed(r.omega_casing)}. Film it for ${n(r.duration)} s.`,

@@ -59,7 +59,7 @@ def test_notebooks_show_tables_with_names_as_text(story):
     for thing, words in (
         (base, ("significant lack of fit", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
         (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "significant lack of fit")),
-        (ladder, ("+casing.air.quadratic", "ΔBIC", "base")),
+        (ladder, ("+ quadratic air drag of the casing", "ΔBIC", "base")),
     ):
         seen = _Seen(thing._repr_html_())
         assert seen.tags <= {"div", "p", "b", "br", "table", "caption", "thead", "tbody", "tr", "th", "td"}
