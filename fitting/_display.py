@@ -204,4 +204,7 @@ def draw_history(
 
 def printable(text: str) -> str:
     """Return a name without mathematics and without letters that the font lacks."""
-    return "".join(c if c.isprintable() and ord(c) < 0x2000 else "?" for c in text).replace("$", r"\$")
+    known = "\N{MINUS SIGN}"
+    return "".join(c if c.isprintable() and (ord(c) < 0x2000 or c in known) else "?" for c in text).replace(
+        "$", r"\$"
+    )

@@ -42,6 +42,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._expression import substitute, sym
 from fitting.effects._library import LIBRARY, START
 from fitting.effects._user import drives
+from fitting.effects._words import change_name
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit, measured_with
 from fitting.inference._initial_values import equation_error
@@ -491,6 +492,13 @@ class Step:
     fit: Fit
     candidates: tuple[Candidate, ...]
 
+    @property
+    def words(self) -> str:
+        """The change in words; "base" for the first step."""
+        return change_name(
+            self.change or "base", self.fit.problem.data[0].record.body, self.fit.model.effects
+        )
+
     def __repr__(self) -> str:
         return f"Step({self.change or 'base'}: {self.fit.verdict}, {len(self.candidates)} candidates)"
 
@@ -515,7 +523,7 @@ class History(list[Step]):
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw how the error falls from step to step, in a new figure with the cross-validation error, or in `ax`."""
-        changes = [s.change or "base" for s in self]
+        changes = [s.words for s in self]
         body = self[0].fit.problem.data[0].record.body
         rms, name = [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]"
         if ax is not None:
@@ -538,7 +546,7 @@ class History(list[Step]):
             gain = found.bic - self[i - 1].fit.bic if i else 0.0
             numbers = [short(v) for v in (found.rmse_casing, found.reduced_chi2, found.held_out, gain)]
             bar = f'<div style="background:{BLUE};height:.6em;width:{width}px"></div>'
-            rows.append([escape(step.change or "base"), *numbers, short(found.torque_noise, 2), bar])
+            rows.append([escape(step.words), *numbers, short(found.torque_noise, 2), bar])
         columns = (
             "change",
             "rms [rad/s]",

@@ -100,6 +100,8 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
 
 
 _MAX_AHEAD = 24  # frames that are skipped by decoding instead of seeking
+# frames before the wanted one that are decoded with it and kept, so that a step back needs no seek; their size [bytes]
+_BEHIND, _HELD = 12, 48 * 2**20
 _MAX_HASHED = 256 * 2**20  # bytes
 
 
@@ -143,12 +145,15 @@ class Film:
         self._base = float(self._stream.time_base)
         self._frames: Any = None
         self._at = -1
+        self._begun = False
+        self._held: dict[int, Any] = {}  # decoded frames by timestamp, the oldest first
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._frames = None
+        self._held.clear()
         self._manager.__exit__(kind, value, trace)
 
     def picture(self, index: int, *, overlay: bool = True) -> Picture | None:
@@ -164,23 +169,39 @@ class Film:
 
     def _frame(self, index: int) -> Frame | None:
         wanted = round(float(self._stamps[index]) / self._base)
+        if wanted not in self._held:
+            self._decode(wanted, index)
+        raw = self._held.get(wanted)
+        return None if raw is None else planes_of(raw, index, orientation_of(raw, self._stream))
+
+    def _decode(self, wanted: int, index: int) -> None:
+        """Decode up to the timestamp `wanted` of a frame, and hold the latest decoded frames."""
         try:
             if self._frames is None or not self._at < index <= self._at + _MAX_AHEAD:
                 self._container.seek(wanted, stream=self._stream, backward=True)
-                self._frames = self._decoded(wanted)
+                self._begun = False
+                before = float(self._stamps[max(0, index - _BEHIND)]) / self._base
+                self._frames = self._decoded(round(before) if np.isfinite(before) else wanted)
             for raw in self._frames:
-                if raw.pts is not None and raw.pts >= wanted:
+                if raw.pts is None:
+                    continue
+                # frames that precede the first key frame may lack their references
+                self._begun = self._begun or bool(raw.key_frame)
+                if self._begun or raw.pts >= wanted:
+                    self._hold(raw)
+                if raw.pts >= wanted:  # a later timestamp means that the frame is missing
                     self._at = index
-                    # a later timestamp means that the frame is missing
-                    return (
-                        planes_of(raw, index, orientation_of(raw, self._stream))
-                        if raw.pts == wanted
-                        else None
-                    )
+                    return
         except av.error.FFmpegError:
             pass
         self._frames = None
-        return None
+
+    def _hold(self, raw: Any) -> None:
+        self._held.pop(raw.pts, None)
+        self._held[raw.pts] = raw
+        most = max(2, min(2 * _MAX_AHEAD, int(_HELD // (1.5 * raw.width * raw.height))))
+        while len(self._held) > most:
+            del self._held[next(iter(self._held))]
 
     def _decoded(self, first: int) -> Iterator[Any]:
         """Decode from here on; before the timestamp `first` only reference frames."""

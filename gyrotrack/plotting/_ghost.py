@@ -13,6 +13,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,14 +102,14 @@ class Ghost:
             self.sense,
         )
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Median distance of the outlines from the hub [px]; NaN without any."""
         places = [np.linalg.norm(o.mean(axis=1) - self.hub, axis=1) for o in self.outlines.values()]
         known = np.concatenate([p[np.isfinite(p)] for p in places]) if places else np.zeros(0)
         return float(np.median(known)) if len(known) else float("nan")
 
-    @property
+    @cached_property
     def factor(self) -> int:
         """Factor, 1, 2, 5, 10 ..., with which the largest difference of any model is visible."""
         largest = float(np.abs(self.difference).max(initial=0.0))

@@ -485,7 +485,9 @@ const Charts = (() => {
       from = Math.max(low, from); to = Math.min(high, to);
       if (!(to - from > 1e-5 * (high - low))) return;
       this.range = [from, to];
-      const text = `shown: ${format(from)} s to ${format(to)} s`;
+      // a thousandth of the interval is as much as can be seen
+      const places = Math.min(9, Math.max(0, 2 - Math.floor(Math.log10(to - from)))), rounded = (t) => format(Number(t.toFixed(places)), 12);
+      const text = `shown: ${rounded(from)} s to ${rounded(to)} s`;
       if (this.shown.textContent !== text) this.shown.textContent = text;
       for (const p of this.panels) if (p.chart.is_time) p.rescale();
     }

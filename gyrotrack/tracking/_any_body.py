@@ -39,6 +39,7 @@ from gyrotrack.tracking._hub_search import (
     ring_for,
     tilted_outline,
 )
+from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
     TURN,
@@ -665,10 +666,12 @@ def _measure(
     poses = []
     parts = template.halves()
     halves = np.empty((2, len(usable)))
+    live = FrameAngles("single")
     for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
         polar = ring.unwrap(frame)
         poses.append(register(polar, template, angle[k]))
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
+        live.add(int(usable[k]), -poses[-1].angle)
         if progress is not None:
             progress(k + 1, len(usable))
     tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle, distance)

@@ -45,6 +45,7 @@ from gyrotrack.tracking._film_tracker import (
     Progress,
     Rows,
 )
+from gyrotrack.tracking._live_angles import Sink, current_sink, report_angles, set_sink
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._marker_window import AngleMap
 from gyrotrack.tracking._profile import single_threaded
@@ -159,7 +160,7 @@ def track_part(film: Film, part: Part, threads: int, count: Callable[[int], None
         for own, common in zip(work.maps, film.maps, strict=False):
             own.replace(common)
         with Reader(film.info.path, threads, rest, film.info) as reader:
-            for _ in _taken(work, film, reader):
+            for _ in _taken(work, film, reader, part.first):
                 batches.append(work.measure_batch())
                 count(len(batches[-1]["again"]))
             rows = {n: np.concatenate([b[n] for b in batches]) for n in batches[0]} if batches else {}
@@ -192,7 +193,7 @@ def _begin(film: Film, part: Part, threads: int) -> _Beginning:
     stamps = film.packets.stamps
     stop = _second_start(film.packets, part) or min(part.first + LEARNT, len(stamps) - 1)
     with Reader(film.info.path, threads, replace(part, stop=int(stamps[stop])), film.info) as reader:
-        for _ in _taken(work, film, reader):
+        for _ in _taken(work, film, reader, part.first):
             pass
         if work.filled:
             work.learn_batch()
@@ -210,29 +211,41 @@ def _stored(film: Film, part: Part) -> _Beginning | None:
     return None
 
 
-def _taken(work: FilmTracker, film: Film, reader: Reader) -> Iterator[None]:
-    """Let a tracker take the frames of a reader; return to the caller for each full batch, and at the end."""
+def _taken(work: FilmTracker, film: Film, reader: Reader, part: int) -> Iterator[None]:
+    """Let a tracker take the frames of a reader; return to the caller for each full batch, and at the end.
+
+    `part` is the first frame of the part, with which the angles are reported.
+    """
     clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
     if work.filled == _film_tracker.BATCH:
         yield
     for frame in reader:
         work.keep(frame, clock.step(frame), stamped=clock.stamped)
         if work.full:
-            work.take()
+            _take(work, part)
         if work.filled == _film_tracker.BATCH:
             yield
     if work.held:
-        work.take()
+        _take(work, part)
     if work.filled:
         yield
+
+
+def _take(work: FilmTracker, part: int) -> None:
+    """Let a tracker take the frames that it holds, and report the coarse angles of its bodies."""
+    frames, place = np.array([frame.index for frame in work.held]), work.filled
+    work.take()
+    for name, body in work.bodies.items():
+        report_angles(name, part, frames, body.coarse(place, len(frames)))
 
 
 _done: Synchronized[int] | None = None
 
 
-def _start_worker(done: Synchronized[int]) -> None:
+def _start_worker(done: Synchronized[int], sink: Sink | None) -> None:
     global _done
     _done = done
+    set_sink(sink)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     Thread(target=_end_with_parent, daemon=True).start()
 
@@ -278,7 +291,10 @@ class PartWorkers:
             try:
                 self._done = context.Value("q", 0)
                 self._executor = ProcessPoolExecutor(
-                    self.count - 1, context, initializer=_start_worker, initargs=(self._done,)
+                    self.count - 1,
+                    context,
+                    initializer=_start_worker,
+                    initargs=(self._done, current_sink()),
                 )
                 for _ in range(self.count - 1):
                     self._executor.submit(int)  # the processes import their modules during the acquisition
@@ -398,6 +414,7 @@ def track_film(
     done, number = kept.frames, len(workers.parts)
     if progress is not None and done:
         progress(done, total)
+    kept.report(scene)
     with _folder() as folder:
         work.repeats = RepeatDetector(packets)
         tracker = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
@@ -510,6 +527,14 @@ class _PartResults:
         """Return which frames of a part do not belong to the previous part."""
         stop = self._parts[index - 1].stop if index else None
         return np.ones(len(stamps), dtype=np.bool_) if stop is None else stamps >= stop
+
+    def report(self, scene: Scene) -> None:
+        """Report the angles of the parts that an earlier run has finished."""
+        for index in sorted(self._facts) if current_sink() is not None else ():
+            rows, stamps = self._part(index)
+            frames = np.searchsorted(self._packets.stamps, stamps)
+            for name in scene.bodies:
+                report_angles(name, self._parts[index].first, frames, rows[f"{name}/coarse"])
 
     @property
     def todo(self) -> list[int]:

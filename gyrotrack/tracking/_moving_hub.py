@@ -21,6 +21,7 @@ from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import running_quantile
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
+from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
@@ -383,12 +384,14 @@ def _along_path(
     every: list[Pose] = []
     halves = np.empty((2, len(theta)))
     where = {int(frame): k for k, frame in enumerate(frames)}
+    live = FrameAngles("single")
     for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
         pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
         shift[k] += np.clip(pose.shift, -_LARGEST_STEP, _LARGEST_STEP)
         polar = ring.unwrap(frame, tuple(shift[k]))
         every.append(register(polar, template, pose.angle, move=True))
         halves[:, k] = [-register(polar, part, pose.angle, move=True).angle for part in parts]
+        live.add(int(frames[k]), -every[-1].angle)
         if progress is not None:
             progress(k + 1, len(frames))
     share, _ = explained(polars, theta[use], template)

@@ -169,19 +169,30 @@ def _places():
     return {"centre": found["centre"][0]} | {m["name"]: m["place"][0] for m in found["markers"]}
 
 
+# number of samples of the first curve in the pane of the motion
+_SAMPLES = (
+    "fetch('/api/project/motion').then((r) => r.json())"
+    ".then((m) => m.charts.length ? m.charts[0].traces[0].x.count : 0)"
+)
+
+
 @pytest.mark.slow
 def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     shutil.copy(CLIPS / "casing.mp4", tmp_path / "casing_260fps.mp4")
     page = open_page(str(tmp_path / "casing_260fps.mp4"))
     page.click("#track:enabled")
     page.locator("#tracking", has_text="of 7670 frames").wait_for(timeout=60_000)
+    grown = set()
     for _ in range(200):  # beyond the first of four parts, of which two are tracked at a time
+        grown.add(page.evaluate(_SAMPLES))
         done = re.search(r"(\d+) of", page.locator("#tracking [data-name=state]").inner_text())
         if done is None or int(done[1]) > 4200:
             break
         page.wait_for_timeout(100)
+    assert len(grown) > 8  # the motion grows by frames, not by parts
     page.get_by_role("button", name="cancel tracking").click()
     page.locator("#tracking", has_text="checkpoint").wait_for()
+    assert page.evaluate(_SAMPLES) > 0
     assert (tmp_path / "casing_260fps.h5.unfinished").exists()
     page.click("#track:enabled")
     page.locator("#tracking .fine", has_text="7670 angles").wait_for(timeout=120_000)

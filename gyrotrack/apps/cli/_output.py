@@ -129,10 +129,14 @@ class Output:
         """Yield a callback (done, total) that draws a progress bar, or does nothing without a terminal.
 
         With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
-        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second.
+        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second, and the
+        angles of films that are tracked as ``{"angles": {"body", "part", "frame", "angle"}}``.
         """
         if os.environ.get("GYROTRACK_PROGRESS") == "json":
-            yield _json_lines(label)
+            from gyrotrack.tracking._live_angles import angles_sent_to
+
+            with angles_sent_to(write_angles):
+                yield _json_lines(label)
             return
         if self.as_json or self.quiet or not _interactive():
             yield _ignore
@@ -170,6 +174,21 @@ def _json_lines(label: str) -> Progress:
 
 
 _INTERVAL = 0.2  # s
+
+
+def write_angles(body: str, part: int, frames: NDArray[np.int64], angles: NDArray[np.float64]) -> None:
+    """Write angles of frames to stderr as one JSON line, which is shorter than what a pipe takes at once.
+
+    Several processes write to the same pipe; see `gyrotrack.tracking._live_angles.Sink`.
+    """
+    for k in range(0, len(frames), _ANGLES):
+        some = slice(k, k + _ANGLES)
+        line = {"body": body, "part": part, "frame": frames[some].tolist()}
+        sys.stderr.write(json.dumps({"angles": line | {"angle": angles[some].round(5).tolist()}}) + "\n")
+        sys.stderr.flush()
+
+
+_ANGLES = 64  # angles of a line
 
 
 def duration(seconds: float) -> str:

@@ -1,12 +1,13 @@
 """Charts of angle and speed of every film of the work folder, also while it is tracked.
 
-The motion of a tracked film is that of its recording. While a film is tracked, the finished parts of its checkpoint are
-shown. When the clips are synchronised, all are drawn on the clock of the casing.
+The motion of a tracked film is that of its recording. While a film is tracked, the angles found so far are shown; after
+an interruption those of its checkpoint. When the clips are synchronised, all are drawn on the clock of the casing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrotrack._errors import GyrotrackError
-from gyrotrack.io._atomic import Record, checkpoint_path, written_records
-from gyrotrack.io._hdf5 import read_case
+from gyrotrack.apps.workbench._growing_motion import Piece, joined_motion, speed, stored_parts
+from gyrotrack.io._atomic import checkpoint_path, written_records
+from gyrotrack.io._hdf5 import read_case, read_kind, read_recording
 from gyrotrack.plotting._charts import (
     BLUE,
     GREEN,
@@ -28,18 +30,14 @@ from gyrotrack.plotting._charts import (
     concatenated,
     dashboard_document,
 )
-from gyrotrack.tracking._film_parts import turns_between
 
 if TYPE_CHECKING:
     from gyrotrack.apps.workbench._project import Project, Source
 
 Array = NDArray[np.float64]
-Curve = tuple[
-    str, str, str, list[tuple[Array, Array, Array]]
-]  # film, body, colour, pieces (time, angle, speed)
+Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, pieces
 
 _DRAWN = 900  # points of a curve
-_WIDTH = 9  # samples of the running median of a speed while the film is tracked
 _CASING, _FILMED_WITH, _ROTORS = BLUE, SKY, (VERMILLION, GREEN, ORANGE, PURPLE)
 _TURN = 2 * np.pi
 
@@ -80,77 +78,48 @@ def _chart(name: str, title: str, unit: str, curves: Sequence[Curve], column: in
     )
 
 
-def _pieces(project: Project, x: Source) -> dict[str, list[tuple[Array, Array, Array]]]:
+def _pieces(project: Project, x: Source) -> dict[str, list[Piece]]:
     """Return the known pieces of the motion of each body of a source."""
     if x.kind == "table":
         job = project.jobs.get(f"read:{x.key}")
         plots = job.document.get("plot", []) if job is not None and job.state == "done" else []
         return {p["body"]: [_from_speed(np.array(p["time"]), np.array(p["omega"]))] for p in plots}
+    job = project.jobs.get(f"track:{x.key}")
+    output = project.folder / x.output if x.kind == "film" else project.path(x)
+    if x.kind == "film" and x.capture_fps and job is not None and job.is_active:
+        return joined_motion(job.motion.parts(), x.capture_fps)
     try:
-        if x.body == "single":
-            return _of_case(project.folder / x.output) if x.result else {}
-        recording = project.recording(x.key)
-    except GyrotrackError:
+        if project.is_tracked(x) and output.is_file():
+            return _measured(output, output.stat().st_mtime_ns)
+    except (GyrotrackError, OSError):
         return {}
-    if recording is not None:
-        return {name: [_thinned(b.time, b.angle, b.omega)] for name, b in recording.bodies.items()}
     if x.kind == "film" and x.capture_fps and x.output:
-        return _tracked_so_far(written_records(checkpoint_path(project.folder / x.output)), x.capture_fps)
+        return joined_motion(stored_parts(written_records(checkpoint_path(output))), x.capture_fps)
     return {}
 
 
-def _of_case(path: Path) -> dict[str, list[tuple[Array, Array, Array]]]:
+@lru_cache(maxsize=16)
+def _measured(path: Path, _modified: int) -> dict[str, list[Piece]]:
+    """Return the motion in a recording, or in the case of a single body."""
+    if read_kind(path) == "recording":
+        bodies = read_recording(path).bodies
+        return {name: [_thinned(b.time, b.angle, b.omega)] for name, b in bodies.items()}
     series = read_case(path).casing
     return {"single": [_thinned(series.time, series.angle, series.omega)]}
 
 
-def _from_speed(time: Array, omega: Array) -> tuple[Array, Array, Array]:
+def _from_speed(time: Array, omega: Array) -> Piece:
     step = np.diff(time, prepend=time[:1])
     return time, np.cumsum(omega * step), omega
 
 
-def _thinned(time: Array, angle: Array, omega: Array) -> tuple[Array, Array, Array]:
+def _thinned(time: Array, angle: Array, omega: Array) -> Piece:
     if not len(time):
         return time, angle, omega
     if np.isfinite(omega).sum() < len(omega) / 2:  # the record is shorter than the smoothing of its speed
-        omega = _speed(time, angle)
+        omega = speed(time, angle)
     few = np.unique(np.linspace(0, len(time) - 1, min(len(time), _DRAWN)).astype(int))
     return time[few], angle[few] - angle[0], omega[few]
-
-
-def _tracked_so_far(records: Sequence[Record], rate: float) -> dict[str, list[tuple[Array, Array, Array]]]:
-    """Return the motion in the finished parts of a film, with angles that continue from one part to the next."""
-    parts = sorted(
-        (r for r in records if isinstance(r.facts.get("part"), int) and "stamps" in r.arrays),
-        key=lambda r: int(r.facts["part"]),
-    )
-    known = np.unique(np.concatenate([p.arrays["stamps"] for p in parts])) if parts else np.zeros(0)
-    tick = float(np.median(np.diff(known))) if len(known) > 1 else 1.0
-    found: dict[str, list[tuple[Array, Array, Array]]] = {}
-    last: dict[str, tuple[Array, Array]] = {}
-    for part in parts:
-        frame = np.rint(np.asarray(part.arrays["stamps"], dtype=np.float64) / max(tick, 1e-9))
-        for key, values in part.arrays.items():
-            body, _, kind = key.partition("/")
-            if kind != "coarse":
-                continue
-            angle = np.asarray(values, dtype=np.float64)
-            if body in last:
-                angle = angle + turns_between(*last[body], frame, angle)
-            last[body] = frame, angle
-            seen = np.isfinite(angle)
-            if seen.sum() > _WIDTH:
-                step = max(1, int(seen.sum()) // _DRAWN)
-                time, some = frame[seen][::step] / rate, angle[seen][::step]
-                found.setdefault(body, []).append((time, some, _speed(time, some)))
-    return found
-
-
-def _speed(time: Array, angle: Array) -> Array:
-    from scipy.ndimage import median_filter
-
-    steps = np.diff(angle) / np.maximum(np.diff(time), 1e-12)
-    return np.asarray(median_filter(np.append(steps, steps[-1]), _WIDTH, mode="nearest"))
 
 
 def _offsets(project: Project) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """The work that the workbench does in other processes: commands, and the ranking of candidate effects.
 
-A job is one command with ``--json``; it reports progress as JSON lines on stderr (see `gyrotrack.apps.cli._output`) and
-its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
+A job is one command with ``--json``; it reports progress and angles as JSON lines on stderr (see
+`gyrotrack.apps.cli._output`) and its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
 
 Candidates are ranked by ``python -m gyrotrack.apps.workbench._processes CASE``, which reads one JSON document per line
 (an entry of a ledger), writes one line for each, and ends when its input ends. With the ranking it returns the
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from fitting._numbers import to_json
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps.batch._workers import end_process
+from gyrotrack.apps.workbench._growing_motion import GrowingMotion
 
 if TYPE_CHECKING:
     from fitting.discovery._score import CaseColumns
@@ -68,6 +69,7 @@ class Job:
     document: dict[str, Any] = field(default_factory=dict)  # its JSON document, or ``{"error": ...}``
     began: float = field(default_factory=monotonic)
     process: subprocess.Popen[str] | None = None
+    motion: GrowingMotion = field(default_factory=GrowingMotion)  # angles that the command has found so far
 
     @property
     def is_active(self) -> bool:
@@ -82,6 +84,7 @@ class Job:
             "label": self.label,
             "done": self.done,
             "total": self.total,
+            "angles": self.motion.reported,
             "seconds": round(monotonic() - self.began, 1) if self.is_active else None,
             "message": " ".join(filter(None, (error.get("message"), error.get("hint")))),
         }
@@ -221,8 +224,10 @@ class Jobs:
 def _listen(job: Job, stream: Any) -> None:
     with suppress(ValueError, OSError):  # the stream is closed
         for line in stream:
-            if line.startswith('{"progress"'):
-                with suppress(ValueError, KeyError, TypeError):
+            with suppress(ValueError, KeyError, TypeError):
+                if line.startswith('{"angles"'):
+                    job.motion.add(json.loads(line)["angles"])
+                elif line.startswith('{"progress"'):
                     found = json.loads(line)["progress"]
                     job.label, job.done, job.total = found["label"], found["done"], found["total"]
 

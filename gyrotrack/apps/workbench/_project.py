@@ -24,6 +24,7 @@ from typing import Annotated, Any, Literal
 from filelock import Timeout
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from fitting._numbers import short, with_uncertainty
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps._sample import sample_folder
 from gyrotrack.apps._study import checked_body_name
@@ -144,6 +145,7 @@ class Project:
         self.history = History()
         self.when_fitted: Callable[[], object] = lambda: None  # called when a case can be opened
         self.when_matched: Callable[[], object] = lambda: None  # called when a case is written
+        self.when_started: Callable[[], object] = lambda: None  # called when a step begins
         self._analysing = False  # whether each step is followed by the next one
         self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
@@ -192,7 +194,7 @@ class Project:
             **x.model_dump(exclude={"file", "words"}),
             "name": Path(x.file).name,
             "info": self._info(x),
-            "is_current": self._is_current(x),
+            "is_current": self.is_tracked(x),
             "can_continue": x.output != "" and (self.folder / f"{x.output}.unfinished").exists(),
             "jobs": {k: j.summary() for k, j in jobs.items() if j is not None},
             "reading": _reading_document(read.document) if read is not None and read.state == "done" else {},
@@ -557,7 +559,7 @@ class Project:
         with self._lock:
             x = self.source(key)
             path = self.folder / x.output
-            if x.kind != "film" or x.body == "single" or not self._is_current(x) or not path.is_file():
+            if x.kind != "film" or x.body == "single" or not self.is_tracked(x) or not path.is_file():
                 return None
             stamp = (key, path.stat().st_mtime_ns)
             if self._read is None or self._read[0] != stamp:
@@ -654,7 +656,7 @@ class Project:
             if missing := self._missing_to_track():
                 raise UsageError(missing[0], "Complete it in step 1.")
             wanted = [self.source(k) for k in keys] or [
-                x for x in self.state.sources if x.kind == "film" and not self._is_current(x)
+                x for x in self.state.sources if x.kind == "film" and not self.is_tracked(x)
             ]
             for x in wanted:
                 job = self.jobs.get(f"track:{x.key}")
@@ -667,7 +669,8 @@ class Project:
                     words.append("--force")  # the name was not in use when the film was added
                 self._start(f"track:{x.key}", words, partial(self._tracked, x.key, self.track_words(x)))
 
-    def _is_current(self, x: Source) -> bool:
+    def is_tracked(self, x: Source) -> bool:
+        """Whether a source has the result of its current settings; always of a table or a recording."""
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
 
     def _is_matchable(self) -> bool:
@@ -678,7 +681,7 @@ class Project:
     def _is_matched(self) -> bool:
         films = [x for x in self.state.sources if x.kind == "film"]
         if self._route() == "single" and films:
-            return len(self.state.sources) == 1 and self._is_current(films[0])
+            return len(self.state.sources) == 1 and self.is_tracked(films[0])
         return not self._missing_to_match() and self.state.matched == self._match_words()
 
     def _can_open(self) -> bool:
@@ -712,6 +715,7 @@ class Project:
 
         self.revision += 1
         self.jobs.start(key, words, finished)
+        self.when_started()
 
     def _tracked(self, key: str, words: list[str], document: dict[str, Any]) -> None:
         x = self.source(key)
@@ -760,7 +764,7 @@ class Project:
             return ["Films and tables cannot be combined in one case."]
         if sum(x.body == "casing" for x in s.sources) != 1 or not any(x.body == "rotor" for x in s.sources):
             found.append("A case needs one source of the casing and at least one of the rotor.")
-        if waiting := [Path(x.file).name for x in s.sources if not self._is_current(x)]:
+        if waiting := [Path(x.file).name for x in s.sources if not self.is_tracked(x)]:
             found.append(f"Not tracked yet: {', '.join(waiting)}.")
         for body in ("rotor", "casing"):
             try:
@@ -848,7 +852,7 @@ class Project:
         films = [x for x in self.state.sources if x.kind == "film"]
         if not self._analysing or any(self._is_tracking(x) for x in films):
             return
-        if any(not self._is_current(x) for x in films):
+        if any(not self.is_tracked(x) for x in films):
             self.track()
         elif self._is_matchable() and not self._is_matched():
             self.match()
@@ -971,8 +975,9 @@ def _inertia_field(text: str, field: str) -> dict[str, str]:
         found = Inertia.of(text, field.partition("_")[2] or "body")
     except UsageError as error:
         return {"value": "", "error": f"{error.message} {error.hint}"}
-    u = f" ± {found.u:g}" if math.isfinite(found.u) else ", no uncertainty given"
-    return {"value": f"{found.value:g} kg m²{u}", "error": ""}
+    if math.isfinite(found.u):
+        return {"value": with_uncertainty(found.value, found.u, "kg m2"), "error": ""}
+    return {"value": f"{short(found.value, 4)} kg m², no uncertainty given", "error": ""}
 
 
 def _stored_result(document: dict[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from threading import Lock, Thread
 from types import FrameType
@@ -263,6 +263,24 @@ class Opened:
         return self.stamp == _modified(self.case)
 
 
+# what the laboratory imports when it opens; importing takes as long as computing its first charts
+_IMPORTED_AHEAD = (
+    "fitting.discovery._residuals",
+    "fitting.discovery._verdict",
+    "fitting.study._history",
+    "gyrotrack.plotting._case_charts",
+    "gyrotrack.plotting._ghost",
+    "gyrotrack.plotting._study_data",
+    "scipy.ndimage",
+)
+
+
+def import_for_laboratory() -> None:
+    """Import what the laboratory needs, while the films are tracked or fitted by other processes."""
+    for name in _IMPORTED_AHEAD:
+        import_module(name)
+
+
 @dataclass(frozen=True)
 class Laboratory:
     """One case with its fits and films, and the processes that rank candidate effects and write the report."""
@@ -397,6 +415,7 @@ class Workbench:
             # the laboratory is ready when the page asks for it
             project.when_fitted = lambda: self._open(project)
             project.when_matched = lambda: self._read_ahead(project.folder / project.state.case)
+            project.when_started = lambda: Thread(target=import_for_laboratory, daemon=True).start()
         self.stop: Callable[[], None] = lambda: None
 
     @property

@@ -591,7 +591,7 @@ class Session:
         view = case_view(history, None, [self._torques(s) for s in steps], 0)
         tracks = tracks_of(self._case) if whole and self._case is not None else None
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
-        dashboard = case_dashboard(view, tracks, [s.change for s in steps], names=names)
+        dashboard = case_dashboard(view, tracks, names, names=names)
         charts = list(dashboard.charts)
         harmonics, body = [self._harmonics(s) for s in steps], self._data.record.body
         charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)

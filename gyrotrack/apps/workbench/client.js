@@ -27,7 +27,8 @@ const Page = (() => {
   }
 
   function sentence(text) {
-    const out = text.charAt(0).toUpperCase() + text.slice(1);
+    // the page has fields for what the command line has options for
+    const own = text.replace(/ \(--[a-z-]+\)/g, ""), out = own.charAt(0).toUpperCase() + own.slice(1);
     return /[.!?]$/.test(out) ? out : out + ".";
   }
 
@@ -191,5 +192,8 @@ const Page = (() => {
     if (!at(name).disabled) at(name).click();
   });
 
-  return { ask, at, breakable, busy, complain, duration, end, explained, listen: (f) => listeners.push(f), percentage, progressText, pulse, sentence, tabs, turn, undoable, GLOSSARY };
+  /* whether the panes stand below one another, as in view.css */
+  const narrow = () => window.matchMedia("(max-width: 43rem)").matches;
+
+  return { ask, at, breakable, busy, complain, duration, end, explained, listen: (f) => listeners.push(f), narrow, percentage, progressText, pulse, sentence, tabs, turn, undoable, GLOSSARY };
 })();

@@ -3,7 +3,7 @@
 const Films = (() => {
   if (!document.getElementById("films")) return null;
   const { element, button } = Charts;
-  const { ask, at, busy, complain, duration, percentage, progressText, sentence, turn, undoable } = Page;
+  const { ask, at, busy, complain, duration, narrow, percentage, progressText, sentence, turn, undoable } = Page;
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   const RATES = [30, 60, 120, 240, 480, 960, 1000];
   const SHOWN = { casing: "casing", rotor: "rotor", single: "single body" };
@@ -55,7 +55,7 @@ const Films = (() => {
     same(at("stopped"), JSON.stringify(stopped), () => stopped.map((u) => element("li", {}, `${u.name}: ${Math.floor(100 * u.share)} % `, button("discard", `discard the part of ${u.name} that has arrived`, () => act("discard", { key: u.key })))));
     const working = Object.values(project.jobs).some(active) || project.sources.some((x) => Object.values(x.jobs).some(active));
     clearTimeout(timer);
-    if (working) timer = setTimeout(refresh, 400);
+    if (working) timer = setTimeout(refresh, 300);
     whole();
     moving(working);
     if (wantsLaboratory && !working && !project.analysing) {
@@ -80,7 +80,7 @@ const Films = (() => {
   async function moving(working) {
     if (document.body.dataset.part !== "films") return;
     if (charted?.waiting) { charted.again = true; return; }
-    const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.done || 0) : 0]);
+    const key = JSON.stringify([project.revision, working ? project.sources.map((x) => x.jobs.track?.angles || 0) : 0]);
     if (key === drawn) return;
     drawn = key;
     charted = { ...charted, waiting: true };
@@ -89,7 +89,7 @@ const Films = (() => {
       at("no-motion").hidden = found.charts.length > 0;
       at("motion-board").hidden = found.charts.length === 0;
       if (found.charts.length) {
-        if (!charted.board) charted.board = new Charts.Board(at("motion-board"), found, { click: seek, height: () => (moving_.clientHeight - 90 - [...moving_.querySelectorAll(".head")].reduce((sum, h) => sum + h.offsetHeight, 0)) / 2 - 14 });
+        if (!charted.board) charted.board = new Charts.Board(at("motion-board"), found, { click: seek, height: () => narrow() ? 190 : (moving_.clientHeight - 90 - [...moving_.querySelectorAll(".head")].reduce((sum, h) => sum + h.offsetHeight, 0)) / 2 - 14 });
         else charted.board.set(found);
       }
     } catch (error) { complain(error); }
@@ -293,9 +293,11 @@ const Films = (() => {
     clocks();
     at("next").textContent = guide();
     const ready = project.sources.length > 0 && !project.missing.track.length, working = Object.values(project.jobs).some(active) || project.sources.some((x) => active(x.jobs.track));
-    at("analyse").disabled = !ready || working || project.can_open;
-    at("analyse").parentElement.hidden = project.sources.length === 0 || project.can_open || (single && project.is_matched);
-    at("analyse-text").textContent = project.missing.match.some((t) => t.includes("inertia")) && !single ? "Track and synchronise; enter both moments of inertia in step 3 meanwhile." : "Track, synchronise and fit, then open the laboratory.";
+    at("analyse").disabled = !ready || working;
+    at("analyse").textContent = project.can_open ? "Open the laboratory" : "Analyse everything";
+    at("analyse-text").hidden = project.can_open;
+    at("analyse").parentElement.hidden = project.sources.length === 0 || (single && project.is_matched && !project.can_open);
+    at("analyse-text").textContent = project.missing.match.some((t) => t.includes("inertia")) && !single ? "Track and synchronise; enter both moments of inertia in step 3 meanwhile." : `Track${single ? "" : ", synchronise"} and fit, then open the laboratory.`;
     const done = { sources: !project.missing.track.length, track: project.sources.length > 0 && project.sources.every((x) => x.is_current), match: project.is_matched, fit: project.can_open };
     for (const [name, value] of Object.entries(done)) at(`step-${name}`).classList.toggle("done", value);
   }
@@ -416,7 +418,7 @@ const Films = (() => {
     else if (active(x.jobs.profile)) { at("followed").textContent = progressText({ ...x.jobs.profile, expected: project.seconds.profile || USUAL.preview }, "searching for markers"); at("followed").className = "soft"; }
     else if (job?.state === "failed") { at("followed").textContent = sentence(job.message); at("followed").className = "fault"; if (active(was?.jobs.preview)) { tracks = null; film_.draw(); } }
     else if (job?.state === "done" && active(was?.jobs.preview)) followed();
-    else if (!job) { at("followed").textContent = x.is_current ? "" : "The first frame. Mark hub and markers here if they are not those of the paper."; at("followed").className = "soft"; }
+    else if (!job) { at("followed").textContent = x.is_current ? "" : x.body === "single" ? "The first frame. The hub is found automatically; click on it if another one is meant." : "The first frame. Mark hub and markers here if they are not those of the paper."; at("followed").className = "soft"; }
   }
 
   async function followed() {
@@ -629,7 +631,7 @@ const Films = (() => {
   });
   for (const step of ["match", "fit"]) at(`cancel-${step}`).addEventListener("click", () => { wantsLaboratory = false; act("cancel", { step }); });
   for (const name of ["inertia_rotor", "inertia_casing", "inertia", "label", "surface", "body_name"]) at(name).addEventListener("change", () => act("set", { name, value: at(name).value }));
-  at("analyse").addEventListener("click", () => { wantsLaboratory = true; act("analyse", {}); });
+  at("analyse").addEventListener("click", () => { if (project.can_open) { open(); return; } wantsLaboratory = true; act("analyse", {}); });
   at("follow").addEventListener("click", () => act("follow", { key: chosen }));
   at("find").addEventListener("click", () => act("find", { key: chosen }));
   at("clear").addEventListener("click", () => { picks = []; hub = null; disc = ""; mode = "hub"; modes(); rows(); mark(); });

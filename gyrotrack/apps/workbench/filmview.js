@@ -14,7 +14,7 @@ const FilmView = (() => {
       this.canvas = get("canvas"); this.slider = get("slider"); this.text = get("text"); this.playing = get("play");
       this.speed = get("speed"); this.overlay = get("overlay"); this.ticks = get("ticks");
       this.index = 0; this.frames = 1; this.size = [4, 3]; this.zoom = 1; this.middle = [0.5, 0.5];
-      this.image = null; this.marks = null; this.running = false; this.request = 0; this.cross = null;
+      this.image = null; this.marks = null; this.running = false; this.request = 0; this.loading = null; this.cross = null;
       get("back").addEventListener("click", () => this.step(-1));
       get("on").addEventListener("click", () => this.step(1));
       get("in").addEventListener("click", () => this.scale(1.6));
@@ -51,24 +51,39 @@ const FilmView = (() => {
       }));
     }
 
-    async show(index) {
+    /* show a frame; while one is on its way, only the last one that was asked for in the meantime follows */
+    show(index) {
       this.slider.max = this.frames - 1;
-      this.index = Math.min(Math.max(0, index), this.frames - 1);
-      const mine = ++this.request, wanted = this.index;
+      const wanted = this.index = Math.min(Math.max(0, index), this.frames - 1);
+      this.request++;
       this.slider.value = wanted;
       const time = this.options.time(wanted), text = `frame ${wanted}${Number.isFinite(time) ? `, ${time.toFixed(3)} s` : ""}`;
       this.text.textContent = text;
       this.slider.setAttribute("aria-valuetext", text);
       this.options.shown?.(wanted);
+      this.loading ||= this.load().finally(() => { this.loading = null; });
+      return this.loading;
+    }
+
+    async load() {
+      let request;
+      do {
+        request = this.request;
+        await this.fetched(this.index, request);
+      } while (request !== this.request);
+    }
+
+    async fetched(wanted, mine) {
+      const key = this.options.key(), old = () => this.options.key() !== key;
       try {
         const asked = this.options.marks(wanted), picture = await this.options.picture(wanted);
-        if (mine !== this.request) return;
+        if (old()) return;
         this.image = picture.image; this.size = picture.size; this.marks = null;
         if (!this.running) this.draw();
         const marks = await asked;
-        if (mine !== this.request) return;
+        if (old()) return;
         this.marks = marks;
-        this.canvas.dataset.shown = `${this.options.key()}:${wanted}`;
+        this.canvas.dataset.shown = `${key}:${wanted}`;
         this.canvas.setAttribute("aria-label", this.options.label(wanted));
         this.draw();
         this.options.drawn?.(marks);

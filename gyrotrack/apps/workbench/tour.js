@@ -31,6 +31,8 @@
     at("guide-on").textContent = step === STEPS.length - 1 ? "Done" : "Next";
     const place = at(s.at);
     mark(can && place && place.offsetParent !== null ? place : null);
+    // on the other side of the page from what it explains
+    at("guide").classList.toggle("right", can && place?.getBoundingClientRect().left < 0.3 * window.innerWidth);
     if (!at("guide").open) at("guide").show();
     at("guide-on").focus();
   }

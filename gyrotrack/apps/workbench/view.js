@@ -2,7 +2,7 @@
 /* The laboratory: one case, its fits and films. Texts from the server become text nodes, never markup. */
 const Laboratory = (() => {
   const { Board, element, button, format, uncertain } = Charts;
-  const { ask, at, breakable, busy, complain, duration, explained, progressText, sentence, tabs, undoable, GLOSSARY } = Page;
+  const { ask, at, breakable, busy, complain, duration, explained, narrow, progressText, sentence, tabs, undoable, GLOSSARY } = Page;
   const BODIES = ["rotor", "casing"];
   const COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "magenta", "white"];
   const GROUPS = { motion: ["speed", "residual-casing", "rotor", "difference"], torque: ["torque-speed", "torque-deflection", "torque-casing", "torque-rotor", "torque-angle"],
@@ -53,7 +53,7 @@ const Laboratory = (() => {
   const height = () => {
     const n = Math.max(1, Math.min(3, drawn().length)), tools = area.querySelector(".tools")?.offsetHeight || 60;
     const heads = [...area.querySelectorAll(".panel .head")].slice(0, n).reduce((sum, h) => sum + h.offsetHeight, 0) || 26 * n;
-    return (pane.clientHeight - tools - heads - 56) / n - 9;
+    return narrow() ? 190 : (pane.clientHeight - tools - heads - 56) / n - 9;
   };
 
   function plot(state) {
@@ -257,7 +257,7 @@ const Laboratory = (() => {
 
   function card(c, next, measured, experiment) {
     const p = predicted[c.effect], fault = FAULTS[c.effect] || (free.has(c.effect) ? "Always fitted." : "");
-    const out = element("li", { class: c.significant ? "card" : "card pale", "data-effect": c.effect });
+    const out = element("li", { class: established(c) ? "card" : "card pale", "data-effect": c.effect });
     const alike = c.indistinguishable_from, law = c.law || laws.get(c.effect) || c.effect;
     const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(own(c.effect)))] : []),
       ...(c.values || []).slice(0, 2).map((v) => element("p", {}, v)));
@@ -270,7 +270,7 @@ const Laboratory = (() => {
       out.append(element("div", { class: "share", "aria-hidden": "true" }, bar), element("p", {}, `Accounts for ${share(p.share)} of the misfit: ${times(found.base_misfit)} \u2192 ${times(p.misfit)} times the noise.`));
     }
     if (c.kind === "measurement") out.append(element("p", { class: "soft" }, "A measurement effect: an error of the measurement, not of the motion."));
-    if (!c.significant) out.append(element("p", { class: "soft" }, "Not significant."));
+    if (!established(c)) out.append(element("p", { class: "soft" }, c.significant ? `A hint only: false-alarm probability ${format(c.p_value, 1)}.` : "Not significant."));
     if (alike.length) out.append(element("p", { class: "soft" }, `These data cannot distinguish it from ${(c.indistinguishable_words || alike).join(", ")}.`));
     const why = element("details", {}, element("summary", { "aria-label": `why ${c.effect}` }, "Why, and what would contradict it"), element("dl", {},
       element("dt", {}, "Why it fits"), element("dd", {}, `Its signature: ${c.fits || "none is stated"}. False-alarm probability of such an improvement: ${c.p_value < 1e-30 ? "< 10\u207b\u00b3\u2070" : format(c.p_value, 1)}.`),
@@ -287,6 +287,8 @@ const Laboratory = (() => {
   }
 
   let byName = new Map();
+  /* a significant candidate of an adequate model is a hint only */
+  const established = (c) => c.significant && found.diagnosis.verdict !== "adequate";
   const words = (e) => named(byName.get(e) || { effect: e });
   const share = (x) => x > 0.995 && x < 1 ? `${(Math.min(0.9999, x) * 100).toFixed(2)} %` : `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} %`;
 
@@ -339,7 +341,7 @@ const Laboratory = (() => {
     predicted = found.predicted || {};
     const listed = found.diagnosis.candidates.filter((c) => c.score > 0).slice(0, 12);
     byName = new Map(found.diagnosis.candidates.map((c) => [c.effect, c]));
-    at("searching").textContent = listed.length ? listed.some((c) => c.significant) ? "Point at one to see its effect; a click fits it." : "None is significant: nothing is missing that these data could show." : "No candidate effect improves the fit.";
+    at("searching").textContent = listed.length ? listed.some(established) ? "Point at one to see its effect; a click fits it." : "None is established: nothing is missing that these data could show." : "No candidate effect improves the fit.";
     say(found.diagnosis.sentence);
     at("next-experiment").textContent = found.diagnosis.next_experiment;
     const measured = found.diagnosis.residual_torque || [];
@@ -407,14 +409,20 @@ const Laboratory = (() => {
     if (box.hidden) return;
     if (!r) { box.replaceChildren(element("p", {}, d.warning || "No further run within the bounds would teach more.")); return; }
     const n = (x) => format(x, 3), windows = r.windows.map((t, k) => `rotor film ${k + 1} at ${n(t)} s`).join(", ");
-    box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence)),
-      element("ol", {}, ...[
+    const speed = (w) => `${n(Math.abs(w))} rad/s (${n(Math.abs(w) * 30 / Math.PI)} rpm)`, one = last.body !== "casing";
+    // the steps contain the first sentence
+    box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence).replace(/^.*?\. (?=[A-Z])/, "").replace(/^It /, "This run ")),
+      element("ol", {}, ...(one ? [
+        `Set up the ${last.body} and the camera as before, exposure and focus locked.`,
+        `Start the camera, then release the ${last.body} at ${speed(r.omega_casing)}. Film it for ${n(r.duration)} s.`,
+        "Name the file with its capture rate, for example run2_300fps.mp4; then drop it on the page From film.",
+      ] : [
         `Set up ${r.inertia_casing_ratio === 1 ? "the same casing" : `a casing with ${n(r.inertia_casing_ratio)} times the moment of inertia`} on ${r.touchpoint_ratio === 1 ? "the same surface" : `a surface with ${n(r.touchpoint_ratio)} times the friction`}; cameras as before, exposure and focus locked.`,
-        `Spin the rotor up to ${n(r.omega_rotor)} rad/s (${n(r.omega_rotor * 30 / Math.PI)} rpm), with the casing at ${n(r.omega_casing)} rad/s (${n(r.omega_casing * 30 / Math.PI)} rpm).`,
+        `Spin the rotor up to ${speed(r.omega_rotor)}${r.omega_rotor < 0 ? " in the other sense of rotation" : ""}, with the casing at ${speed(r.omega_casing)}${r.omega_rotor * r.omega_casing < 0 ? " against the rotor" : ""}.`,
         `Start the casing camera, then release. Film the casing for ${n(r.duration)} s.`,
         windows ? `Film the rotor for ${n(r.window_length)} s each: ${windows} after the release.` : "No film of the rotor is needed.",
         "Name the files with body and capture rate, for example run2_casing_260fps.mp4 and run2_rotor_1_1000fps.mp4; then drop them on the page From film.",
-      ].map((t) => element("li", {}, t))),
+      ]).map((t) => element("li", {}, t))),
       element("table", {}, element("tbody", {}, ...[["Date, operator", ""], ["Temperature [\u00b0C]", ""], ["Measured initial speeds [rad/s]", ""], ["Remarks", ""]].map(([a, b]) => element("tr", {}, element("th", { scope: "row" }, a), element("td", {}, b))))),
       button("Print the protocol", "print the protocol", () => window.print()));
   }
@@ -449,6 +457,8 @@ const Laboratory = (() => {
     clip = clips.find((c) => c.key === name) || null;
     if (!clip) return Promise.resolve();
     at("clip").value = name;
+    // the overlay shows markers: a body that is tracked as a whole has none
+    for (const part of [at("legend-frame"), at("overlay").parentElement, at("ghost").parentElement]) part.hidden = !clip.markers.length;
     return film.open(clip.frames, Math.min(index, clip.frames - 1), clip.width && clip.height ? [clip.width, clip.height] : null);
   }
 
@@ -518,7 +528,8 @@ const Laboratory = (() => {
     const known = clips.filter((c) => c.found);
     at("nofilm").hidden = known.length > 0;
     at("player").hidden = known.length === 0;
-    at("clip").replaceChildren(...known.map((c) => element("option", { value: c.key }, `${c.source} (${c.body})`)));
+    at("clip").replaceChildren(...known.map((c) => element("option", { value: c.key }, c.body === "casing" && last.body !== "casing" ? c.source : `${c.source} (${c.body})`)));
+    if (last.body !== "casing") at("effect").placeholder = `${last.body}: -k*omega**3`;
     if (known.length) choose(known[0].key);
     search();
     outcome("certificate");

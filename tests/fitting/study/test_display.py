@@ -59,7 +59,7 @@ def test_notebooks_show_tables_with_names_as_text(story):
     for thing, words in (
         (base, ("significant lack of fit", "bearing.power.g", HOSTILE, "N\u00a0m\u00a0s²", "±")),
         (diagnosis, ("an effect is missing", "casing.air.quadratic", HOSTILE, "significant lack of fit")),
-        (ladder, ("+casing.air.quadratic", "ΔBIC", "base")),
+        (ladder, ("+ quadratic air drag of the casing", "ΔBIC", "base")),
     ):
         seen = _Seen(thing._repr_html_())
         assert seen.tags <= {"div", "p", "b", "br", "table", "caption", "thead", "tbody", "tr", "th", "td"}
@@ -78,6 +78,8 @@ def test_figures_have_units_and_bands(story):
     assert bars.get_yticklabels()[0].get_text() == "quadratic air drag of the casing"
     left, right = ladder.plot().axes
     assert "[rad/s]" in left.get_xlabel()
+    assert [t.get_text() for t in left.get_yticklabels()] == ["base", "+ quadratic air drag of the casing"]
+    assert "casing.air.quadratic" not in ladder._repr_html_()
     assert "[noise]" in right.get_xlabel()
     for figure in (base.plot(), diagnosis.plot(), ladder.plot()):
         figure.canvas.draw()

@@ -75,3 +75,18 @@ def test_a_film_is_found_by_its_content(recording, tmp_path):
     (tmp_path / path.name).write_bytes(path.read_bytes()[:-1] + b"x")
     assert find_film(found, [tmp_path]) is None
     assert find_film(found, []) is None
+
+
+@pytest.mark.parametrize(("held", "back", "decoded"), [(2**26, 12, 1), (2**26, 13, 2), (0, 1, 1), (0, 2, 2)])
+def test_steps_back_are_not_decoded_again_within_the_frames_that_are_held(
+    recording, monkeypatch, held, back, decoded
+):
+    monkeypatch.setattr("gyrotrack.plotting._frames._HELD", held)
+    path, found = recording
+    calls = []
+    with Film(path, found) as film:
+        decode = film._decode
+        film._decode = lambda *place: calls.append(place) or decode(*place)
+        for index in (60, 60 - back):
+            assert film.picture(index) is not None
+    assert len(calls) == decoded

@@ -18,6 +18,7 @@ from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
 from gyrotrack.tracking._extract import extract, run_facts
 from gyrotrack.tracking._film_parts import _PartResults, frames_done, split, turns_between
 from gyrotrack.tracking._film_parts import _second_start as second_start
+from gyrotrack.tracking._live_angles import angles_sent_to
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.video._container import Packets
 from gyrotrack.video._decoder import Part
@@ -65,6 +66,36 @@ def test_a_stopped_run_ends_with_the_same_numbers(short_parts, long_film, tmp_pa
     assert done[0] == kept  # what was done is not done again
     assert done[-1] == 1040
     same(again, whole)
+
+
+@pytest.mark.slow
+def test_angles_that_are_shown_while_tracking_change_nothing(short_parts, long_film, tmp_path):
+    film, seen = long_film(4), []
+    whole = extract(film)
+
+    def sink(*report):
+        seen.append(report)
+
+    with angles_sent_to(sink):
+        again = extract(film)
+    same(again, whole)
+    parts = {part for _, part, _, _ in seen}
+    assert len(parts) == 4
+    assert len(seen) > 4 * len(parts)  # they grow by frames, not by parts
+    assert _frames_of_casing(seen) == set(range(1040))
+    # a run that continues from a checkpoint shows its parts, too
+    seen.clear()
+    facts = run_facts(film, PAPER, None)
+    with pytest.raises(KeyboardInterrupt), CheckpointFile(tmp_path / "o.h5", facts) as journal:
+        extract(film, progress=stopping(700), journal=journal)
+    assert seen == []
+    with CheckpointFile(tmp_path / "o.h5", facts, resume=True) as journal, angles_sent_to(sink):
+        same(extract(film, journal=journal), whole)
+    assert _frames_of_casing(seen) == set(range(1040))
+
+
+def _frames_of_casing(seen):
+    return {frame for body, _, frames, _ in seen if body == "casing" for frame in frames.tolist()}
 
 
 def same(again, whole):

@@ -3,14 +3,11 @@
 import json
 import shutil
 
-import numpy as np
 import pytest
 
 from gyrotrack._errors import UsageError
 from gyrotrack.apps.workbench._history import History, apply, difference
-from gyrotrack.apps.workbench._motion_charts import _tracked_so_far
 from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
-from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, written_records
 
 from .test_project import CLIPS
 
@@ -126,26 +123,3 @@ def test_all_steps_follow_each_other_and_stop_where_an_entry_is_missing(project,
     project.analyse()
     started[1][1](Job)
     assert not project.document()["analysing"]
-
-
-def test_the_motion_grows_with_the_parts_of_a_checkpoint(tmp_path):
-    rate, omega, output = 100.0, 7.0, tmp_path / "a.h5"
-    assert written_records(checkpoint_path(output)) == []
-    with CheckpointFile(output, {"film": "x"}) as journal:
-        for part, (first, last) in enumerate(((0, 210), (200, 400))):
-            frame = np.arange(first, last)
-            turns = 0.0 if part == 0 else 3.0  # each part begins its angles anew
-            arrays = {
-                "stamps": 512 * frame.astype(np.int64),
-                "casing/coarse": omega * frame / rate - 2 * np.pi * turns,
-            }
-            journal.append({"part": part, "parts": 3, "frames": len(frame)}, arrays)
-            found = _tracked_so_far(written_records(journal.path), rate)["casing"]
-            assert len(found) == part + 1
-            for time, angle, speed in found:
-                assert angle == pytest.approx(omega * time, abs=1e-9)
-                assert speed == pytest.approx(np.full(len(speed), omega), abs=1e-9)
-        content = journal.path.read_bytes()
-        journal.path.write_bytes(content[:-5])  # a record that is being written is not shown yet
-        assert len(written_records(journal.path)) == 1
-        journal.path.write_bytes(content)

@@ -230,7 +230,9 @@ def test_commands_are_those_of_the_command_line(project):
         "Not tracked yet: casing.mp4, rotor_1.mp4, rotor_2.mp4, rotor_3.mp4."
     ]
     assert document["fields"]["surface"] == "grey cardstock"
-    assert document["inertias"]["inertia_rotor"]["value"].startswith("4.2e-06 kg m²")
+    assert document["inertias"]["inertia_rotor"]["value"] == "4.200 × 10⁻⁶ kg m², no uncertainty given"
+    project.set("", "inertia_rotor", "5.54e-5 +- 0.06e-5")
+    assert project.document()["inertias"]["inertia_rotor"]["value"] == "(5.54 ± 0.06) × 10⁻⁵ kg m²"
     project.set("", "inertia_rotor", "5 ells")
     assert "not a moment of inertia" in project.document()["inertias"]["inertia_rotor"]["error"]
 

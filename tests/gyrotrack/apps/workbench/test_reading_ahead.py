@@ -66,3 +66,25 @@ def test_the_size_and_the_start_of_an_upload_are_read_from_the_request():
     assert server.sent({"name": "a.csv"}, "x")[0].size == -1
     with pytest.raises(UsageError):
         server.sent({"name": "a.csv", "offset": "-1"}, "12")
+
+
+def test_modules_of_the_laboratory_are_imported_when_a_step_begins(tmp_path, monkeypatch):
+    from threading import Event
+
+    from gyrotrack.apps.workbench._project import Project
+
+    imported = Event()
+    monkeypatch.setattr(server, "import_for_laboratory", imported.set)
+    project = Project(tmp_path)
+    server.Workbench(project=project)
+    monkeypatch.setattr(project.jobs, "start", lambda *_: None)
+    assert not imported.is_set()
+    project._start("fit", ["fit", "case.h5"], lambda _: None)
+    assert imported.wait(5)
+    project.close()
+
+
+def test_every_module_that_is_imported_ahead_exists():
+    from importlib.util import find_spec
+
+    assert all(find_spec(name) for name in server._IMPORTED_AHEAD)

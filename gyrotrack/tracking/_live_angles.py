@@ -1,0 +1,72 @@
+"""Angles of a film while it is tracked, for a program that shows them; no result depends on them.
+
+Trackers report the angles of frames as soon as they are found. A `Sink` that is set with `angles_sent_to` receives them
+in the process where they are found, which is another one for some parts of a film: it must be picklable. Without a sink
+nothing happens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+import numpy as np
+import numpy.typing as npt
+
+Sink = Callable[[str, int, npt.NDArray[np.int64], npt.NDArray[np.float64]], object]
+"""Called with a body, the first frame of a part, numbers (n,) of frames in it, and their angles as seen (n,) [rad].
+
+Angles are unwrapped within a part; a frame number that is not larger than the previous one begins the part anew.
+"""
+
+_sink: ContextVar[Sink | None] = ContextVar("sink", default=None)
+_TOGETHER = 16  # frames that a tracker of single frames reports together
+
+
+@contextmanager
+def angles_sent_to(sink: Sink | None) -> Iterator[None]:
+    """Send the angles that are found within the context to `sink`."""
+    token = _sink.set(sink)
+    try:
+        yield
+    finally:
+        _sink.reset(token)
+
+
+def current_sink() -> Sink | None:
+    """Return the sink of this thread, for its worker processes."""
+    return _sink.get()
+
+
+def set_sink(sink: Sink | None) -> None:
+    """Set the sink of a worker process."""
+    _sink.set(sink)
+
+
+def report_angles(
+    body: str, part: int, frames: npt.NDArray[np.int64], angles: npt.NDArray[np.float64]
+) -> None:
+    """Send angles (n,) [rad] of frames (n,) to the sink, if there is one; frames without an angle are NaN."""
+    sink = _sink.get()
+    known = np.isfinite(angles)
+    if sink is not None and known.any():
+        sink(body, part, np.asarray(frames)[known], angles[known])
+
+
+class FrameAngles:
+    """Reports the angles of a body that is tracked frame by frame, some frames together."""
+
+    def __init__(self, body: str) -> None:
+        self._body = body
+        self._frames: list[int] = []
+        self._angles: list[float] = []
+
+    def add(self, frame: int, angle: float) -> None:
+        """Report the angle [rad] of a frame with the next ones."""
+        self._frames.append(frame)
+        self._angles.append(angle)
+        if len(self._frames) == _TOGETHER:
+            report_angles(self._body, 0, np.array(self._frames), np.array(self._angles))
+            self._frames.clear()
+            self._angles.clear()
