@@ -58,7 +58,7 @@ class Criteria:
     follow_up: int = _criterion(1, "further effects that `diagnose` adds at most")
     explained: float = _criterion(0.95, "share of unmodelled torque that an approximate answer explains")
     lack_of_fit: float = _criterion(1e-5, "p-value of slow torques below which a fit fails", "Draper 1998")
-    reduced_chi2: float = _criterion(1.4, "reduced chi2 of the fitted rows above which a fit fails")
+    reduced_chi2: float = _criterion(1.4, "reduced chi2 of rows above which a fit fails, at p < `lack_of_fit`")
     undetermined: float = _criterion(100.0, "standard uncertainty over value above which a parameter is undetermined")
     correlated_noise: float = _criterion(8.0, "deviance that correlated angle noise needs", "chi2, 2 dof")
     excess_noise: float = _criterion(4.0,

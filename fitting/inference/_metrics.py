@@ -34,7 +34,9 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.polynomial import hermite_e
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
+from fitting._criteria import Criteria
 from fitting._numbers import span_of
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
@@ -224,13 +226,22 @@ class BodyMetrics:
 
 @dataclass(frozen=True)
 class CaseMetrics:
-    """Figures of merit of one case; `misfit` is chi2 per row that contains a model."""
+    """Figures of merit of one case; `misfit` is chi2 per row that contains a model, of `misfit_rows` rows."""
 
     label: str
     casing: BodyMetrics
     rotor: BodyMetrics
     energy_drift: float
     misfit: float
+    misfit_rows: int
+
+    def fails(self, criteria: Criteria) -> bool:
+        """Return whether `misfit` exceeds its limit and is improbable for so many rows.
+
+        Both count: of a dozen rows of a short record, noise gives more than 1.4 in one case of six.
+        """
+        p_value = float(chdtrc(self.misfit_rows, self.misfit * self.misfit_rows))
+        return self.misfit > criteria.reduced_chi2 and p_value < criteria.lack_of_fit
 
 
 def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, theta: Array) -> CaseMetrics:
@@ -261,6 +272,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         bodies["rotor"],
         energy_balance(case, theta, prediction.path).drift,
         float(np.sum(residual**2)) / rows,
+        rows,
     )
 
 

@@ -518,13 +518,12 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `lack_of_fit` bounds the p-value of slow torques, its `reduced_chi2` that of each case. By default those
-            of the fit.
+            Its `lack_of_fit` bounds the p-value of slow torques, and that of chi2 of each case, whose `reduced_chi2` is
+            exceeded. By default those of the fit.
         """
         criteria = criteria or self.criteria
         return self.converged and (
-            self.lack_of_fit.p_value < criteria.lack_of_fit
-            or any(c.misfit > criteria.reduced_chi2 for c in self.cases)
+            self.lack_of_fit.p_value < criteria.lack_of_fit or any(c.fails(criteria) for c in self.cases)
         )
 
     def has_excess_noise(self, criteria: Criteria | None = None) -> bool:
