@@ -50,6 +50,9 @@ _MAX_LOG_AMPLITUDE = 50.0
 # a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
 # with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
+# share of the variance of an angle that a damped oscillation leaves beyond noise: harmonics of a pendulum with an
+# amplitude of 176 degrees are 0.023, the first link of two double pendulums leaves 0.06 and 0.11
+_UNEXPLAINED = 0.04
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class Value:
 class BodyMotion:
     """The motion of one body."""
 
-    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "fluctuating" or "driven"
+    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "reversing", "fluctuating" or "driven"
     kind: str
     # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
@@ -99,9 +102,10 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation
-    whose speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are
-    local, and its mean is that of the angles.
+    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. One that turns
+    back, and is recorded through too few periods for either, is "reversing". A rotation whose speed rises and falls
+    repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and its mean is that of the
+    angles.
     """
     if len(time) < _MIN_SAMPLES:
         what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
@@ -113,7 +117,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     oscillation = _oscillation(t, angle, sigma)
     if oscillation is not None:
         period, amplitude, decay, ends, curve = oscillation
-        if _reverses(t, curve, period.value) and np.var(angle - curve) < 0.2 * np.var(angle):
+        noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
+        left = float(np.var(angle - curve)) - noise**2
+        if _reverses(t, curve, period.value) and left < _UNEXPLAINED * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
     if np.ptp(angle) > _LEAST_RANGE * np.median(sigma):
         passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), _HYSTERESIS)
@@ -124,7 +130,10 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         return BodyMotion(
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
-    return BodyMotion(_kind(omega, mean, alpha), turns, omega, mean, alpha, omega_u=omega_u)
+    windows = _speeds(time, angle, sigma)
+    reversing = windows is not None and _turns_back(*windows[1:])
+    kind = "reversing" if reversing else _kind(omega, mean, alpha)
+    return BodyMotion(kind, turns, omega, mean, alpha, omega_u=omega_u)
 
 
 def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:

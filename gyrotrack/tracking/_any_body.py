@@ -54,6 +54,7 @@ from gyrotrack.tracking._registration import (
     rolled,
 )
 from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
+from gyrotrack.tracking._translation import translates
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -235,6 +236,17 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         _refuse(film, usable, block, motion, best, where, hint, needed)
+    few = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
+    if translates(block.at(few), motion.moving, best.ring.hub, best.ring.outer, best.angle[few]):
+        raise RefusedFilmError(
+            f"The body that moves in {film.path.name} does not turn: translation along its path explains its picture "
+            f"better than rotation about ({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px.",
+            "Follow one of its points with --point X,Y, about a pivot given with --hub X,Y.",
+            kind="no rotation",
+            evidence={"explained": best.score},
+            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+            hub=best.ring.hub,
+        )
     left, top, right, bottom = motion.area
     if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
         what = (

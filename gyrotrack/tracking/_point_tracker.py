@@ -329,8 +329,7 @@ def _only_spot(
 
 def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> RefusedFilmError:
     (x, y), (u, v) = spots[0].place, spots[1].place
-    _, parts = cv2.connectedComponents(region)
-    joined = parts[round(y), round(x)] == parts[round(v), round(u)] != 0
+    joined = _linked(region, spots[0], spots[1])
     return RefusedFilmError(
         f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
         f"{', which are joined' if joined else ''}.",
@@ -339,6 +338,19 @@ def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> R
         evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
         frames=(frame,),
     )
+
+
+def _linked(region: Plane, one: Spot, other: Spot) -> bool:
+    """Return whether a thin part, a rod or a string, joins two compact parts of a region.
+
+    An opening by a disc of half the size of the smallest one that counts as a body removes it.
+    """
+    size = max(round(0.5 * AS_LARGE * min(one.radius, other.radius)), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
+    places = [(round(s.place[1]), round(s.place[0])) for s in (one, other)]
+    labels = [cv2.connectedComponents(r)[1] for r in (region, cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))]
+    (a, b), (c, d) = ([int(label[p]) for p in places] for label in labels)
+    return a == b != 0 and c != d
 
 
 def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
