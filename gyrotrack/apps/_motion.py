@@ -132,14 +132,15 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         )
     windows = _speeds(time, angle, sigma)
     reversing = windows is not None and _turns_back(*windows[1:])
-    kind = "reversing" if reversing else _kind(omega, mean, alpha)
+    kind = "reversing" if reversing else _kind(omega, omega_u, mean, alpha)
     return BodyMotion(kind, turns, omega, mean, alpha, omega_u=omega_u)
 
 
-def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:
-    """Return the kind of a rotation by its acceleration and the speeds at its ends."""
+def _kind(omega: dict[str, float], omega_u: dict[str, float], mean: Value, alpha: Value) -> str:
+    """Return the kind of a rotation by its acceleration and the speeds at its ends, which must not contradict it."""
     change = abs(omega["last"]) - abs(omega["first"])
-    if abs(alpha.value) < 3 * alpha.stderr or abs(change) < 0.01 * abs(mean.value):
+    apart = abs(change) > 3 * math.hypot(omega_u["first"], omega_u["last"])
+    if abs(change) < 0.01 * abs(mean.value) or (abs(alpha.value) < 3 * alpha.stderr and not apart):
         return "steady"
     return "spin-up" if change > 0 else "spin-down"
 
@@ -228,7 +229,8 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     mean = averaged(np.eye(most + 1)[0])
     alpha = averaged(_derivatives(most, 1, 0.0) / half)
     ends, ends_u = _ends(first, last)
-    return BodyMotion(_kind(ends, mean, alpha), whole.turns, ends, mean, alpha, omega_u=ends_u)
+    kind = _kind(ends, ends_u, mean, alpha)
+    return BodyMotion(kind, whole.turns, ends, mean, alpha, omega_u=ends_u)
 
 
 def motion_of_passages(passages: Passages) -> BodyMotion:
@@ -308,8 +310,12 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
 
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
+    best = min(fits, key=lambda fit: fit.criterion)
+    smoothed = angle
+    if np.ptp(angle) > _FLUCTUATING_TURNS * TURN:  # over fewer turns harmonics are not separable from the motion
+        smoothed = angle - design[:, :view] @ best.value[:view]
     for i, place in enumerate((0, -1)):
-        local = _speed_at(t, angle, sigma, place)
+        local = _speed_at(t, smoothed, sigma, place)
         # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone

@@ -267,6 +267,13 @@ def _track(
             hub=best.ring.hub,
         )
     tracked = _measure(film, usable, first, best, motion, progress)
+    if (share := elsewhere(motion.moving, best.ring)) > _ELSEWHERE:
+        text = (
+            f"Other parts of the picture move as well: {100 * share:.0f} % as many pixels as in the ring. If they "
+            "belong to another body that acts on this one (a second link, a gear), a torque law of one body does not "
+            "describe it."
+        )
+        tracked = replace(tracked, warnings=(text, *tracked.warnings))
     doubt = (
         rival_hub(
             [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],
@@ -365,11 +372,9 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
     """Return a body outside of the ring of the best one that is explained as well; None if there is none."""
-    distance = distance_from(best.ring.hub, motion.moving.shape)
-    outside = motion.moving & (distance > 1.1 * best.ring.outer)
-    if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():
+    if elsewhere(motion.moving, best.ring) < _ELSEWHERE:
         return None
-    rest = replace(motion, moving=outside)
+    rest = replace(motion, moving=_outside(motion.moving, best.ring))
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
     needed = max(_EXPLAINED, _AS_GOOD * best.score)
     start = max(trials, key=lambda t: t.score, default=None)
@@ -379,6 +384,16 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
     apart = math.dist(found.ring.hub, best.ring.hub)
     clear = apart > best.ring.outer and apart > found.ring.outer
     return found if clear and found.score > needed else None
+
+
+def _outside(moving: Bools, ring: Ring) -> Bools:
+    return np.asarray(moving & (distance_from(ring.hub, moving.shape) > 1.1 * ring.outer))
+
+
+def elsewhere(moving: Bools, ring: Ring) -> float:
+    """Return the number of pixels that change outside of a ring over that of the others."""
+    outside = int(np.count_nonzero(_outside(moving, ring)))
+    return outside / max(int(np.count_nonzero(moving)) - outside, 1)
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.apps._motion import motion_of
+from gyrotrack.apps._motion import Value, _kind, motion_of
 
 SIGMA = 2e-3
 
@@ -36,3 +36,19 @@ def test_a_motion_that_no_damped_oscillation_explains_has_no_period(share, perio
     time = np.linspace(0.0, 6.0, 80)
     angle = np.cos(np.pi * time) + share * np.cos(2.7 * np.pi * time + 1.0)
     assert (_motion(time, angle).period is not None) == period
+
+
+@pytest.mark.parametrize(("u", "kind"), [(0.3, "spin-up"), (1.5, "steady")])
+def test_the_kind_does_not_contradict_the_speeds_at_the_ends(u, kind):
+    """A speed that rises in the last part alone has no acceleration at the middle of the record."""
+    ends, ends_u = {"first": 3.0, "last": 5.0}, {"first": u, "last": u}
+    assert _kind(ends, ends_u, Value(3.2, 0.01), Value(0.0, 0.1)) == kind
+
+
+def test_speeds_at_the_ends_contain_no_harmonics_of_the_angle():
+    """An axis that is not quite corrected for its tilt causes two waves per turn, of the size of the prior."""
+    time = np.linspace(0.0, 10.0, 120)
+    found = _motion(time, 3.0 * time + 0.02 * np.sin(6.0 * time))
+    for end in ("first", "last"):
+        assert found.omega[end] == pytest.approx(3.0, abs=max(3.0 * found.omega_u[end], 0.005))
+        assert found.omega_u[end] < 0.02
