@@ -25,7 +25,8 @@ TURN = 2 * math.pi
 # prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
 # camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
-_MIN_SAMPLES = 12
+_FEWEST_SAMPLES = 10  # of a motion: a quadratic in time has seven degrees of freedom left
+_MIN_SAMPLES = 12  # of a window
 _ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
@@ -93,7 +94,7 @@ class BodyMotion:
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
+    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 10 samples.
 
     A rotation is fitted by a polynomial in time (of degree 2 to 16, by the Bayesian information criterion) and three
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
@@ -104,11 +105,11 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
     repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. One that turns
     back, and is recorded through too few periods for either, is "reversing". A rotation whose speed rises and falls
-    repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and its mean is that of the
-    angles.
+    repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and its mean is that of
+    the angles.
     """
-    if len(time) < _MIN_SAMPLES:
-        what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
+    if len(time) < _FEWEST_SAMPLES:
+        what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer record.")
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
@@ -312,7 +313,9 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     best = min(fits, key=lambda fit: fit.criterion)
     smoothed = angle
-    if np.ptp(angle) > _FLUCTUATING_TURNS * TURN:  # over fewer turns harmonics are not separable from the motion
+    if (
+        np.ptp(angle) > _FLUCTUATING_TURNS * TURN
+    ):  # over fewer turns harmonics are not separable from the motion
         smoothed = angle - design[:, :view] @ best.value[:view]
     for i, place in enumerate((0, -1)):
         local = _speed_at(t, smoothed, sigma, place)

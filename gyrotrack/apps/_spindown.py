@@ -770,6 +770,11 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
             f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
             "with zero."
         )
+    if motion.kind == "reversing":
+        raise FittingError(
+            "the body turns back, which friction does not cause, and the record is no damped oscillation through 1.2 "
+            "periods or more: it does not separate a restoring torque from a drive or another body."
+        )
     if motion.kind != "oscillation":
         return
     if motion.period is None:

@@ -29,7 +29,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -133,9 +133,10 @@ def track_body(
 ) -> Tracked:
     """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless just one body turns."""
     usable = fresh_frames(film)
-    if len(usable) < 12:
+    if len(usable) < FEWEST_FRAMES:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; at least 12 are required to track a motion.",
+            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
+            "a motion.",
             "Give a longer film.",
         )
     refuse_cut(film, usable)

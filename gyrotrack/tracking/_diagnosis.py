@@ -26,7 +26,9 @@ Complexes = npt.NDArray[np.complex128]
 _PAIRS = 16  # pairs of frames that are compared
 _LAGS = (1, 2, 4, 8)  # frames between the two of a pair: the first in which the features move measurably
 _STEP = 1.0  # displacement of a feature that counts as motion [px]
-_AT_REST = 0.3  # displacement of a feature that counts as rest [px]; features of noisy films at rest have up to 0.1
+_AT_REST = (
+    0.3  # displacement of a feature that counts as rest [px]; features of noisy films at rest have up to 0.1
+)
 _FEWEST = 12  # features of a pair, and of one motion
 _NEAR = 0.8  # largest distance of a feature from its rigid motion [px]
 _MOST = 0.75  # share of the pairs that must agree
@@ -168,9 +170,10 @@ def pair_of(first: Plane, *later: Plane) -> Pair | None:
             continue
         z, d = (v[known].astype(np.float64) @ np.array([1.0, 1j]) for v in (places, moved))
         pair = Pair(lag, z, d)
-        if np.count_nonzero(np.abs(d) > _STEP) >= _FEWEST and not lag * _STEP / _LAGS[-1] < np.median(
-            np.abs(d)
-        ) < _STEP:
+        if (
+            np.count_nonzero(np.abs(d) > _STEP) >= _FEWEST
+            and not lag * _STEP / _LAGS[-1] < np.median(np.abs(d)) < _STEP
+        ):
             break
     return pair
 

@@ -531,6 +531,10 @@ _NEIGHBOURS, _MOVING = 9, 7  # frames about one, and the rank of the change that
 _REPEATED = 0.1  # largest change of a repeated frame, relative to the typical one
 
 
+# different frames of a film from which a motion is measured: a quadratic in time, and its residuals
+FEWEST_FRAMES = 10
+
+
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
@@ -49,7 +49,6 @@ Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _BACKGROUND = 60  # frames of which the background is the median, at most
-_FEWEST = 12  # frames of a path
 _CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
 _COMPARED = 30  # frames in which the size of the only body is compared
 _LATE = 0.1  # share of the frames before the one in which it is seen first, at most
@@ -122,9 +121,10 @@ def track_point(
     follow at the given place, if several bodies move and none is chosen, or if the patch is lost in most frames.
     """
     usable = fresh_frames(film)
-    if len(usable) < _FEWEST:
+    if len(usable) < FEWEST_FRAMES:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; {_FEWEST} are required to track a motion.",
+            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
+            "a motion.",
             "Give a longer film.",
         )
     refuse_cut(film, usable)
@@ -237,7 +237,7 @@ def _tracked(
     rough, found = _follow(film, usable, spot, background)
     if unselected and found.mean() >= _FOUND:
         _retraced(rough[found], film.path.name)
-    if found.mean() < _FOUND or found.sum() < _FEWEST:
+    if found.mean() < _FOUND or found.sum() < FEWEST_FRAMES:
         raise TrackingError(
             f"The point at ({where[0]:.0f}, {where[1]:.0f}) px in {film.path.name} is followed through "
             f"{found.sum()} of {len(found)} frames only.",
@@ -721,7 +721,7 @@ def _measured(
             progress(k + 1, len(frame))
     usual = float(np.median(misfit))
     kept = (misfit < HIDDEN * usual) & np.isfinite(covariance).all(axis=(1, 2))
-    if kept.sum() < _FEWEST:
+    if kept.sum() < FEWEST_FRAMES:
         raise TrackingError(
             f"The point in {film.path.name} matches its own picture in {int(kept.sum())} frames only.",
             "Give a more distinct point with --point X,Y.",

@@ -49,7 +49,9 @@ def translates(
     y, x = np.nonzero(swept)
     weight = np.abs(some[middle].astype(np.float64) - np.mean(some, axis=0))[y, x] + 1e-9
     place = np.array([np.average(x, weights=weight), np.average(y, weights=weight), 1.0])
-    moved = [_translation(f, some[middle], swept, m @ place - place[:2]) for f, m in zip(some, turned, strict=True)]
+    moved = [
+        _translation(f, some[middle], swept, m @ place - place[:2]) for f, m in zip(some, turned, strict=True)
+    ]
     return residual(some, moved, swept) < _GAIN * residual(some, turned, swept)
 
 
