@@ -366,6 +366,11 @@ class Film:
             for later in (False, True):
                 yield field(plane, odd=bool(self._first_field) != later), 2 * frame.index + later
 
+    @property
+    def interlaced(self) -> bool:
+        """Whether each frame holds two fields, which are measured as two pictures."""
+        return self._first_field is not None
+
     def _count_fields(self, count: int) -> None:
         """Replace rate and timestamps of the frames by those of the fields."""
         step = np.diff(self.stamps)
