@@ -325,7 +325,9 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
         if not (math.isfinite(requested) and requested > 0):
             raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
         if film.interlaced:
-            text = f"--capture-fps {requested:g} is the rate of the frames; {2 * requested:g} fields per second."
+            text = (
+                f"--capture-fps {requested:g} is the rate of the frames; {2 * requested:g} fields per second."
+            )
             return 2 * requested, "--capture-fps", [text]
         return requested, "--capture-fps", []
     if film.info.tag_fps is not None:
