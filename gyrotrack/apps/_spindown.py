@@ -777,8 +777,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
     if motion.kind == "reversing":
         raise FittingError(
-            "the body turns back, which friction does not cause, and the record is no damped oscillation through 1.2 "
-            "periods or more: it does not separate a restoring torque from a drive or another body."
+            "the body turns back, and the record does not show a damped oscillation through at least 1.2 periods. It "
+            "does not separate a restoring torque from a drive or from another body."
         )
     if motion.kind != "oscillation":
         return

@@ -261,7 +261,7 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
         # displacement of the middle of the features, and what a rotation about a hub h would make of it
         left.append(1.0 - motion.a)
         right.append(motion.b - (1.0 - motion.a) * middle)
-    # a camera by hand shows parallax, which is no rigid motion: such pairs show neither motion nor rest
+    # a handheld camera causes parallax, which is not a rigid motion: such pairs count neither as motion nor as rest
     if len(steps) < max(_MOST * (len(steps) + at_rest), 0.5 * len(pairs), 3):
         return None
     one, moved = np.array(left), np.array(right)

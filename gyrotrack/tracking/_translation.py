@@ -1,4 +1,4 @@
-"""Whether a body that seems to swing about a hub moves across the picture without turning, as a cart or a piston does.
+"""Distinguish rotation about a hub from translation across the picture (a cart, a piston).
 
 Over a part of a turn, rotation about a hub resembles translation. Both are compared on the same pixels of the body: a
 few frames are aligned to one of them, by rotation about the hub and by translation alone.
