@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from gyrotrack.apps._motion import TURN, Floats, Value
 from gyrotrack.io._records import Series
@@ -131,6 +130,8 @@ def _speed_of_turns(series: Series, quantity: str) -> tuple[Floats, Floats] | No
 
 def _response(series: Series, quantity: str, cause: Driver | None) -> Response | None:
     """Fit the response to an input, or to a constant drive from the end of rest."""
+    from scipy.signal import lfilter  # half of the start of the command, for a few inputs
+
     time = series.time
     measured = series.omega if quantity == "omega" else series.angle
     begin = 0

@@ -25,7 +25,8 @@ TURN = 2 * math.pi
 # prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
 # camera tilt of 0.28 rad, and its perspective
 VIEW = (0.02, 0.02, 0.005)
-_MIN_SAMPLES = 12
+_FEWEST_SAMPLES = 10  # of a motion: a quadratic in time has seven degrees of freedom left
+_MIN_SAMPLES = 12  # of a window
 _ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
@@ -50,6 +51,9 @@ _MAX_LOG_AMPLITUDE = 50.0
 # a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
 # with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
+# share of the variance of an angle that a damped oscillation leaves beyond noise: harmonics of a pendulum with an
+# amplitude of 176 degrees are 0.023, the first link of two double pendulums leaves 0.06 and 0.11
+_UNEXPLAINED = 0.04
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class Value:
 class BodyMotion:
     """The motion of one body."""
 
-    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "fluctuating" or "driven"
+    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "reversing", "fluctuating" or "driven"
     kind: str
     # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
     turns: float
@@ -90,7 +94,7 @@ class BodyMotion:
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 12 samples.
+    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 10 samples.
 
     A rotation is fitted by a polynomial in time (of degree 2 to 16, by the Bayesian information criterion) and three
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
@@ -99,12 +103,13 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
     amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A rotation
-    whose speed rises and falls repeatedly, which neither friction nor a view does, is "fluctuating": its ends are
-    local, and its mean is that of the angles.
+    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. One that turns
+    back, and is recorded through too few periods for either, is "reversing". A rotation whose speed rises and falls
+    repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and its mean is that of
+    the angles.
     """
-    if len(time) < _MIN_SAMPLES:
-        what = f"The motion has {len(time)} samples; {_MIN_SAMPLES} are needed."
+    if len(time) < _FEWEST_SAMPLES:
+        what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer record.")
     t = time - 0.5 * (time[0] + time[-1])
     turns = float(np.ptp(angle)) / TURN
@@ -113,7 +118,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     oscillation = _oscillation(t, angle, sigma)
     if oscillation is not None:
         period, amplitude, decay, ends, curve = oscillation
-        if _reverses(t, curve, period.value) and np.var(angle - curve) < 0.2 * np.var(angle):
+        noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
+        left = float(np.var(angle - curve)) - noise**2
+        if _reverses(t, curve, period.value) and left < _UNEXPLAINED * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
     if np.ptp(angle) > _LEAST_RANGE * np.median(sigma):
         passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), _HYSTERESIS)
@@ -124,13 +131,17 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         return BodyMotion(
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
-    return BodyMotion(_kind(omega, mean, alpha), turns, omega, mean, alpha, omega_u=omega_u)
+    windows = _speeds(time, angle, sigma)
+    reversing = windows is not None and _turns_back(*windows[1:])
+    kind = "reversing" if reversing else _kind(omega, omega_u, mean, alpha)
+    return BodyMotion(kind, turns, omega, mean, alpha, omega_u=omega_u)
 
 
-def _kind(omega: dict[str, float], mean: Value, alpha: Value) -> str:
-    """Return the kind of a rotation by its acceleration and the speeds at its ends."""
+def _kind(omega: dict[str, float], omega_u: dict[str, float], mean: Value, alpha: Value) -> str:
+    """Return the kind of a rotation by its acceleration and the speeds at its ends, which must not contradict it."""
     change = abs(omega["last"]) - abs(omega["first"])
-    if abs(alpha.value) < 3 * alpha.stderr or abs(change) < 0.01 * abs(mean.value):
+    apart = abs(change) > 3 * math.hypot(omega_u["first"], omega_u["last"])
+    if abs(change) < 0.01 * abs(mean.value) or (abs(alpha.value) < 3 * alpha.stderr and not apart):
         return "steady"
     return "spin-up" if change > 0 else "spin-down"
 
@@ -219,7 +230,8 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     mean = averaged(np.eye(most + 1)[0])
     alpha = averaged(_derivatives(most, 1, 0.0) / half)
     ends, ends_u = _ends(first, last)
-    return BodyMotion(_kind(ends, mean, alpha), whole.turns, ends, mean, alpha, omega_u=ends_u)
+    kind = _kind(ends, ends_u, mean, alpha)
+    return BodyMotion(kind, whole.turns, ends, mean, alpha, omega_u=ends_u)
 
 
 def motion_of_passages(passages: Passages) -> BodyMotion:
@@ -299,8 +311,14 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
 
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
+    best = min(fits, key=lambda fit: fit.criterion)
+    smoothed = angle
+    if (
+        np.ptp(angle) > _FLUCTUATING_TURNS * TURN
+    ):  # over fewer turns harmonics are not separable from the motion
+        smoothed = angle - design[:, :view] @ best.value[:view]
     for i, place in enumerate((0, -1)):
-        local = _speed_at(t, angle, sigma, place)
+        local = _speed_at(t, smoothed, sigma, place)
         # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone

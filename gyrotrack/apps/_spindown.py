@@ -325,6 +325,11 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     if requested is not None:
         if not (math.isfinite(requested) and requested > 0):
             raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
+        if film.interlaced:
+            text = (
+                f"--capture-fps {requested:g} is the rate of the frames; {2 * requested:g} fields per second."
+            )
+            return 2 * requested, "--capture-fps", [text]
         return requested, "--capture-fps", []
     if film.info.tag_fps is not None:
         return film.info.tag_fps, "tag of the camera", []
@@ -777,6 +782,11 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError(
             f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
             "with zero."
+        )
+    if motion.kind == "reversing":
+        raise FittingError(
+            "the body turns back, and the record does not show a damped oscillation through at least 1.2 periods. It "
+            "does not separate a restoring torque from a drive or from another body."
         )
     if motion.kind != "oscillation":
         return

@@ -29,7 +29,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, Plane, Shake, camera_shake, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, Shake, camera_shake, fresh_frames
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -55,6 +55,7 @@ from gyrotrack.tracking._registration import (
     rolled,
 )
 from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
+from gyrotrack.tracking._translation import translates
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -133,9 +134,10 @@ def track_body(
 ) -> Tracked:
     """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless just one body turns."""
     usable = fresh_frames(film)
-    if len(usable) < 12:
+    if len(usable) < FEWEST_FRAMES:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; at least 12 are required to track a motion.",
+            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
+            "a motion.",
             "Give a longer film.",
         )
     refuse_cut(film, usable)
@@ -236,6 +238,17 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         _refuse(film, usable, block, motion, best, where, hint, needed)
+    few = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
+    if translates(block.at(few), motion.moving, best.ring.hub, best.ring.outer, best.angle[few]):
+        raise RefusedFilmError(
+            f"The body that moves in {film.path.name} does not turn: translation along its path explains its picture "
+            f"better than rotation about ({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px.",
+            "Follow one of its points with --point X,Y, about a pivot given with --hub X,Y.",
+            kind="no rotation",
+            evidence={"explained": best.score},
+            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+            hub=best.ring.hub,
+        )
     left, top, right, bottom = motion.area
     if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
         what = (
@@ -256,6 +269,13 @@ def _track(
             hub=best.ring.hub,
         )
     tracked = _measure(film, usable, first, best, motion, progress)
+    if (share := elsewhere(motion.moving, best.ring)) > _ELSEWHERE:
+        text = (
+            f"Other parts of the picture move as well: {100 * share:.0f} % as many pixels as in the ring. If they "
+            "belong to another body that acts on this one (a second link, a gear), a torque law of one body does not "
+            "describe it."
+        )
+        tracked = replace(tracked, warnings=(text, *tracked.warnings))
     doubt = (
         rival_hub(
             [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],
@@ -354,11 +374,9 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
     """Return a body outside of the ring of the best one that is explained as well; None if there is none."""
-    distance = distance_from(best.ring.hub, motion.moving.shape)
-    outside = motion.moving & (distance > 1.1 * best.ring.outer)
-    if outside.sum() < _ELSEWHERE * (motion.moving & ~outside).sum():
+    if elsewhere(motion.moving, best.ring) < _ELSEWHERE:
         return None
-    rest = replace(motion, moving=outside)
+    rest = replace(motion, moving=_outside(motion.moving, best.ring))
     trials = [trial for p in propose_hubs(block, rest) for trial in _trials(p, block, rest)]
     needed = max(_EXPLAINED, _AS_GOOD * best.score)
     start = max(trials, key=lambda t: t.score, default=None)
@@ -368,6 +386,16 @@ def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial 
     apart = math.dist(found.ring.hub, best.ring.hub)
     clear = apart > best.ring.outer and apart > found.ring.outer
     return found if clear and found.score > needed else None
+
+
+def _outside(moving: Bools, ring: Ring) -> Bools:
+    return np.asarray(moving & (distance_from(ring.hub, moving.shape) > 1.1 * ring.outer))
+
+
+def elsewhere(moving: Bools, ring: Ring) -> float:
+    """Return the number of pixels that change outside of a ring over that of the others."""
+    outside = int(np.count_nonzero(_outside(moving, ring)))
+    return outside / max(int(np.count_nonzero(moving)) - outside, 1)
 
 
 def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[_Trial]:

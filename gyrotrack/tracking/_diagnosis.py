@@ -26,6 +26,9 @@ Complexes = npt.NDArray[np.complex128]
 _PAIRS = 16  # pairs of frames that are compared
 _LAGS = (1, 2, 4, 8)  # frames between the two of a pair: the first in which the features move measurably
 _STEP = 1.0  # displacement of a feature that counts as motion [px]
+_AT_REST = (
+    0.3  # displacement of a feature that counts as rest [px]; features of noisy films at rest have up to 0.1
+)
 _FEWEST = 12  # features of a pair, and of one motion
 _NEAR = 0.8  # largest distance of a feature from its rigid motion [px]
 _MOST = 0.75  # share of the pairs that must agree
@@ -143,27 +146,36 @@ def _xy(z: Complexes) -> npt.NDArray[np.float32]:
 
 def pairs_of(film: Film, usable: Frames) -> list[Pair]:
     """Return the motion of the features in pairs of near frames from the whole film."""
-    starts = np.unique(np.linspace(0, len(usable) - 1 - max(_LAGS), _PAIRS).astype(int))
-    starts = starts[starts >= 0]
-    needed = np.unique(np.concatenate([starts + lag for lag in (0, *_LAGS)])) if len(starts) else starts
-    if not len(needed):
+    if len(usable) <= max(_LAGS):
         return []
+    starts = np.unique(np.linspace(0, len(usable) - 1 - max(_LAGS), _PAIRS).astype(int))
+    needed = np.unique(np.concatenate([starts + lag for lag in (0, *_LAGS)]))
     pictures = dict(zip(needed.tolist(), film.some(usable[needed]), strict=True))
-    found = []
-    for start in starts.tolist():
-        first = np.asarray(pictures[start])
-        places = features_of(first)
-        if len(places) < _FEWEST:
+    later = ([np.asarray(pictures[start + lag]) for lag in (0, *_LAGS)] for start in starts.tolist())
+    return [pair for some in later if (pair := pair_of(*some)) is not None]
+
+
+def pair_of(first: Plane, *later: Plane) -> Pair | None:
+    """Return the motion of the features of a frame to the first later one in which it is measurable, else to the last.
+
+    None without features. Where most features move together, a slow camera perhaps, their common motion must be
+    measurable, and not that of a few of them alone.
+    """
+    places = features_of(first)
+    pair = None
+    for lag, second in zip(_LAGS, later, strict=True) if len(places) >= _FEWEST else ():
+        moved = tracked(first, places, second)
+        known = np.isfinite(moved).all(axis=1)
+        if known.sum() < _FEWEST:
             continue
-        for lag in _LAGS:
-            moved = tracked(first, places, np.asarray(pictures[start + lag]))
-            known = np.isfinite(moved).all(axis=1)
-            step = np.hypot(*moved[known].T)
-            if known.sum() >= _FEWEST and (np.count_nonzero(step > _STEP) >= _FEWEST or lag == _LAGS[-1]):
-                z, d = (v[known].astype(np.float64) @ np.array([1.0, 1j]) for v in (places, moved))
-                found.append(Pair(lag, z, d))
-                break
-    return found
+        z, d = (v[known].astype(np.float64) @ np.array([1.0, 1j]) for v in (places, moved))
+        pair = Pair(lag, z, d)
+        if (
+            np.count_nonzero(np.abs(d) > _STEP) >= _FEWEST
+            and not lag * _STEP / _LAGS[-1] < np.median(np.abs(d)) < _STEP
+        ):
+            break
+    return pair
 
 
 def refuse_cut(film: Film, usable: Frames) -> None:
@@ -229,15 +241,19 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
     and the rms residual of their displacements from those about the best hub, relative to their rms.
     """
     steps, shares, left, right = [], [], [], []
+    at_rest = 0
     for pair in pairs:
-        every = np.ones(len(pair.place), dtype=np.bool_)
-        motion = pair.motion(every)
-        if motion is None:
-            continue
-        size = float(np.median(np.abs(pair.step[motion.members])))
-        hull = cv2.contourArea(cv2.convexHull(_xy(pair.place[motion.members])))
-        share = float(motion.members.mean())
-        if size < _STEP or share < _WITH_CAMERA or hull < _WHOLE * shape[0] * shape[1]:
+        motion = pair.motion(np.ones(len(pair.place), dtype=np.bool_))
+        size, share = 0.0, 0.0
+        if motion is not None:
+            size, share = float(np.median(np.abs(pair.step[motion.members]))), float(motion.members.mean())
+        if (
+            motion is None
+            or size < _STEP
+            or share < _WITH_CAMERA
+            or not _covers(pair.place[motion.members], shape)
+        ):
+            at_rest += _covers(pair.place[np.abs(pair.step) < _AT_REST], shape)
             continue
         steps.append(size / pair.lag)
         shares.append(share)
@@ -245,7 +261,8 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
         # displacement of the middle of the features, and what a rotation about a hub h would make of it
         left.append(1.0 - motion.a)
         right.append(motion.b - (1.0 - motion.a) * middle)
-    if len(steps) < max(_MOST * len(pairs), 3):
+    # a handheld camera causes parallax, which is not a rigid motion: such pairs count neither as motion nor as rest
+    if len(steps) < max(_MOST * (len(steps) + at_rest), 0.5 * len(pairs), 3):
         return None
     one, moved = np.array(left), np.array(right)
     hub = np.vdot(one, moved) / max(float(np.vdot(one, one).real), 1e-12)
@@ -254,6 +271,11 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
     size = math.sqrt(float(np.mean(np.abs(moved) ** 2 + (np.abs(one) * reach) ** 2)))
     off = math.sqrt(float(np.mean(np.abs(moved - one * hub) ** 2))) / max(size, 1e-9)
     return None if off < _NO_HUB else (float(np.median(steps)), float(np.median(shares)), off)
+
+
+def _covers(place: Complexes, shape: tuple[int, ...]) -> bool:
+    """Return whether the convex hull of some features is a large part of the picture."""
+    return len(place) > 2 and cv2.contourArea(cv2.convexHull(_xy(place))) >= _WHOLE * shape[0] * shape[1]
 
 
 @dataclass(frozen=True)

@@ -366,6 +366,11 @@ class Film:
             for later in (False, True):
                 yield field(plane, odd=bool(self._first_field) != later), 2 * frame.index + later
 
+    @property
+    def interlaced(self) -> bool:
+        """Whether each frame holds two fields, which are measured as two pictures."""
+        return self._first_field is not None
+
     def _count_fields(self, count: int) -> None:
         """Replace rate and timestamps of the frames by those of the fields."""
         step = np.diff(self.stamps)
@@ -529,6 +534,10 @@ def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> 
 
 _NEIGHBOURS, _MOVING = 9, 7  # frames about one, and the rank of the change that is typical of them
 _REPEATED = 0.1  # largest change of a repeated frame, relative to the typical one
+
+
+# different frames of a film from which a motion is measured: a quadratic in time, and its residuals
+FEWEST_FRAMES = 10
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
 from gyrotrack.tracking._point_tracker import PointPath
@@ -23,7 +23,6 @@ from gyrotrack.tracking._silhouettes import (
 Floats = npt.NDArray[np.float64]
 
 _BACKGROUND, _COMPARED = 60, 30  # frames of which the background is the median, and that are compared with it
-_FEWEST = 12  # frames of a motion
 _SHOWN = 0.8  # share of the frames in which a long body must be seen
 _EDGE = 0.3  # rough uncertainty of the end of a silhouette [px]
 
@@ -52,7 +51,7 @@ class FirstLook:
 def first_look(film: Film) -> FirstLook:
     """Compare a few frames with the background, their median."""
     usable = fresh_frames(film)
-    if len(usable) < _FEWEST:
+    if len(usable) < FEWEST_FRAMES:
         return FirstLook((0, 0))
     sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
     background = median_picture(sample)
@@ -72,7 +71,7 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
     usable = fresh_frames(film)
     wanted = set(usable.tolist())
     rows = [(k, f) for k, x in enumerate(film.frames()) if k in wanted and (f := body.axis(x)) is not None]
-    if len(rows) < max(_SHOWN * len(usable), _FEWEST):
+    if len(rows) < max(_SHOWN * len(usable), FEWEST_FRAMES):
         raise TrackingError(
             f"The long body in {film.path.name} is seen in {len(rows)} of {len(usable)} frames only.",
             "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",

@@ -268,9 +268,8 @@ def similarity_hubs(
     if mask.sum() < 50:
         return None, None
     found: list[tuple[complex, complex, complex]] = []
-    for lag in _LAGS:
-        starts = np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int))
-        for i in starts[starts >= 0]:
+    for lag in (n for n in _LAGS if n < len(frames)):
+        for i in np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int)):
             pair = similarity(frames[i], frames[i + lag], mask)
             if pair is not None:
                 found.append(pair)

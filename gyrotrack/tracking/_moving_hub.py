@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import cv2
 import numpy as np
@@ -213,7 +214,7 @@ class _Link:
     outline: list[_Outline] = field(default_factory=list)
 
     def area(self) -> float:
-        return float(np.median([o.area for o in self.outline[-10:]]))
+        return median(o.area for o in self.outline[-10:])
 
     def expected(self, frame: int) -> Floats:
         """Extrapolate the position with the velocity of the last steps."""
@@ -289,13 +290,15 @@ def _outlines(differs: Bools) -> list[_Outline]:
 def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
     """Assign the outlines of a frame to the bodies of the previous frames, the nearest pair first."""
     pairs = []
+    places = np.array([o.place for o in outlines]).reshape(-1, 2)
+    areas = np.array([o.area for o in outlines])
     for link in links:
-        expected, area = link.expected(index), link.area()
+        area = link.area()
         gate = _GATE * 2 * math.sqrt(area / math.pi) + 2.0
-        for n, outline in enumerate(outlines):
-            miss = min(math.dist(outline.place, expected), math.dist(outline.place, link.outline[-1].place))
-            if miss < gate and abs(outline.area / area - 1.0) < _AREA:
-                pairs.append((miss, n, link))
+        misses = [np.hypot(*(places - at).T) for at in (link.expected(index), link.outline[-1].place)]
+        miss = np.minimum(*misses)
+        near = np.flatnonzero((miss < gate) & (np.abs(areas / area - 1.0) < _AREA))
+        pairs += [(float(miss[n]), n, link) for n in near.tolist()]
     joined: set[int] = set()
     grown: set[int] = set()
     for _, n, link in sorted(pairs, key=lambda pair: pair[0]):

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
@@ -49,7 +49,6 @@ Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _BACKGROUND = 60  # frames of which the background is the median, at most
-_FEWEST = 12  # frames of a path
 _CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
 _COMPARED = 30  # frames in which the size of the only body is compared
 _LATE = 0.1  # share of the frames before the one in which it is seen first, at most
@@ -122,9 +121,10 @@ def track_point(
     follow at the given place, if several bodies move and none is chosen, or if the patch is lost in most frames.
     """
     usable = fresh_frames(film)
-    if len(usable) < _FEWEST:
+    if len(usable) < FEWEST_FRAMES:
         raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; {_FEWEST} are required to track a motion.",
+            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
+            "a motion.",
             "Give a longer film.",
         )
     refuse_cut(film, usable)
@@ -237,7 +237,7 @@ def _tracked(
     rough, found = _follow(film, usable, spot, background)
     if unselected and found.mean() >= _FOUND:
         _retraced(rough[found], film.path.name)
-    if found.mean() < _FOUND or found.sum() < _FEWEST:
+    if found.mean() < _FOUND or found.sum() < FEWEST_FRAMES:
         raise TrackingError(
             f"The point at ({where[0]:.0f}, {where[1]:.0f}) px in {film.path.name} is followed through "
             f"{found.sum()} of {len(found)} frames only.",
@@ -329,8 +329,7 @@ def _only_spot(
 
 def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> RefusedFilmError:
     (x, y), (u, v) = spots[0].place, spots[1].place
-    _, parts = cv2.connectedComponents(region)
-    joined = parts[round(y), round(x)] == parts[round(v), round(u)] != 0
+    joined = _linked(region, spots[0], spots[1])
     return RefusedFilmError(
         f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
         f"{', which are joined' if joined else ''}.",
@@ -339,6 +338,19 @@ def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> R
         evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
         frames=(frame,),
     )
+
+
+def _linked(region: Plane, one: Spot, other: Spot) -> bool:
+    """Return whether a thin part, a rod or a string, joins two compact parts of a region.
+
+    An opening by a disc of half the size of the smallest one that counts as a body removes it.
+    """
+    size = max(round(0.5 * AS_LARGE * min(one.radius, other.radius)), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
+    places = [(round(s.place[1]), round(s.place[0])) for s in (one, other)]
+    labels = [cv2.connectedComponents(r)[1] for r in (region, cv2.morphologyEx(region, cv2.MORPH_OPEN, disc))]
+    (a, b), (c, d) = ([int(label[p]) for p in places] for label in labels)
+    return a == b != 0 and c != d
 
 
 def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
@@ -709,7 +721,7 @@ def _measured(
             progress(k + 1, len(frame))
     usual = float(np.median(misfit))
     kept = (misfit < HIDDEN * usual) & np.isfinite(covariance).all(axis=(1, 2))
-    if kept.sum() < _FEWEST:
+    if kept.sum() < FEWEST_FRAMES:
         raise TrackingError(
             f"The point in {film.path.name} matches its own picture in {int(kept.sum())} frames only.",
             "Give a more distinct point with --point X,Y.",

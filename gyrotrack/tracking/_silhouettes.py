@@ -62,16 +62,24 @@ def differs(frame: Plane, background: Picture, noise: float) -> Plane:
 
 def spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
     """Return the compact part about the pixel `top` (x, y), the farthest from the edge, of a region; None if small."""
-    depth = depth_of(region)
-    inner = float(depth[top[1], top[0]])
-    if inner < _SMALLEST:
-        return None
-    size = max(int(_OPENED * inner), 1)
-    _, label = cv2.connectedComponents(cv2.morphologyEx(region, cv2.MORPH_OPEN, _disc(size)))
+    _, label, stats, _ = cv2.connectedComponentsWithStats(region)
     number = label[top[1], top[0]]
     if number == 0:
         return None
-    y, x = np.nonzero(label == number)
+    # no disc is in two components: only the box of this one is opened, with the pixels around it
+    left, above, width, height, _ = (int(v) for v in stats[number])
+    left, above, right, below = max(left - 1, 0), max(above - 1, 0), left + width + 1, above + height + 1
+    part = np.asarray(label[above:below, left:right] == number, dtype=np.uint8)
+    at = top[1] - above, top[0] - left
+    inner = float(depth_of(part)[at])
+    if inner < _SMALLEST:
+        return None
+    opened = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(int(_OPENED * inner), 1)))
+    _, label = cv2.connectedComponents(opened)
+    if label[at] == 0:
+        return None
+    y, x = np.nonzero(label == label[at])
+    y, x = y + above, x + left
     centre = (float(x.mean()), float(y.mean()))
     radius = math.sqrt(len(x) / math.pi)
     half = math.ceil(float(np.hypot(x - centre[0], y - centre[1]).max())) + 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -291,7 +292,8 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
             "Times are counted from the pictures: complete it.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"
-    escaped = str(folder.resolve() / head).replace("%", "%%")
+    # names may consist of the number alone, and joining a path with nothing adds no separator
+    escaped = f"{folder.resolve()}{os.sep}{head}".replace("%", "%%")
     return f"{escaped}{digits}{suffix}", {"start_number": str(numbers[0])}
 
 

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from gyrotrack.tracking._diagnosis import (
     camera_motion,
     cut_at,
     detail,
+    pair_of,
     refuse_blurred,
     refuse_cut,
     refuse_two_motions,
@@ -69,6 +71,38 @@ def test_the_camera_moves_most_features(moving, seen):
         return z, d
 
     assert (camera_motion(_pairs(some), SHAPE) is not None) == seen
+
+
+@pytest.mark.parametrize(("still", "seen"), [(2, True), (4, False)])
+def test_pairs_with_a_background_at_rest_speak_against_a_moving_camera(still, seen):
+    """Three quarters of the pairs that show motion or rest must show motion; parallax shows neither."""
+
+    def some(k):
+        z = _places(200, k)
+        if k < still:
+            return z, _moved(z)
+        if k < still + 2:  # several depths move differently
+            return z, _moved(z, shift=3.0) * (0.5 + np.arange(200) / 100)
+        return z, _moved(z, shift=2.0)
+
+    assert (camera_motion(_pairs(some, 12), SHAPE) is not None) == seen
+
+
+@pytest.mark.parametrize(("speed", "lag"), [(0.02, 1), (0.3, 4), (1.5, 1)])
+def test_a_slow_camera_is_measured_over_several_frames(speed, lag):
+    """Some features move from frame to frame; most of the picture must move by a pixel, if it moves at all."""
+    rng = np.random.default_rng(0)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (140, 180)).astype(np.float32), (0, 0), 2.0)
+    picture = cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX)
+
+    def frame(k):
+        move = np.array([[1.0, 0.0, -5.0 - speed * k], [0.0, 1.0, -5.0]])
+        seen = cv2.warpAffine(picture, move, (160, 120))
+        body = np.array([[1.0, 0.0, 1.5 * k], [0.0, 1.0, 0.0]])
+        seen[70:, :60] = cv2.warpAffine(picture, body, (160, 120))[70:, :60]
+        return seen.astype(np.uint8)
+
+    assert pair_of(frame(0), *(frame(n) for n in (1, 2, 4, 8))).lag == lag
 
 
 def test_a_large_ball_before_a_blank_wall_is_not_the_background():

@@ -1,0 +1,54 @@
+"""A motion that turns back is neither a spin-up nor a spin-down, and not every one is a damped oscillation."""
+
+import numpy as np
+import pytest
+
+from gyrotrack.apps._motion import Value, _kind, motion_of
+
+SIGMA = 2e-3
+
+
+def _motion(time, angle):
+    noise = np.random.default_rng(3).normal(0.0, SIGMA, len(time))
+    return motion_of(time, angle + noise, np.full(len(time), SIGMA))
+
+
+@pytest.mark.parametrize(("periods", "kind"), [(1.0, "reversing"), (1.5, "oscillation")])
+def test_one_period_of_a_pendulum_is_a_reversing_motion(periods, kind):
+    """1.2 periods are required for a period: through fewer, a motion with two stops may be any other."""
+    time = np.linspace(0.0, 2.0 * periods, 60)
+    found = _motion(time, 0.8 * np.cos(np.pi * time))
+    assert found.kind == kind
+    assert (found.period is not None) == (kind == "oscillation")
+
+
+@pytest.mark.parametrize(("back", "kind"), [(0.1, "spin-down"), (0.6, "reversing")])
+def test_a_body_that_turns_back_does_not_spin_down(back, kind):
+    """A body turns back if its speed in the other sense exceeds a fifth of the largest one."""
+    time = np.linspace(0.0, 4.0, 60)
+    speed = np.linspace(5.0, -5.0 * back, 60)
+    assert _motion(time, np.cumsum(speed) * (time[1] - time[0])).kind == kind
+
+
+@pytest.mark.parametrize(("share", "period"), [(0.15, True), (0.35, False)])
+def test_a_motion_that_no_damped_oscillation_explains_has_no_period(share, period):
+    """A second mode of 2 % of the variance may be harmonics of a large amplitude; one of 12 % is another body."""
+    time = np.linspace(0.0, 6.0, 80)
+    angle = np.cos(np.pi * time) + share * np.cos(2.7 * np.pi * time + 1.0)
+    assert (_motion(time, angle).period is not None) == period
+
+
+@pytest.mark.parametrize(("u", "kind"), [(0.3, "spin-up"), (1.5, "steady")])
+def test_the_kind_does_not_contradict_the_speeds_at_the_ends(u, kind):
+    """A speed that rises in the last part alone has no acceleration at the middle of the record."""
+    ends, ends_u = {"first": 3.0, "last": 5.0}, {"first": u, "last": u}
+    assert _kind(ends, ends_u, Value(3.2, 0.01), Value(0.0, 0.1)) == kind
+
+
+def test_speeds_at_the_ends_contain_no_harmonics_of_the_angle():
+    """An axis that is not quite corrected for its tilt causes two waves per turn, of the size of the prior."""
+    time = np.linspace(0.0, 10.0, 120)
+    found = _motion(time, 3.0 * time + 0.02 * np.sin(6.0 * time))
+    for end in ("first", "last"):
+        assert found.omega[end] == pytest.approx(3.0, abs=max(3.0 * found.omega_u[end], 0.005))
+        assert found.omega_u[end] < 0.02
