@@ -226,13 +226,14 @@ class BodyDocument(Document):
 
 
 class MetricsDocument(Document):
-    """Figures of merit of one case; `misfit` is chi2 over the rows that a model can reach."""
+    """Figures of merit of one case; `misfit` is chi2 per row that a model can reach, `misfit_rows` their number."""
 
     label: str
     casing: BodyDocument
     rotor: BodyDocument
     energy_drift: Number
     misfit: Number
+    misfit_rows: int = 1000  # of fits that were stored without it
 
 
 class AngleNoiseDocument(Document):

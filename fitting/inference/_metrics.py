@@ -236,9 +236,9 @@ class CaseMetrics:
     misfit_rows: int
 
     def fails(self, criteria: Criteria) -> bool:
-        """Return whether `misfit` exceeds its limit and is improbable for so many rows.
+        """Return whether `misfit` exceeds its limit, and is improbable for its number of rows.
 
-        Both count: of a dozen rows of a short record, noise gives more than 1.4 in one case of six.
+        Noise in the twelve rows of a short record exceeds 1.4 in one case of six.
         """
         p_value = float(chdtrc(self.misfit_rows, self.misfit * self.misfit_rows))
         return self.misfit > criteria.reduced_chi2 and p_value < criteria.lack_of_fit

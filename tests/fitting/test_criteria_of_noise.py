@@ -124,7 +124,7 @@ def test_the_verdict_of_a_fit_is_by_its_own_criteria():
     model = Model.of(["touchpoint.constant", "casing.air.linear"])
     usual = fitting.fit(model, record)
     assert usual.verdict == "no_lack_of_fit"
-    assert fitting.fit(model, record, criteria=Criteria(reduced_chi2=0.1)).verdict == "lack_of_fit"
+    assert fitting.fit(model, record, criteria=Criteria(lack_of_fit=1.0)).verdict == "lack_of_fit"
     sure = fitting.fit(model, record, criteria=Criteria(undetermined=1e-9))
     assert sure.verdict == "not_determined"
     assert usual.undetermined_at(sure.criteria) == sure.undetermined
