@@ -127,6 +127,8 @@ Array = NDArray[np.float64]
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20  # blocks of a generated curve, which is smooth
+# share of the casing's record below which a window of the rotor is one block, and blocks of a window of the same length
+_SHORT_WINDOW, _WINDOW_BLOCKS = 0.25, 20
 # smallest number of rows of a rotor window with which correlated noise is estimated
 _WINDOW_ROWS = 8
 # of an oscillation: smallest number of samples of a block, rough speeds in each period
@@ -168,6 +170,15 @@ _OSCILLATION_BLOCKS = (
     OscillationBlocks(200, Block(4, 24, 50)),
     OscillationBlocks(math.inf, Block(12, 50, 126)),
 )
+
+
+def blocks_of_window(window: Samples, casing: Samples) -> int:
+    """Return the number of blocks of a window of the rotor: one if the rotor hardly slows down within it.
+
+    The record of the casing lasts for as long as the motion, so the number does not depend on the unit of time.
+    """
+    share = float(np.ptp(window.time)) / max(float(np.ptp(casing.time)), 1e-300)
+    return 1 if share < _SHORT_WINDOW else min(round(_WINDOW_BLOCKS * share), BLOCKS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,9 +238,7 @@ class CaseData:
             compress(
                 w,
                 degree=min(ROTOR_DEGREE, (len(w) - 1) // 2),
-                blocks=_GENERATED_BLOCKS
-                if record.generated
-                else max(1, round((w.time[-1] - w.time[0]) / 3.0)),
+                blocks=_GENERATED_BLOCKS if record.generated else blocks_of_window(w, record.casing),
                 noisy=not record.generated,
                 noise_rows=NOISE_ROWS if angle else SPEED_NOISE_ROWS,
             )
