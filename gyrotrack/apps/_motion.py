@@ -313,9 +313,8 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
     best = min(fits, key=lambda fit: fit.criterion)
     smoothed = angle
-    if (
-        np.ptp(angle) > _FLUCTUATING_TURNS * TURN
-    ):  # over fewer turns harmonics are not separable from the motion
+    # over fewer turns harmonics are not separable from the motion
+    if np.ptp(angle) > _FLUCTUATING_TURNS * TURN:
         smoothed = angle - design[:, :view] @ best.value[:view]
     for i, place in enumerate((0, -1)):
         local = _speed_at(t, smoothed, sigma, place)
