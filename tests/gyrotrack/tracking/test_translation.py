@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _translation
 from gyrotrack.tracking._translation import WIDEST, translates
 
 HUB, REACH = (100.0, 40.0), 110.0
@@ -50,3 +51,10 @@ def test_a_round_body_without_detail_may_turn():
 @pytest.mark.parametrize(("span", "told"), [(0.95 * WIDEST, True), (1.05 * WIDEST, False)])
 def test_a_large_rotation_is_not_compared(span, told):
     assert _translates(np.linspace(-0.5, 0.5, 16) * span, turning=False) == told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.49, True), (0.51, False)])
+def test_translation_explains_the_frames_twice_as_well(monkeypatch, share, told):
+    residuals = iter([share, 1.0])  # of translation, and of rotation
+    monkeypatch.setattr(_translation, "residual", lambda *_: next(residuals))
+    assert _translates(SWING, turning=True) == told

@@ -1,10 +1,13 @@
 """Single samples that no smooth motion contains, against steps, kinks and noise."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gyrotrack import import_body
-from gyrotrack.io.readers._outliers import outliers
+from gyrotrack.io.readers._motion_table import MotionTable
+from gyrotrack.io.readers._outliers import outliers, without_outliers
 from gyrotrack.io.readers._run import Limits
 
 N, SIGMA = 400, 1e-3
@@ -76,3 +79,17 @@ def test_two_in_a_hundred_samples_are_outliers_and_more_are_noise(tmp_path, coun
         assert said[0].startswith("a.csv: 8 outliers (first: line 22) far from")
         assert np.median(case.casing.sigma) == pytest.approx(SIGMA, rel=0.15)
     assert len(import_body(path, 1.0, limits=Limits(keep_all=True)).casing.time) == N
+
+
+@pytest.mark.parametrize(
+    ("changes", "excluded"),
+    [({}, True), ({"counted": True}, False), ({"least_sigma": 0.025}, False), ({"least_sigma": 0.02}, True)],
+)
+def test_counts_and_steps_of_the_resolution_are_kept(changes, excluded):
+    """Ten standard errors are 10 sqrt(20) u = 1 for u = 0.0224."""
+    value = motion()
+    value[100] += 1.0
+    table = MotionTable(Path("a.csv"), "", "angle", T, value, np.full(N, SIGMA), np.arange(N), (), **changes)
+    notes = []
+    _, kept = without_outliers(table, value, notes)
+    assert (len(kept) < N) == bool(notes) == excluded
