@@ -51,9 +51,10 @@ _MAX_LOG_AMPLITUDE = 50.0
 # a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
 # with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
-# share of the variance of an angle that a damped oscillation leaves beyond noise: harmonics of a pendulum with an
-# amplitude of 176 degrees are 0.023, the first link of two double pendulums leaves 0.06 and 0.11
-_UNEXPLAINED = 0.04
+# share of the variance of an angle that a damped oscillation leaves beyond noise, through few and several periods:
+# harmonics of a pendulum with an amplitude of 176 degrees are 0.023; the first link of two double pendulums leaves 0.06
+# and 0.11 of few periods; an oscillation that was disturbed in its eight periods leaves 0.07
+_UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         period, amplitude, decay, ends, curve = oscillation
         noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
         left = float(np.var(angle - curve)) - noise**2
-        if _reverses(t, curve, period.value) and left < _UNEXPLAINED * np.var(angle):
+        several = float(np.ptp(time)) > _SEVERAL_PERIODS * period.value
+        most = _UNEXPLAINED_OF_SEVERAL if several else _UNEXPLAINED
+        if _reverses(t, curve, period.value) and left < most * np.var(angle):
             return BodyMotion("oscillation", turns, ends, mean, alpha, period, amplitude, decay)
     if np.ptp(angle) > _LEAST_RANGE * np.median(sigma):
         passages = upward_crossings(angle - 0.5 * (angle.min() + angle.max()), _HYSTERESIS)

@@ -43,7 +43,7 @@ def test_the_output_stands_beside_the_film_if_not_said_otherwise(film, tmp_path,
     assert (tmp_path / "spin.h5").exists()
     captured = capsys.readouterr()
     assert "casing" in captured.out
-    assert "tracked by 1 of 5 processes" in captured.err  # 260 frames are one part
+    assert "tracked by 1 of 5 processes" in captured.err  # 170 frames are one part
 
 
 def test_an_existing_output_is_kept_without_force(film, tmp_path, capsys):
@@ -107,5 +107,5 @@ def test_an_overlay_shows_what_was_found(film, tmp_path, capsys, name):
     assert document["overlay"] == str(picture)
     with av.open(str(picture)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(frames) == (1 if name.endswith("png") else 260)
+    assert len(frames) == (1 if name.endswith("png") else 170)
     assert (frames[0].reshape(-1, 3).max(axis=0) == 255).any() or frames[0].max() > 240
