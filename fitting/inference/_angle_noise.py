@@ -155,9 +155,8 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     """
     needed = criteria.correlated_noise
     if len(run.lift) < _FEWEST_BLOCKS:
-        return (
-            AngleNoise()
-        )  # a cubic does not describe the motion of a whole record: the rest would count as noise
+        # a cubic does not describe the motion of a whole record: the rest would count as noise
+        return AngleNoise()
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
     block = span / len(run.lift)

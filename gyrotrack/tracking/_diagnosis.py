@@ -26,9 +26,8 @@ Complexes = npt.NDArray[np.complex128]
 _PAIRS = 16  # pairs of frames that are compared
 _LAGS = (1, 2, 4, 8)  # frames between the two of a pair: the first in which the features move measurably
 _STEP = 1.0  # displacement of a feature that counts as motion [px]
-_AT_REST = (
-    0.3  # displacement of a feature that counts as rest [px]; features of noisy films at rest have up to 0.1
-)
+# largest displacement of a feature at rest [px]; those of noisy films have up to 0.1
+_AT_REST = 0.3
 _FEWEST = 12  # features of a pair, and of one motion
 _NEAR = 0.8  # largest distance of a feature from its rigid motion [px]
 _MOST = 0.75  # share of the pairs that must agree

@@ -195,10 +195,8 @@ def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
     """Return an oscillation up to where the resolution shows no more of it, or where the body is at rest."""
-    last, what = (
-        _end_of_resolution(table, value),
-        f"the deflection is at most {_MIN_STEPS} steps of the resolution",
-    )
+    last = _end_of_resolution(table, value)
+    what = f"the deflection is at most {_MIN_STEPS} steps of the resolution"
     if last == len(value):
         last = end_of_oscillation(table.time, value, scatter(table.time, value))
         what = "the body is at rest within the noise"
