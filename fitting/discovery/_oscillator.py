@@ -158,11 +158,11 @@ def fit_oscillator(
 
     Amplitude and phase of a period contain less than its samples, and the averaged equations err by more than the data
     where the amplitude is large. So the damping torques that they leave are fitted exactly with the restoring torque of
-    the lowest BIC, and the best of them with the other restoring torques; BIC decides. An oscillation of hundreds
-    of reversals, of which one candidate is refitted, is fitted with the chosen set alone.
+    the lowest BIC, and the best of them with the other restoring torques; BIC decides. If the reversals are
+    too many for `Criteria.refit_least` refits (more than 125), the chosen set alone is fitted.
     """
     reversals = 0 if data.oscillation is None else len(data.oscillation.reversals)
-    if not laws.sets or criteria.refits_through(reversals) == 1:
+    if not laws.sets or criteria.refits_through(reversals) < criteria.refit_least:
         return laws, fit(model_of((*laws.restoring, *laws.damping)), [data])
     fits: list[tuple[LawSet, Fit]] = []
     failures: list[FittingError] = []

@@ -64,10 +64,10 @@ def test_a_set_that_cannot_be_fitted_is_skipped(monkeypatch):
 
 @pytest.mark.parametrize("more", [False, True])
 def test_through_many_reversals_the_chosen_set_alone_is_fitted(monkeypatch, more):
-    """From half of `refit_reversals` on, one candidate is refitted."""
+    """500 reversals are integrated for four candidates: 125 of each."""
     found = laws((GRAVITY, DRY), (GRAVITY, WET))
     bic = {(*GRAVITY, *DRY): 9.0, (*GRAVITY, *WET): 0.0}
-    few = DEFAULT.refit_reversals // 2
+    few = DEFAULT.refit_reversals // DEFAULT.refit_least
     chosen, _, fitted = decide(monkeypatch, found, bic, few + more)
     assert len(fitted) == (1 if more else 2)
     assert chosen.damping == (DRY if more else WET)
