@@ -285,7 +285,7 @@ def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str,
     """Return the strengths of the laws of a single body and what they mean, and its speed in the unit of the file."""
     rows = [
         (
-            view.name(law.parameter).words.capitalize(),
+            view.name(law.parameter).words,  # a symbol comes first: k and K differ
             typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
         )
         for law in laws_of_body(view.final)
