@@ -226,14 +226,15 @@ class BodyDocument(Document):
 
 
 class MetricsDocument(Document):
-    """Figures of merit of one case; `misfit` is chi2 per row that a model can reach, `misfit_rows` their number."""
+    """Figures of merit of one case; `rows` is the number of rows that a model can describe."""
 
     label: str
     casing: BodyDocument
     rotor: BodyDocument
     energy_drift: Number
-    misfit: Number
-    misfit_rows: int = 1000  # of fits that were stored without it
+    chi2_per_row: Number = Field(validation_alias=AliasChoices("chi2_per_row", "misfit"))
+    # the default is for fits that were stored without it
+    rows: int = Field(1000, validation_alias=AliasChoices("rows", "misfit_rows"))
 
 
 class AngleNoiseDocument(Document):
@@ -560,6 +561,7 @@ class StepDocument(Document):
     rmse_casing: Number
     rmse_noise: Number = math.nan
     reduced_chi2: Number
+    misfit: Number = math.nan  # of fits that were stored without it
     held_out: Number
     bic: Number = math.nan
     bic_noise: Number = math.nan

@@ -216,7 +216,7 @@ def answer(name, words, ask):
         "case": name,
         "change": words,
         "chi2": case.casing.reduced_chi2,
-        "misfit": case.misfit,
+        "misfit": case.chi2_per_row,
         "held_out": case.casing.held_out,
         "noise": noise.pure,
         "noise_u": noise.pure_u,

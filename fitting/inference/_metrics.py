@@ -226,22 +226,28 @@ class BodyMetrics:
 
 @dataclass(frozen=True)
 class CaseMetrics:
-    """Figures of merit of one case; `misfit` is chi2 per row that contains a model, of `misfit_rows` rows."""
+    """Figures of merit of one case; `rows` is the number of rows that a model can describe."""
 
     label: str
     casing: BodyMetrics
     rotor: BodyMetrics
     energy_drift: float
-    misfit: float
-    misfit_rows: int
+    chi2_per_row: float
+    rows: int
 
     def fails(self, criteria: Criteria) -> bool:
-        """Return whether `misfit` exceeds its limit, and is improbable for its number of rows.
+        """Return whether `chi2_per_row` exceeds its limit, and is improbable for its number of rows.
 
         Noise in the twelve rows of a short record exceeds 1.4 in one case of six.
         """
-        p_value = float(chdtrc(self.misfit_rows, self.misfit * self.misfit_rows))
-        return self.misfit > criteria.reduced_chi2 and p_value < criteria.lack_of_fit
+        p_value = float(chdtrc(self.rows, self.rows * self.chi2_per_row))
+        return self.chi2_per_row > criteria.reduced_chi2 and p_value < criteria.lack_of_fit
+
+
+def chi2_per_row(data: CaseData, project: Projection, residual: Array) -> tuple[float, int]:
+    """Return chi-square of projected residuals over the number of rows that contain a model, and this number."""
+    rows = max(1, data.row_count - project.basis.shape[1])
+    return float(np.sum(residual**2)) / rows, rows
 
 
 def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, theta: Array) -> CaseMetrics:
@@ -265,14 +271,12 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         if body == "rotor" and data.record.generated:  # no noise to measure against
             reduced = errors[body] = float("nan")
         bodies[body] = BodyMetrics(r2, rmse, reduced, errors[body])
-    rows = max(1, data.row_count - project.basis.shape[1])
     return CaseMetrics(
         data.record.label,
         bodies["casing"],
         bodies["rotor"],
         energy_balance(case, theta, prediction.path).drift,
-        float(np.sum(residual**2)) / rows,
-        rows,
+        *chi2_per_row(data, project, residual),
     )
 
 

@@ -585,8 +585,11 @@ class Fit(FitSummary):
 
     @property
     def misfit(self) -> float:
-        """Rms residual of the casings over that of the noise, the root of `reduced_chi2`; 1 is the noise limit."""
-        return math.sqrt(self.reduced_chi2)
+        """Rms residual over that of the noise, of all rows that a model can describe; 1 is the noise limit.
+
+        Unlike `reduced_chi2`, it does not depend on the sampling rate: further samples add noise, but no row.
+        """
+        return math.sqrt(sum(c.rows * c.chi2_per_row for c in self.cases) / sum(c.rows for c in self.cases))
 
     @property
     def rmse_casing(self) -> float:

@@ -57,6 +57,9 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
 
 
 _PARTS = {"casing": 2, "rotor": 5}
+_PERIOD_PARTS = (
+    8  # parts of a period of an oscillation: errors of its amplitude and of its phase are both seen
+)
 _POINTS = 40  # points of the mean over a block
 
 
@@ -84,11 +87,15 @@ class SpeedMap:
         self._nuisance = data.nuisance[:, size > 0] / size[size > 0]
         self._estimator = np.linalg.pinv(noise.whitener(self._nuisance), rcond=1e-10)
         self.parts: list[tuple[slice, Array, Array, Array]] = []
+        oscillation, parts = data.oscillation, dict(_PARTS)
+        if oscillation is not None:
+            periods = oscillation.periods / len(data.casing.operators)
+            parts["casing"] = max(parts["casing"], round(_PERIOD_PARTS * periods))
         first = 0
         for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
             rows = slice(first, first + len(run.z))
             first = rows.stop
-            self.parts.append((rows, *_slopes(run, _PARTS[body], is_angle=data.is_angle)))
+            self.parts.append((rows, *_slopes(run, parts[body], is_angle=data.is_angle)))
 
     def without_nuisance(self, rows: Array) -> Array:
         """Return rows in their own units without the part that the nuisance columns explain."""

@@ -494,7 +494,8 @@ def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
 def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:
     """Return one step of a history: the change, and the errors before and after."""
     same = (
-        "samples", "n_eff", "rmse_casing", "rmse_noise", "reduced_chi2", "held_out", "bic", "bic_noise", "verdict",
+        "samples", "n_eff", "rmse_casing", "rmse_noise", "reduced_chi2", "misfit", "held_out", "bic", "bic_noise",
+        "verdict",
     )  # fmt: skip
     document = StepDocument.model_validate(
         {k: getattr(fit, k) for k in same}

@@ -202,6 +202,7 @@ _MAX_BAND = 2.0
 # 16-bit integers: the resolution of 1/65000 of the range is less than 0.1 pixel on a screen
 _STEPS = 32767
 _REGULAR = 1e-6
+_MOST_MARKED = 300  # points of a curve up to which each has a marker
 # characters that could end a script element are written as JSON escapes
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
@@ -372,7 +373,8 @@ def draw(
             alpha, name = (0.55, t.label) if t.kind == "band" else (0.22, None)
             ax.fill_between(x[few], *band, color=t.colour, alpha=alpha, linewidth=0, label=name)
         if t.kind != "band":
-            marks: dict[str, Any] = {"marker": "o", "markersize": 2.2} if t.kind == "points" else {}
+            marked = t.kind == "points" and len(t.x) < _MOST_MARKED
+            marks: dict[str, Any] = {"marker": "o", "markersize": 2.2} if marked else {}
             ax.plot(
                 *thin(x, value, most),
                 color=t.colour,

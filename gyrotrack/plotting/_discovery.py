@@ -125,7 +125,7 @@ def _candidates_finding(view: StudyView, shown: list[Candidate]) -> str:
 # title, unit, attribute of a step, whether the unit has a prefix
 _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
-    ("reduced χ²", "", "reduced_chi2", False),
+    ("misfit", "noise", "misfit", False),
     ("cross-validation error", "noise", "held_out", False),
     ("unmodelled torque, rms", "{torque}", "torque_left", True),
     ("energy balance error", "", "energy_drift", True),
@@ -133,7 +133,7 @@ _KINDS = (
 )
 _PHRASES = (
     ("rmse", "rms error of the {body}", " rad/s"),
-    ("reduced_chi2", "reduced χ²", ""),
+    ("misfit", "misfit", " times the noise"),
     ("held_out", "cross-validation error", " times the noise"),
     ("torque_left", "unmodelled torque", " {torque} rms"),
 )
@@ -143,7 +143,7 @@ def history_picture(view: StudyView) -> Picture:
     """Draw the figures of merit of all steps of the history of fits."""
     steps = view.steps
     noise = max(s.torque_pure for s in steps)
-    limits = {"rmse": view.rmse_floor, "reduced_chi2": 1.0, "held_out": 1.0}
+    limits = {"rmse": view.rmse_floor, "misfit": 1.0, "held_out": 1.0}
     if noise > 0:
         limits["torque_left"] = noise
     with style():
@@ -216,7 +216,7 @@ def history_finding(view: StudyView) -> str:
     first, last = steps[0], steps[-1]
     if len(steps) == 1:
         return (
-            f"One fit: rms error of the {view.body} {short(first.rmse)} rad/s, reduced χ² {short(first.reduced_chi2)}, "
+            f"One fit: rms error of the {view.body} {short(first.rmse)} rad/s, misfit {short(first.misfit)} and "
             f"cross-validation error {short(first.held_out)} times the noise."
         )
     parts = []

@@ -99,7 +99,9 @@ class CaseView:
     alternatives: tuple[AddedTorque, ...]  # the same for the best other candidate effects, each after a refit
     energy: tuple[Energy, ...]  # energy balance of each step
     failures: tuple[Failure, ...]  # intervals with significant lack of fit of the base model
-    deflection: Curve | None = None  # measured angle of an oscillation from its equilibrium [rad]
+    # of an oscillation: measured angle from the equilibrium [rad], period [s]
+    deflection: Curve | None = None
+    period: float = 0.0
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
@@ -134,17 +136,25 @@ class CaseView:
             covered = [(i.start, i.stop) for i in covering if i.body == key]
             found += [
                 Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
-                for a, b, size in _outside(residual, band.sigma, covered)
+                for a, b, size in _outside(residual, band.sigma, covered, self.period)
             ]
         return found
 
 
 def _outside(
-    residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]]
+    residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]], period: float
 ) -> list[tuple[float, float, float]]:
-    """Return start, stop and largest |z| of the intervals in which a residual is outside of its band on one side."""
+    """Return start, stop and largest |z| of the intervals in which a residual is outside of its band on one side.
+
+    The residual of an oscillation may change its side within half of its `period`.
+    """
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
     side = np.sign(ratio) * (np.abs(ratio) > _BAND)
+    if period > 0:
+        side = np.abs(side)
+        for a, b in pairwise(np.flatnonzero(side)):
+            if residual.time[b] - residual.time[a] <= 0.5 * period:
+                side[a:b] = 1
     uncovered = np.ones(len(ratio), dtype=bool)
     for a, b in covered:
         uncovered &= (residual.time < a) | (residual.time > b)
@@ -189,6 +199,7 @@ def case_view(
         energy=tuple(_energy(r.fit, index) for r in history),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
         deflection=None if oscillation is None else _measured(oscillation.time, oscillation.deflection),
+        period=0.0 if oscillation is None else oscillation.period,
     )
 
 
@@ -261,7 +272,7 @@ class Step:
     change: str
     words: str
     rmse: float
-    reduced_chi2: float
+    misfit: float
     held_out: float
     delta_bic: float
     energy_drift: float
@@ -355,7 +366,7 @@ def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
     steps = []
     for i, step in enumerate(history):
         d = step_document(step.fit, "", step.change, history[i - 1].fit if i else None)
-        merits = {k: d[k] for k in ("reduced_chi2", "held_out", "delta_bic", "energy_drift", "verdict")}
+        merits = {k: d[k] for k in ("misfit", "held_out", "delta_bic", "energy_drift", "verdict")}
         change, pure = step.change or "base model", max(n.pure for n in step.fit.noise)
         words = d["words"] or change
         torques: dict[str, Any] = {"torque_left": step.fit.torque_noise, "torque_pure": pure}

@@ -750,7 +750,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
     if document["diagnosis"] is not None:
         lines.append(document["diagnosis"]["sentence"])
         lines += [
-            f"fit {step['fit_id']}: {step['added'] or 'base model'}, reduced chi-square {step['reduced_chi2']:.3g}"
+            f"fit {step['fit_id']}: {step['added'] or 'base model'}, misfit {step['misfit']:.3g} times the noise"
             for step in document["ladder"]
         ]
         lines.append(

@@ -223,6 +223,8 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
         return "found", "≠", f"The recordings differ in {view.name(view.differs.name).words}"
+    if view.verdict == "unexplained" and view.added:
+        words += f"; closest law: {' and '.join(view.name(n).words for n in view.added)}"
     if view.verdict != "missing_effect":
         return kind, sign, words
     best = next((c for c in view.candidates if c.significant), None)
@@ -276,8 +278,8 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
             speeds.setdefault(body, []).append("–".join(interval(i.start, i.stop)))
     parts = [f"{body} {', '.join(spans)} s" for body, spans in speeds.items()]
     if parts:
-        title = "" if failures else "Where"
-        rows.append((title, f"Speed alone, due to an earlier torque: {'; '.join(parts)}"))
+        title, text = ("", "Speed alone, due to an earlier torque") if failures else ("Where", "Speed")
+        rows.append((title, f"{text}: {'; '.join(parts)}"))
     return rows
 
 

@@ -11,6 +11,7 @@ residuals that each candidate predicts; the same `Prediction` serves the sliders
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -469,11 +470,11 @@ class Prediction:
         return self._misfit(self._fit.predictions[0].rows)
 
     def _misfit(self, rows: Array) -> float:
-        """Return the rms residual of modelled rows over the noise: the root of `Fit.reduced_chi2`."""
+        """Return the rms residual of modelled rows over the noise, as `Fit.misfit`."""
+        from fitting.inference._metrics import chi2_per_row
+
         data = self._fit.problem.data[0]
-        residual = self._pure(rows - data.z)
-        chi2 = sum(float(np.sum(residual[data.slices[k]] ** 2)) for k in ("casing", "harmonic"))
-        return float(np.sqrt((chi2 + data.casing.rest) / max(1.0, data.casing.n_effective)))
+        return math.sqrt(chi2_per_row(data, self._pure, self._pure(rows - data.z))[0])
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
         """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.

@@ -72,12 +72,6 @@ class _Fitting:
     is_cancelled: bool = False
 
 
-def _misfit(reduced_chi2: float | None) -> float | None:
-    """Return the one measure of misfit of the page: rms of the residual over that of the noise; 1 = noise limit."""
-    known = reduced_chi2 is not None and math.isfinite(reduced_chi2) and reduced_chi2 >= 0
-    return math.sqrt(reduced_chi2) if known and reduced_chi2 is not None else None
-
-
 class Session:
     """The fits of one case as a tree, one of them current; indices are kept, and `undo` restores a deleted fit."""
 
@@ -463,7 +457,7 @@ class Session:
                     "undo": self._undo[-1][0] if self._undo else "",
                     "redo": self._redo[-1][0] if self._redo else "",
                     "revision": self.revision,
-                    "misfit": _misfit(fit.reduced_chi2),
+                    "misfit": fit.misfit,
                     "measures": self._measures(step),
                     "board": board,
                 }
@@ -500,7 +494,7 @@ class Session:
             (
                 "χ²/n",
                 short(fit.reduced_chi2),
-                "Square of the misfit: mean square of the residual over that of the noise.",
+                "Mean square of the residual of single samples over that of the noise: many samples dilute a misfit.",
             ),
             (
                 "prediction error / noise",
@@ -538,7 +532,7 @@ class Session:
             "added",
             "words",
             "rmse_casing",
-            "reduced_chi2",
+            "misfit",
             "held_out",
             "delta_bic",
             "torque_left_Nm",
@@ -548,8 +542,7 @@ class Session:
         while up >= 0:
             depth, up = depth + 1, self.steps[up].parent
         own = {key: getattr(step, key) for key in ("fit_id", "parent", "name", "note")}
-        misfit = _misfit(step.found.reduced_chi2 if step.found is not None else document.get("reduced_chi2"))
-        return {"place": place, "depth": depth, "misfit": misfit} | own | {k: document.get(k) for k in keys}
+        return {"place": place, "depth": depth} | own | {k: document.get(k) for k in keys}
 
     def _tree(self) -> list[tuple[int, Step]]:
         """Return the steps with their indices, each followed by its successors."""

@@ -153,4 +153,4 @@ def test_deceleration_of_a_real_wheel_is_fitted():
     noise = found.problem.data[0].angle_noise
     assert noise.turn_sigma > 3 * noise.turn_sigma_u
     # one error scale: a claim that is too wide by a factor of two would give 0.25
-    assert found.cases[0].misfit > 0.4
+    assert found.cases[0].chi2_per_row > 0.4

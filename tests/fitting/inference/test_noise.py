@@ -71,7 +71,7 @@ def test_neither_model_nor_moments_of_inertia_change_the_process_noise(model, ca
     found = fit(Model.of(model), [other])
     assert found.noise[0].pure == pytest.approx(casing * base.noise[0].pure, rel=1e-9)
     if model is REDUCED:
-        assert found.cases[0].misfit == pytest.approx(base.cases[0].misfit, rel=0.5)
+        assert found.cases[0].chi2_per_row == pytest.approx(base.cases[0].chi2_per_row, rel=0.5)
         assert found.held_out == pytest.approx(base.held_out, rel=0.2)
 
 

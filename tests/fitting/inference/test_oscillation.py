@@ -17,6 +17,7 @@ from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
 from fitting.inference._oscillation import find_oscillation, turning_points
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._speed_residuals import SpeedMap
 
 SPRING, DRAG = "casing.spring.linear", "casing.air.linear"
 
@@ -315,3 +316,28 @@ def test_a_spring_on_a_body_that_turns_in_one_sense_is_fitted():
     body = oscillators.record(t, 30.0 * t - 0.2 * t**2, 1e-3, 1)
     found = fit(Model.of((DRAG, SPRING, "touchpoint.constant")), [body])
     assert np.isfinite(found.theta).all()
+
+
+@pytest.mark.parametrize(("duration", "periods"), [(30.0, 1), (100.0, 4)], ids=["48 periods", "200 periods"])
+def test_the_residual_speed_of_an_oscillation_is_resolved_within_a_period(duration, periods):
+    """A wrong spring changes the phase, a wrong deflection the amplitude: residual speeds in quadrature."""
+    t = np.arange(0, duration, 0.02)
+    record = oscillators.record(t, analytic(t, 12.0, 0.02, 1.2), 1e-3, 0)
+    found = fit(Model.of([SPRING, DRAG]), [record])
+    data, to_speeds = found.problem.data[0], SpeedMap(found.problem, found.noise[0], 0)
+    _, time, width, _ = to_speeds.parts[0]
+    period = 2 * np.pi / np.sqrt(12.0)
+    assert np.median(width) == pytest.approx(period / 8, rel=0.1)
+    assert len(data.casing.operators) == round(data.oscillation.periods / periods)
+    names = f"{SPRING}.k", f"{DRAG}.b2", "initial.deflection@body"
+    values = np.array([found.values[n] for n in names])
+    inside = time[:, None] + 0.5 * width[:, None] * np.linspace(-1, 1, 101)
+    for name in (names[0], names[2]):
+        step = 0.01 * np.array([n == name for n in names])
+        theta = found.theta.copy()
+        theta[found.problem.layout.names.index(name)] += 0.01
+        rows = found.problem.predict(theta)[0].rows - found.predictions[0].rows
+        change = analytic(inside, *(values + step)) - analytic(inside, *values)
+        slope = [np.polyfit(x - x.mean(), y, 1)[0] for x, y in zip(inside, change, strict=True)]
+        # the polynomials of a block follow the fundamental
+        assert to_speeds(rows)[0] == pytest.approx(np.array(slope), abs=0.05 * np.abs(slope).max())

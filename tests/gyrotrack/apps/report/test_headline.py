@@ -38,8 +38,28 @@ def test_an_undecided_answer_names_nothing():
     assert _headline(view)[2] == "Undecided"
 
 
+@pytest.mark.parametrize(
+    ("added", "words"),
+    [
+        ((), "Unexplained torque"),
+        (("casing.unbalance",), "Unexplained torque; closest law: unbalance of the casing"),
+    ],
+)
+def test_an_unexplained_torque_is_said_with_the_law_that_comes_closest(added, words):
+    found = candidate("casing.unbalance", physical=True)
+    view = SimpleNamespace(
+        verdict="unexplained", differs=None, candidates=(found,), added=added,
+        name=lambda e: effect_name(getattr(e, "name", e)),
+    )  # fmt: skip
+    assert _headline(view)[2] == words
+
+
 @pytest.mark.parametrize(("count", "shown"), [(1, ("6.43",)), (2, ("6.43", "0.975"))])
-def test_the_misfit_is_the_root_of_the_reduced_chi_square_of_each_model(count, shown):
-    fits = [SimpleNamespace(misfit=Fit.misfit.fget(SimpleNamespace(reduced_chi2=x))) for x in (41.4, 0.95)]
+def test_the_misfit_is_the_root_of_chi_square_per_row_of_each_model(count, shown):
+    """Two recordings, of 100 and 300 rows: 11.4 and 51.4 give 41.4, 0.8 and 1 give 0.95."""
+    fits = []
+    for few, many in ((11.4, 51.4), (0.8, 1.0)):
+        cases = [SimpleNamespace(rows=n, chi2_per_row=x) for n, x in ((100, few), (300, many))]
+        fits.append(SimpleNamespace(misfit=Fit.misfit.fget(SimpleNamespace(cases=cases))))
     view = SimpleNamespace(base=fits[0], final=fits[1], cases=(SimpleNamespace(models=[None] * count),))
     assert StudyView.misfit.fget(view) == pytest.approx([float(x) for x in shown], rel=1e-3)

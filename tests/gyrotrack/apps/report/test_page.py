@@ -122,7 +122,7 @@ def test_page_tells_the_story(page):
         "Missing: quadratic air drag of the casing",
         "casing.air.quadratic",
         "The final model has no significant lack of fit.",
-        "times the noise: misfit of the casing",
+        "times the noise: misfit of the model",
         "N m s²",
         "Lack of fit of the base model",
         "Upper limits",
