@@ -149,12 +149,12 @@ def _outside(
     The residual of an oscillation may change its side within half of its `period`.
     """
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
-    side = np.sign(ratio) * (np.abs(ratio) > _BAND)
+    side = np.where(np.abs(ratio) > _BAND, np.sign(ratio), 0.0)
     if period > 0:
         side = np.abs(side)
         for a, b in pairwise(np.flatnonzero(side)):
             if residual.time[b] - residual.time[a] <= 0.5 * period:
-                side[a:b] = 1
+                side[a:b] = 1.0
     uncovered = np.ones(len(ratio), dtype=bool)
     for a, b in covered:
         uncovered &= (residual.time < a) | (residual.time > b)
