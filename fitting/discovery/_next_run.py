@@ -394,10 +394,11 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
         parts.append(f"film the rotor for {run.window_length:.1f} s from {starts}")
     if run.ring != 1.0:
         parts.append(
-            f"fix a ring to the casing that makes its moment of inertia {run.ring:.1f} times as large"
+            f"fix a ring to the {record.body} that makes its moment of inertia {run.ring:.1f} times as large"
         )
     if run.surface != 1.0:
-        parts.append(f"use a surface with {run.surface:.1f} times the friction at the touch point")
+        where = "support" if single else "surface"
+        parts.append(f"use a {where} with {run.surface:.1f} times the friction")
     plan = "; ".join(parts)
     what = f"{plan[0].upper()}{plan[1:]}."
     if not found.rivals:

@@ -67,7 +67,8 @@ class Experiment:
     centre_offset: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("duration", "casing_fps", "rotor_fps", "window_length", "sigma", "torque_time"):
+        of_rotor = ("rotor_fps", "window_length") if self.windows else ()
+        for name in ("duration", "casing_fps", *of_rotor, "sigma", "torque_time"):
             require(name, getattr(self, name), NOT_NEGATIVE if name == "sigma" else POSITIVE)
         for name in ("omega_rotor", "omega_casing", "torque_noise", "centre_offset"):
             require(name, getattr(self, name), FINITE)

@@ -152,9 +152,9 @@ def _outside(
     side = np.where(np.abs(ratio) > _BAND, np.sign(ratio), 0.0)
     if period > 0:
         side = np.abs(side)
-        for a, b in pairwise(np.flatnonzero(side)):
-            if residual.time[b] - residual.time[a] <= 0.5 * period:
-                side[a:b] = 1.0
+        for i, j in pairwise(np.flatnonzero(side)):
+            if residual.time[j] - residual.time[i] <= 0.5 * period:
+                side[i:j] = 1.0
     uncovered = np.ones(len(ratio), dtype=bool)
     for a, b in covered:
         uncovered &= (residual.time < a) | (residual.time > b)

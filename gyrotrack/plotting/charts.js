@@ -177,7 +177,7 @@ const Charts = (() => {
         if (t.kind !== "band") {
           table.push(t.value);
           series.push({ stroke: colour, width: t.width, dash: t.dash, show: t.shown,
-            points: t.kind === "points" ? { show: t.x.length < 1500, size: 4, fill: colour, width: 0 } : { show: false } });
+            points: t.kind === "points" ? { show: t.x.length < 300, size: 4, fill: colour, width: 0 } : { show: false } });
           mine.push(next);
           t.at = next++;
         }

@@ -307,7 +307,8 @@ def _plan_table(found: Plan) -> str:
         f"  {'effect':<28}{'detection limit':>18}{f'{unit} rms':>12}{'upper limit':>13}{'power':>8}{'runs':>8}",
     ]
     for e in found.effects:
-        lines += [f"  {found.fit.name(e.effect).words}", _row(e)]
+        name = found.fit.name(e.effect)
+        lines += [f"  {name.words}", _row(e, name.key)]
     if any(not e.effect.mechanical for e in found.effects):
         lines.append("  * measurement effect, no torque")
     if any(math.isnan(e.upper_limit) for e in found.effects):
@@ -336,10 +337,10 @@ def _plan_table(found: Plan) -> str:
     return "\n".join(lines)
 
 
-def _row(e: EffectLimits) -> str:
+def _row(e: EffectLimits, key: str) -> str:
     star = "" if e.effect.mechanical else " *"
     if e.absorbed:
-        return f"  {e.effect.name + star:<28}{'-':>18}{'-':>12}{'-':>13}{'-':>8}{'-':>8}"
+        return f"  {key + star:<28}{'-':>18}{'-':>12}{'-':>13}{'-':>8}{'-':>8}"
     limit = f"{e.strength} = {e.detection_limit:.2g}"
     torque = f"{e.detection_torque:.1e}" if math.isfinite(e.detection_torque) else "-"
     upper = "found" if math.isnan(e.upper_limit) else f"{e.upper_torque:.1e}" if e.effect.mechanical else "-"
@@ -351,7 +352,7 @@ def _row(e: EffectLimits) -> str:
         if math.isinf(e.runs_needed)
         else f"{e.runs_needed:.0f}"
     )
-    return f"  {e.effect.name + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
+    return f"  {key + star:<28}{limit:>18}{torque:>12}{upper:>13}{power:>8}{runs:>8}"
 
 
 def _limits_of_run(b: Bounds, body: str) -> str:
@@ -371,7 +372,8 @@ def _limits_of_run(b: Bounds, body: str) -> str:
     if b.inertia_casing[1] > 1:
         parts.append(f"inertia of the {body} up to {b.inertia_casing[1]:g} times the present value")
     if b.touchpoint[0] != 1 or b.touchpoint[1] != 1:
+        where = "at the touch point" if body == "casing" else "of its support"
         parts.append(
-            f"friction at the touch point {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present value"
+            f"friction {where} {b.touchpoint[0]:.2g} to {b.touchpoint[1]:.2g} times the present value"
         )
     return f"Limits of the next run: {', '.join(parts)} (change them with --bound)."

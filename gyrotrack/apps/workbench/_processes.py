@@ -87,7 +87,7 @@ class Job:
             "total": self.total,
             "angles": self.motion.reported,
             "seconds": round(monotonic() - self.began, 1) if self.is_active else None,
-            "message": " ".join(filter(None, (error.get("message"), error.get("hint")))),
+            "message": ". ".join(x.rstrip(".") for x in (error.get("message"), error.get("hint")) if x),
         }
 
 

@@ -201,7 +201,7 @@ const FilmView = (() => {
 
     drawMarks(g, shown, to, ratio) {
       const ring = (x, y, r) => { const p = new Path2D(); p.arc(x, y, r, 0, 7); return p; };
-      const centre = shown.centre ? to(shown.centre) : null;
+      const centre = shown.centre ? to(shown.centre) : null, labels = [];
       for (const m of shown.markers) {
         const colour = m.picked ? PICKED : m.by_hand ? HAND : m.whole ? FOUND : PARTIAL;
         const place = m.clicked || m.place;
@@ -216,10 +216,7 @@ const FilmView = (() => {
         this.stroke(g, ring(x, y, 5 * ratio), colour, ratio);
         if (m.by_hand) this.stroke(g, this.plus(x, y, 8 * ratio), colour, ratio, 1);
         const label = m.by_hand ? `${m.name}, by hand` : m.whole || m.picked || !m.status ? m.name : `${m.name}, ${m.status}`;
-        g.font = `600 ${13 * ratio}px system-ui, "DejaVu Sans", sans-serif`;
-        const left = Math.min(x + 9 * ratio, g.canvas.width - g.measureText(label).width - 3 * ratio), top = Math.max(14 * ratio, y - 7 * ratio);
-        g.lineWidth = 3.5 * ratio; g.lineJoin = "round"; g.strokeStyle = "rgb(0 0 0 / 85%)"; g.fillStyle = "#fff";
-        g.strokeText(label, left, top); g.fillText(label, left, top);
+        labels.push([label, x, y]);
       }
       if (shown.ghost) {
         g.setLineDash([5 * ratio, 3 * ratio]);
@@ -231,7 +228,22 @@ const FilmView = (() => {
         }
         g.setLineDash([]);
       }
+      this.drawLabels(g, labels, ratio);
       if (centre) this.stroke(g, this.plus(...centre, 7 * ratio), CENTRE, ratio);
+    }
+
+    /* each label right of its marker; below the labels that it would cover */
+    drawLabels(g, labels, ratio) {
+      g.font = `600 ${13 * ratio}px system-ui, "DejaVu Sans", sans-serif`;
+      g.lineWidth = 3.5 * ratio; g.lineJoin = "round"; g.strokeStyle = "rgb(0 0 0 / 85%)"; g.fillStyle = "#fff";
+      const height = 16 * ratio, drawn = [];
+      for (const [text, x, y] of labels.sort((a, b) => a[2] - b[2])) {
+        const width = g.measureText(text).width, left = Math.min(x + 9 * ratio, g.canvas.width - width - 3 * ratio);
+        let top = Math.max(14 * ratio, y - 7 * ratio);
+        for (const d of drawn) if (left < d.right && left + width > d.left && top > d.top - height && top < d.top + height) top = d.top + height;
+        drawn.push({ left, right: left + width, top });
+        g.strokeText(text, left, top); g.fillText(text, left, top);
+      }
     }
   }
 

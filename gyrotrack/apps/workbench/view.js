@@ -255,15 +255,20 @@ const Laboratory = (() => {
   // faults of the recording, which no torque of a model describes
   const FAULTS = { "camera.slip": "Corrected by the fit.", "camera.start": "State the starts: import --start-u." };
 
+  /* k = 3.5 \u00b1 0.2 N m: the index of the symbol lowered, the value in one line */
+  function strength(text) {
+    const [, letter, index, value] = /^([^_ ]+)(?:_(\S+))? = (.*)$/.exec(text) || [null, text, "", ""];
+    return element("p", { class: "strength" }, letter, ...(index ? [element("sub", {}, index)] : []), value ? ` = ${value}` : "");
+  }
+
   function card(c, next, measured, experiment) {
     const p = predicted[c.effect], fault = FAULTS[c.effect] || (free.has(c.effect) ? "Always fitted." : "");
     const out = element("li", { class: established(c) ? "card" : "card pale", "data-effect": c.effect });
     const alike = c.indistinguishable_from, law = c.law || laws.get(c.effect) || c.effect;
-    const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(own(c.effect)))] : []),
-      ...(c.values || []).slice(0, 2).map((v) => element("p", {}, v)));
+    const left = element("div", {}, element("h3", {}, ...breakable(named(c))), ...(c.words ? [element("span", { class: "key" }, ...breakable(own(c.effect)))] : []));
     const row = element("div", { class: "row" }, left), picture = sketch(c, measured);
     if (picture) row.append(picture);
-    out.append(row, element("p", {}, element("code", {}, ...breakable(own(law)))));
+    out.append(row, ...(c.values || []).slice(0, 2).map(strength), element("p", {}, element("code", {}, ...breakable(own(law)))));
     if (p && p.share !== null) {
       const bar = element("span", {});
       bar.style.width = `${100 * p.share}%`;
@@ -413,7 +418,7 @@ const Laboratory = (() => {
     // the steps contain the first sentence
     box.replaceChildren(element("h3", {}, `Protocol of the next run: ${at("title").textContent}`), element("p", {}, sentence(r.sentence).replace(/^.*?\. (?=[A-Z])/, "").replace(/^It /, "This run ")),
       element("ol", {}, ...(one ? [
-        `Set up the ${last.body} and the camera as before, exposure and focus locked.`,
+        `Set up the ${last.body}${r.inertia_casing_ratio === 1 ? "" : `, with a ring that makes its moment of inertia ${n(r.inertia_casing_ratio)} times as large,`}${r.touchpoint_ratio === 1 ? "" : ` on a support with ${n(r.touchpoint_ratio)} times the friction`} and the camera as before, exposure and focus locked.`,
         `Start the camera, then release the ${last.body} at ${speed(r.omega_casing)}. Film it for ${n(r.duration)} s.`,
         "Name the file with its capture rate, for example run2_300fps.mp4; then drop it on the page From film.",
       ] : [

@@ -303,6 +303,25 @@ class TestNextRun:
         assert chosen.rivals == ()
         assert "rad/s" in chosen.sentence
 
+    def test_a_single_body_has_a_next_run_without_films_of_a_rotor(self):
+        t = np.arange(0.0, 6.0, 0.02)
+        angle = 40 * t - 0.4 * t**2 + 2e-3 * np.random.default_rng(1).standard_normal(len(t))
+        record = make_record(
+            casing=(t, angle, np.full(len(t), 2e-3)),
+            rotor=[],
+            single=True,
+            per_inertia=True,
+            I_rotor=1,
+            I_casing=1,
+        )
+        found = fit(Model.of(["touchpoint.constant"]), [record])
+        info = Information(found, [(LIBRARY["casing.air.quadratic"], {})])
+        chosen = next_run(info, [], DEFAULT, Bounds.of(found), evaluations=4)
+        assert chosen.run.windows == ()
+        low, high = chosen.bounds.omega_casing
+        assert low <= chosen.run.omega_casing <= high
+        assert "surface" not in chosen.sentence
+
     def test_a_single_candidate_has_no_rival(self):
         assert separating_run(base(), [], DEFAULT) == ""
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting import LIBRARY, REDUCED, Experiment, Model, SimulationError, simulate
+from fitting import LIBRARY, REDUCED, EstimationError, Experiment, Model, SimulationError, simulate
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._library import typical_of_model
 from fitting.inference._simulation import simulate_path
@@ -51,3 +51,9 @@ def test_windows_are_inside_the_recording(start, inside):
     made = record()
     assert (made.rotor[0].time[0], len(made.rotor[0].time)) == (start, 150)
     assert len(made.casing.time) == 250
+
+
+def test_the_length_of_a_window_matters_only_with_windows():
+    assert Experiment(windows=(), window_length=0.0).windows == ()
+    with pytest.raises(EstimationError, match="window_length"):
+        Experiment(windows=(1.0,), window_length=0.0)
