@@ -479,38 +479,75 @@ def coarsened(path: Path) -> Path:
     return replace(coarse, kinks=path.kinks)
 
 
+# explicit steps between two nodes of the mesh, tried in this order; largest step over the time of decay (limit: 2.8)
+_PARTS_OF_STEPS = (1, 4, 16, 64, 256)
+_STABLE = 2.5
+# edges of a mesh from which on one step crosses an interval, and the states change linearly within: an input that
+# changes often makes intervals so short that Newton's method converges from there
+_SHORT_INTERVALS = 400
+
+
+def _stepped(
+    dynamics: Dynamics,
+    numbers: Mapping[str, float],
+    start: Array,
+    times: Array,
+    sense: float,
+    width: int,
+    parts: int,
+) -> Array:
+    """Return the states at some times by steps of which `parts` are between two; until the casing rests."""
+    y = np.empty((len(times), len(start)))
+    y[0] = start
+    last = len(times) - 1
+    with np.errstate(all="ignore"):
+        for i, step in enumerate(np.diff(times)):
+            state, h = y[i], step / parts
+            for t in times[i] + h * np.arange(parts):
+                k1 = dynamics.rates(t, state, numbers, sense)
+                k2 = dynamics.rates(t + h / 2, state + h / 2 * k1, numbers, sense)
+                k3 = dynamics.rates(t + h / 2, state + h / 2 * k2, numbers, sense)
+                k4 = dynamics.rates(t + h, state + h * k3, numbers, sense)
+                state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            y[i + 1] = state
+            if not np.isfinite(state).all():
+                return y[: i + 2]
+            if dynamics.dry and sense * y[i + 1, 1] < 0:
+                last = min(last, width * (i // width + 1))
+            if i + 1 == last:
+                break
+    return y[: last + 1]
+
+
 def runge_kutta(
     dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
 ) -> Path:
     """Return a rough solution by classical Runge-Kutta steps: the initial solution for Newton's method.
 
-    It ends with the interval in which the casing comes to rest.
+    It ends with the interval in which the casing comes to rest. Steps longer than 2.8 times of decay are unstable: they
+    are divided until the solution is stable at the start, and bounded.
     """
     if dynamics.relaxation:
         # explicit steps are unstable for a slip that relaxes within a step
         numbers = {**numbers, dynamics.relaxation: _CONSTANT_SLIP}
-    times = np.concatenate([mesh.edges[:-1, None], mesh.times], axis=1)
+    short = len(mesh.edges) > _SHORT_INTERVALS
+    inside = mesh.times[:, :0] if short else mesh.times
+    times = np.concatenate([mesh.edges[:-1, None], inside], axis=1)
     width = times.shape[1]
     times = np.append(times.ravel(), mesh.edges[-1])
-    y = np.empty((len(times), len(start)))
-    y[0] = start
-    last = len(times) - 1
-    with np.errstate(all="ignore"):
-        for i, h in enumerate(np.diff(times)):
-            t, state = times[i], y[i]
-            k1 = dynamics.rates(t, state, numbers, sense)
-            k2 = dynamics.rates(t + h / 2, state + h / 2 * k1, numbers, sense)
-            k3 = dynamics.rates(t + h / 2, state + h / 2 * k2, numbers, sense)
-            k4 = dynamics.rates(t + h, state + h * k3, numbers, sense)
-            y[i + 1] = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            if dynamics.dry and sense * y[i + 1, 1] < 0:
-                last = min(last, width * (i // width + 1))
-            if i + 1 == last:
-                break
-    y = y[: last + 1]
-    if not np.isfinite(y).all():
+    decay = float(np.abs(dynamics.tangent(times[:1], start[None], numbers, sense)[1]).max())
+    stable = [n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n]
+    for parts in stable or _PARTS_OF_STEPS[-1:]:
+        y = _stepped(dynamics, numbers, start, times, sense, width, parts)
+        if np.isfinite(y).all():
+            break
+    else:
         raise SimulationError(UNBOUNDED)
     blocks = y[:-1].reshape(-1, width, len(start))
     edges = np.concatenate([blocks[:, 0], y[-1:]])
     mesh = Mesh(mesh.edges[: len(blocks) + 1])
-    return Path(mesh, blocks[:, 1:].copy(), edges, dynamics.states, np.full(len(blocks), sense))
+    nodes = blocks[:, 1:].copy()
+    if short:
+        share = (mesh.times - mesh.edges[:-1, None]) / np.diff(mesh.edges)[:, None]
+        nodes = edges[:-1, None] + share[..., None] * np.diff(edges, axis=0)[:, None]
+    return Path(mesh, nodes, edges, dynamics.states, np.full(len(blocks), sense))

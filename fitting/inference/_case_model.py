@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
-from fitting.dynamics._collocation import MAX_INTERVALS, Mesh, Path, Sampler, rule
+from fitting.dynamics._collocation import MAX_INTERVALS, UNBOUNDED, Mesh, Path, Sampler, rule
 from fitting.dynamics._events import solve
 from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import Dynamics
@@ -133,6 +133,8 @@ class _FixedPoint:
 
     def next(self, x: Array, value: Array) -> Array:
         """Return the next x from x and g(x): the mean of earlier values whose steps g(x) - x cancel best."""
+        if not np.isfinite(value).all():
+            raise SimulationError(UNBOUNDED)
         self._steps.append((value - x).ravel())
         self._values.append(value.ravel())
         steps, values = (np.stack(v[-_MEMORY:], axis=1) for v in (self._steps, self._values))

@@ -67,12 +67,12 @@ class Experiment:
     centre_offset: float = 0.0
 
     def __post_init__(self) -> None:
-        of_rotor = ("rotor_fps", "window_length") if self.windows else ()
+        require("windows", self.windows, FINITE.several)
+        of_rotor = ("rotor_fps", "window_length") if len(self.windows) else ()
         for name in ("duration", "casing_fps", *of_rotor, "sigma", "torque_time"):
             require(name, getattr(self, name), NOT_NEGATIVE if name == "sigma" else POSITIVE)
         for name in ("omega_rotor", "omega_casing", "torque_noise", "centre_offset"):
             require(name, getattr(self, name), FINITE)
-        require("windows", self.windows, FINITE.several)
 
 
 def simulate_path(
