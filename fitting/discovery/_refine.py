@@ -151,6 +151,15 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
     return float(times[best]) if costs[best] < cost(now) else now
 
 
+def scores_mislead(base: Fit, criteria: Criteria) -> bool:
+    """Return whether scores about a fit may have the wrong sign: of a driven body whose model, with a drive, fails.
+
+    Drive and drag of such a body depend on each other strongly. Without a missing drag both are wrong by so much that
+    the response to the drag, of first order, requires a negative strength (measured: drag 40 % too large).
+    """
+    return any(e.inputs for e in base.model.effects) and base.fails(criteria)
+
+
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the base's optimum; None if there is none.
 
@@ -163,6 +172,8 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
         # the parameters of a model without the drive of a body describe the drive
+        return fit_from_scratch(base, score.effect)
+    if score.score <= 0 and scores_mislead(base, criteria):
         return fit_from_scratch(base, score.effect)
 
     def falls_short(refitted: Fit) -> bool:

@@ -32,6 +32,7 @@ from fitting.discovery._refine import (
     refit,
     refitted_at,
     restarted_from,
+    scores_mislead,
     with_common_phase,
     with_common_values,
     with_free_shape,
@@ -158,6 +159,8 @@ def rank(
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
     chosen = [True] * len(found) if driving else _to_refit(found, criteria)
+    if scores_mislead(base, criteria):
+        chosen = [w or (c.score <= 0 and not c.screened.absorbed) for w, c in zip(chosen, found, strict=True)]
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
         least = criteria.refit_share * max((c.score for c in found), default=0.0)

@@ -124,6 +124,9 @@ def angle_dependent_rows(
     return AngleRows(_observed(data, speed, angle), strength, value)
 
 
+_DIVERGED = 1e100  # speed [rad/s] or angle [rad] whose square might not be finite
+
+
 class _FixedPoint:
     """Anderson's acceleration of an iteration x = g(x) (D. G. Anderson, J. ACM 12, 547 (1965))."""
 
@@ -133,7 +136,7 @@ class _FixedPoint:
 
     def next(self, x: Array, value: Array) -> Array:
         """Return the next x from x and g(x): the mean of earlier values whose steps g(x) - x cancel best."""
-        if not np.isfinite(value).all():
+        if not np.abs(value).max() < _DIVERGED:
             raise SimulationError(UNBOUNDED)
         self._steps.append((value - x).ravel())
         self._values.append(value.ravel())

@@ -18,6 +18,8 @@ from fitting import (
     make_record,
     simulate,
 )
+from fitting._criteria import DEFAULT
+from fitting.discovery._refine import scores_mislead
 from fitting.discovery._select import applicable_effects, needed_drives
 from fitting.inference import _result
 from fitting.inference._case_data import CaseData
@@ -251,6 +253,29 @@ def test_a_recorded_drive_is_needed_where_it_explains_the_motion(share, needed):
     effects = applicable_effects(base, ())
     assert {e.name for e in effects if e.inputs} == {"casing.input.voltage"}
     assert needed_drives(base, effects) == ({"casing.input.voltage"} if needed else set())
+
+
+def test_a_quadratic_drag_beside_a_drive_is_found_although_its_score_has_the_wrong_sign():
+    """One step, dw/dt = k u - c w - q w^2 with the closed form w = a tanh(...): a score about 40 % too much drag."""
+    k, c, q, u, noise = 60.0, 14.0, 0.042, 24.0, 2e-3
+    time, half = np.arange(0.0, 7.0, 0.004), c / (2 * q)
+    rate = np.sqrt((0.5 * c) ** 2 + k * u * q)
+    phase = rate * np.maximum(time - 0.7, 0.0) + np.arctanh(half * q / rate)
+    # the integral of (rate / q) tanh(phase) - half, from the step on
+    angle = (np.log(np.cosh(phase)) - np.log(np.cosh(phase[0]))) / q - half * np.maximum(time - 0.7, 0.0)
+    angle = angle + noise * np.random.default_rng(1).standard_normal(len(time))
+    step = Input("voltage", [0.0, 0.7], [0.0, u], "V", interpolation="hold")
+    run, unit = (time, angle, np.full(len(time), noise)), {"per_inertia": True, "single": True}
+    data = make_record(casing=run, rotor=[], inputs=[step], I_rotor=1, I_casing=1, **unit)
+    base = fit(model(data.inputs), data)
+    assert scores_mislead(base, DEFAULT)
+    found = diagnose(base)
+    first = found.candidates[0]
+    assert first.effect.name == "casing.air.quadratic"
+    (strength,) = first.estimates.values()
+    assert abs(strength.value - q) < 4 * strength.stderr
+    assert first.screened.score == 0
+    assert not scores_mislead(first.fit, DEFAULT)
 
 
 def test_a_law_that_the_model_has_under_another_name_is_not_a_candidate():
