@@ -56,9 +56,9 @@ class Drive:
     """What shows that a body is driven, and its response."""
 
     reason: str  # as the end of a sentence
-    omega: (
-        dict[str, float] | None
-    )  # mean speed over the "first" and the "last" turn [rad/s], if there are several
+    # mean speed over the "first" and the "last" turn, and their standard uncertainties [rad/s]; None for few turns
+    omega: dict[str, float] | None
+    omega_u: dict[str, float] | None
     response: Response | None  # None if no first-order response explains the motion
 
 
@@ -96,8 +96,10 @@ def drive_of(
     if not driving and count == 1:
         found = [r for r in [_response(series, quantity, None)] if r is not None]
     best = max(found, key=lambda r: r.explained, default=None)
-    ends = None if speeds is None else {"first": float(speeds[0][0]), "last": float(speeds[0][-1])}
-    return Drive(reason, ends, best if best is not None and best.explained > _EXPLAINED else None)
+    ends, ends_u = (
+        (None, None) if speeds is None else ({"first": float(x[0]), "last": float(x[-1])} for x in speeds)
+    )
+    return Drive(reason, ends, ends_u, best if best is not None and best.explained > _EXPLAINED else None)
 
 
 def _drives(value: Floats) -> bool:
@@ -134,11 +136,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
 
     time = series.time
     measured = series.omega if quantity == "omega" else series.angle
-    begin = 0
-    if cause is None:
-        speed = np.abs(series.omega - series.omega[0])
-        moving = np.flatnonzero(speed > _REST * np.nanmax(speed))
-        begin = max(int(moving[0]) - 1, 0) if len(moving) else 0
+    begin = _end_of_rest(series) if cause is None else 0
     if len(time) - begin < _FEWEST:
         return None
     even = np.linspace(time[begin], time[-1], len(time) - begin)
@@ -209,6 +207,17 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
         final,
         1 - float(rest @ rest) / max(float(np.sum((changes - changes.mean()) ** 2)), 1e-300),
     )
+
+
+def _end_of_rest(series: Series) -> int:
+    """Return the last sample before the speed changes; smoothed speeds are not known at the ends of a record."""
+    known = np.flatnonzero(np.isfinite(series.omega) & np.isfinite(series.omega_sigma))
+    if not len(known):
+        return 0
+    change = np.abs(series.omega[known] - series.omega[known[0]])
+    noise = _SIGNIFICANT * np.hypot(series.omega_sigma[known], series.omega_sigma[known[0]])
+    moving = np.flatnonzero(change > np.maximum(_REST * float(change.max()), noise))
+    return max(int(known[moving[0]]) - 1, 0) if len(moving) else 0
 
 
 def _delayed(value: Floats, rows: float) -> Floats:

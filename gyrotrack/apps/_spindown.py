@@ -627,7 +627,12 @@ def _analysed(
     if drive is not None and motion.kind == "fluctuating":
         drive = replace(drive, response=None)
     elif drive is not None:
-        motion = replace(motion, kind="driven", omega=drive.omega or motion.omega)
+        motion = replace(
+            motion,
+            kind="driven",
+            omega=drive.omega or motion.omega,
+            omega_u=drive.omega_u or motion.omega_u,
+        )
     if body is not None:
         recording = case.recordings["casing"]
         motion = (
@@ -685,7 +690,13 @@ def _analysed(
         reason = "its speed rises and falls repeatedly"
         if drive is not None and motion.kind == "driven":
             reason = drive.reason
-        warnings.append(f"No torque law: the body is driven ({reason}), so its friction is not determined.")
+        text = f"No torque law: the body is driven ({reason}), so its friction is not determined."
+        if body is None:
+            text += (
+                " If a column is the drive: gyrotrack import --body FILE --input NAME=COLUMN, "
+                "then gyrotrack fit --add casing.input.NAME."
+            )
+        warnings.append(text)
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
         return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
     try:

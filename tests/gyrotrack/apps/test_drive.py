@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import Series
-from gyrotrack.apps._drive import drive_of
+from gyrotrack.apps._drive import _end_of_rest, drive_of
 from gyrotrack.apps._motion import motion_of_speeds
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers._motion_table import Driver
@@ -60,6 +60,41 @@ def test_a_spin_up_by_a_constant_drive():
     assert found.response.time_constant.value == pytest.approx(0.8, rel=0.02)
     assert found.response.gain is None
     assert found.response.final.value == pytest.approx(60, rel=0.01)
+
+
+@pytest.mark.parametrize("quantity", ["omega", "angle"])
+def test_a_constant_drive_that_begins_within_the_record(quantity):
+    """Smoothed speeds are not known at the ends of a record of angles."""
+    omega = response(TIME, [0.0, 1.0], 0.2, 60.0)
+    noise = np.random.default_rng(2).normal(0, 0.1, len(TIME))
+    made = series(TIME, omega + noise, 0.1)
+    if quantity == "angle":
+        made.omega[:9] = made.omega[-9:] = made.omega_sigma[:9] = made.omega_sigma[-9:] = np.nan
+    found = drive_of(made, quantity, [])
+    assert found.response.explained > 0.999
+    assert found.response.time_constant.value == pytest.approx(0.2, rel=0.02)
+    turns = found.omega["last"], found.omega_u["last"]
+    assert abs(turns[0] - 60.0) < 4 * turns[1]
+    assert turns[1] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("size", "noise", "begin"),
+    [(1.0, 1e-3, 1199), (1.0, 0.2, 0), (0.021, 1e-3, 399), (0.019, 1e-3, 1199)],
+    ids=["rest", "noise of a sixth", "above a fiftieth", "below a fiftieth"],
+)
+def test_where_a_rest_ends(size, noise, begin):
+    """A change of `size` at sample 400 or, with a small one, of 1 at sample 1200."""
+    omega = np.where(TIME < 1.0, 0.0, size if size < 1 else 0.0)
+    omega[1200:] = 1.0
+    made = series(TIME, omega, noise)
+    made.omega[:9] = np.nan
+    assert _end_of_rest(made) == begin
+
+
+def test_without_known_speeds_there_is_no_rest():
+    nothing = series(TIME, np.full(len(TIME), np.nan), 1e-3)
+    assert _end_of_rest(nothing) == 0
 
 
 @pytest.mark.parametrize(("rise", "driven"), [(0.03, False), (0.08, True)])
