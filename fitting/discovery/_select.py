@@ -289,6 +289,11 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
     # over a small part of a turn a harmonic of the angle is a constant and a spring
     if oscillation is not None and effect.about_equilibrium is not effect:
         return bool(np.ptp(oscillation.deflection) > _SMALLEST_RANGE)
+    # nor is a harmonic distinguishable from another law before the body has turned once
+    if oscillation is None and effect.depends_on_angle and not asked:
+        angle = base.problem.data[0].measured_angle
+        if angle is not None and np.ptp(angle) < 2 * np.pi:
+            return False
     if not effect.mechanical:
         return base.problem.data[0].is_angle
     return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))

@@ -60,10 +60,11 @@ class Model:
         return replace(self, effects=tuple(e for e in self.effects if e.name != name))
 
 
-def data(*, oscillation=None, single=False, tracked=False, is_angle=True):
+def data(*, oscillation=None, single=False, tracked=False, is_angle=True, measured_angle=None):
     return SimpleNamespace(
         oscillation=oscillation,
         is_angle=is_angle,
+        measured_angle=measured_angle,
         has_noise_of=lambda _: True,
         record=SimpleNamespace(single=single, tracked=tracked, inputs=(), driving=()),
     )
@@ -174,6 +175,15 @@ class TestApplicable:
         assert ("casing.unbalance" in self.names(oscillation=oscillation)) is applies
         assert "casing.air.quadratic" in self.names(oscillation=oscillation)
         assert "casing.unbalance" in self.names()
+
+    @pytest.mark.parametrize(("turns", "applies"), [(0.99, False), (1.01, True)])
+    def test_a_harmonic_of_the_angle_needs_a_whole_turn(self, turns, applies):
+        angle = np.array([0.0, 2 * np.pi * turns])
+        assert ("casing.unbalance" in self.names(measured_angle=angle)) is applies
+        assert "casing.air.quadratic" in self.names(measured_angle=angle)
+        # of a user it is always tested
+        own = replace(LIBRARY["casing.unbalance"], name="my.unbalance")
+        assert "my.unbalance" in self.names(measured_angle=angle, extra=[own])
 
     def test_errors_of_a_camera_need_angles(self):
         assert "camera.clock" in self.names()
