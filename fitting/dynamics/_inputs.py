@@ -30,6 +30,8 @@ INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 MOST_CHANGES = 4000
 # changes of value or slope below this share of the largest value or slope are rounding
 _ROUNDING = 1e-9
+# change of the value by a change of its slope, over its range, that is rounding: numbers of eight digits in a file
+_ROUNDED = 1e-7
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,9 +179,11 @@ class Input:
             at = self._acting[1:][size > _ROUNDING * float(np.abs(self.value).max())]
         else:
             # before the first and after the last sample the value is constant
-            slope = np.concatenate([[0.0], np.diff(self.value) / np.diff(self.time), [0.0]])
-            size = np.abs(np.diff(slope))
-            at = self._acting[size > _ROUNDING * max(float(np.abs(slope).max()), 1e-300)]
+            step = np.diff(self.time)
+            slope = np.concatenate([[0.0], np.diff(self.value) / step, [0.0]])
+            # a change of the slope changes the value by this much within one sample
+            size = np.abs(np.diff(slope)) * np.minimum(np.append(step, step[-1]), np.append(step[0], step))
+            at = self._acting[size > _ROUNDED * max(float(np.ptp(self.value)), 1e-300)]
         at = at + late
         return np.asarray(at[(at > first) & (at < last)])
 
