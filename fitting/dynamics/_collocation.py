@@ -479,8 +479,8 @@ def coarsened(path: Path) -> Path:
     return replace(coarse, kinks=path.kinks)
 
 
-# explicit steps between two nodes of the mesh, tried in this order; largest step over the time of decay (limit: 2.8)
-_PARTS_OF_STEPS = (1, 4, 16, 64, 256)
+# numbers of explicit steps between two nodes of the mesh; largest step over the time of decay (limit: 2.8)
+_PARTS_OF_STEPS = (1, 4, 16, 64)
 _STABLE = 2.5
 # edges of a mesh from which on one step crosses an interval, and the states change linearly within: an input that
 # changes often makes intervals so short that Newton's method converges from there
@@ -525,7 +525,7 @@ def runge_kutta(
     """Return a rough solution by classical Runge-Kutta steps: the initial solution for Newton's method.
 
     It ends with the interval in which the casing comes to rest. Steps longer than 2.8 times of decay are unstable: they
-    are divided until the solution is stable at the start, and bounded.
+    are divided so that the solution is stable at the start.
     """
     if dynamics.relaxation:
         # explicit steps are unstable for a slip that relaxes within a step
@@ -536,12 +536,11 @@ def runge_kutta(
     width = times.shape[1]
     times = np.append(times.ravel(), mesh.edges[-1])
     decay = float(np.abs(dynamics.tangent(times[:1], start[None], numbers, sense)[1]).max())
-    stable = [n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n]
-    for parts in stable or _PARTS_OF_STEPS[-1:]:
-        y = _stepped(dynamics, numbers, start, times, sense, width, parts)
-        if np.isfinite(y).all():
-            break
-    else:
+    parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)
+    if parts is None:
+        raise SimulationError(UNBOUNDED)
+    y = _stepped(dynamics, numbers, start, times, sense, width, parts)
+    if not np.isfinite(y).all():
         raise SimulationError(UNBOUNDED)
     blocks = y[:-1].reshape(-1, width, len(start))
     edges = np.concatenate([blocks[:, 0], y[-1:]])

@@ -50,7 +50,13 @@ def test_steps_are_stable(steps, share, parts):
 def test_a_decay_that_no_step_follows_is_unbounded(steps):
     with pytest.raises(SimulationError, match="bounded"):
         first(1e9, Mesh(np.array([0.0, 1.0, 2.0])))
-    assert [parts for _, parts in steps] == [256]
+    assert steps == []
+
+
+def test_a_motion_that_grows_without_bound_is_tried_once(steps):
+    with pytest.raises(SimulationError, match="bounded"):
+        first(-2000.0, Mesh(np.linspace(0.0, 10.0, 40)))
+    assert len(steps) == 1
 
 
 @pytest.mark.parametrize(("edges", "each"), [(400, "node"), (401, "edge")])
