@@ -276,6 +276,10 @@ def test_a_quadratic_drag_beside_a_drive_is_found_although_its_score_has_the_wro
     assert abs(strength.value - q) < 4 * strength.stderr
     assert first.screened.score == 0
     assert not scores_mislead(first.fit, DEFAULT)
+    lines = repr(found).splitlines()
+    assert lines[0].startswith("diagnosis: missing_effect")
+    assert len(lines) <= 20
+    assert max(map(len, lines)) <= 120
 
 
 def test_a_law_that_the_model_has_under_another_name_is_not_a_candidate():
@@ -314,7 +318,7 @@ def test_results_print_themselves_within_a_screen():
         casing=(TIME, TIME, np.ones(len(TIME))), rotor=windows, I_rotor=1, I_casing=2, inputs=many
     )
     data = record()
-    found = fit(Model.of(["casing.air.linear"]), data)
+    found = fit(model(data.inputs), data)
     answer = diagnose(found)
     for shown in (two, data, found, answer, answer.candidates[0], CaseData.of(two), STEPS):
         lines = repr(shown).splitlines()
@@ -322,7 +326,7 @@ def test_results_print_themselves_within_a_screen():
         assert max(map(len, lines)) <= 120
     assert "Input 'voltage': 0 to 3 V" in repr(data)
     assert "4 more windows" in repr(two)
-    assert repr(answer).startswith("diagnosis: missing_effect")
+    assert repr(answer).startswith("diagnosis: adequate")
 
 
 @pytest.mark.parametrize(("rise", "driven"), [(0.8, False), (1.2, True)])

@@ -1,4 +1,4 @@
-"""Results do not depend on the unit of time: a gyroscope that spins down 60 times as slowly."""
+"""Results do not depend on the units of time and inertia: a gyroscope that spins down slowly, or is light."""
 
 from dataclasses import replace
 
@@ -27,15 +27,17 @@ def test_a_window_shorter_than_a_quarter_of_the_record_is_one_block(scale, share
     assert blocks_of_window(samples(60.0 * share * scale), samples(60.0 * scale)) == blocks
 
 
-def test_a_slower_gyroscope_has_the_same_deviance():
+def test_a_slower_and_lighter_gyroscope_has_the_same_deviance():
     record = simulate(Model.of(REDUCED), NUMBERS, RUN, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=1)
     fits = []
-    for scale in (1.0, 60.0):
+    for scale, inertia in ((1.0, 1.0), (60.0, 1.0), (1000.0, 1e-4)):
         casing, *windows = (Samples(w.time * scale, w.value, w.sigma) for w in (record.casing, *record.rotor))
-        slower = replace(record, casing=casing, rotor=tuple(windows), digest="")
-        fits.append(fit(Model.of(REDUCED), [CaseData.of(slower)]))
-    usual, slow = fits
-    assert slow.rows == usual.rows
-    assert slow.deviance == pytest.approx(usual.deviance, abs=0.05)
-    b1 = "touchpoint.constant.b1"
-    assert slow.estimates[b1].value * 3600 == pytest.approx(usual.estimates[b1].value, rel=1e-3)
+        light = {"I_rotor": 5.54e-5 * inertia, "I_casing": 2.06e-5 * inertia}
+        slower = replace(record, casing=casing, rotor=tuple(windows), digest="", **light)
+        found = fit(Model.of(REDUCED), [CaseData.of(slower)])
+        fits.append((found, found.estimates["touchpoint.constant.b1"].value * scale**2 / inertia))
+    (usual, b1), *others = fits
+    for slow, dry in others:
+        assert slow.rows == usual.rows
+        assert slow.deviance == pytest.approx(usual.deviance, abs=0.05)
+        assert dry == pytest.approx(b1, rel=1e-3)
