@@ -336,8 +336,8 @@ def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
     )
 
 
-def refuse_two_motions(film: Film, usable: Frames, pairs: Sequence[Pair]) -> None:
-    """Raise a RefusedFilmError if two bodies turn differently about different hubs."""
+def refuse_two_motions(name: str, pairs: Sequence[Pair], frames: Sequence[Plane]) -> None:
+    """Raise a RefusedFilmError, with some frames, if two bodies turn differently about different hubs."""
     two = two_motions(pairs)
     if two is None or two.coaxial:
         return
@@ -346,17 +346,17 @@ def refuse_two_motions(film: Film, usable: Frames, pairs: Sequence[Pair]) -> Non
         f"{100 * s:.0f} % of the features that move, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
         f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, by {two.ratio:.2g} times as much"
     )
-    kind, what = "two bodies", f"Two bodies turn in {film.path.name}"
+    kind, what = "two bodies", f"Two bodies turn in {name}"
     one, other = (f"--hub {z.real:.0f},{z.imag:.0f}" for z in two.hubs)
     hint = f"Give the centre of the body to track: {one} or {other}."
     if two.linked:
-        kind, what, hint = "two links", f"Two linked bodies turn in {film.path.name}", FOLLOW_LINKS
+        kind, what, hint = "two links", f"Two linked bodies turn in {name}", FOLLOW_LINKS
     raise RefusedFilmError(
         f"{what}: {measured}.",
         hint,
         kind=kind,
         evidence={"share": s, "other_share": t, "ratio": two.ratio},
-        frames=tuple(film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])),
+        frames=tuple(frames),
         hub=(h.real, h.imag),
     )
 

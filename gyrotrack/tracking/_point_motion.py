@@ -15,6 +15,7 @@ from gyrotrack.tracking._hub_search import FARTHEST
 from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
 from gyrotrack.tracking._registration import TURN
+from gyrotrack.tracking._silhouettes import Foreground
 from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -115,6 +116,7 @@ def follow_point(
     start: tuple[float, float] | None,
     hub: tuple[float, float] | None = None,
     progress: Progress | None = None,
+    seen: Foreground | None = None,
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
@@ -126,13 +128,17 @@ def follow_point(
         Position (x, y) in the first frame [px]; without it, the only compact body that moves.
     hub : tuple of float, optional
         The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
+    progress : callable, optional
+        Called with the number of frames that are measured, and that of all frames.
+    seen : Foreground, optional
+        What differs from the background of the film, if it is known.
 
     Raises
     ------
     TrackingError
         There is nothing to follow, or the path does not determine the pivot.
     """
-    path = track_point(film, start, _turn_about(hub), progress)
+    path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
 
 

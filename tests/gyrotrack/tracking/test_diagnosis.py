@@ -241,14 +241,14 @@ def test_a_refusal_writes_a_picture_and_names_it(tmp_path):
 
 
 def test_the_hint_names_the_command():
-    film = _film([np.zeros((8, 8), np.uint8)] * 20, np.ones(20))
+    frames = [np.zeros((8, 8), np.uint8)] * 4
     pairs = _two(90 + 120j, 230 + 120j, 0.06, -0.1)
     with pytest.raises(RefusedFilmError, match="--hub 90,120 or --hub 230,120") as error:
-        refuse_two_motions(film, np.arange(20), pairs)
+        refuse_two_motions("film.mp4", pairs, frames)
     assert error.value.kind == "two bodies"
     linked = _two(90 + 120j, 230 + 120j, 0.06, -0.1, moving_joint=True)
     with pytest.raises(RefusedFilmError, match="--links") as error:
-        refuse_two_motions(film, np.arange(20), linked)
+        refuse_two_motions("film.mp4", linked, frames)
     assert error.value.kind == "two links"
-    refuse_two_motions(film, np.arange(20), _two(160 + 120j, 162 + 120j, 0.03, 0.09))
+    refuse_two_motions("film.mp4", _two(160 + 120j, 162 + 120j, 0.03, 0.09), frames)
     assert _diagnosis.FOLLOW_LINKS in error.value.hint
