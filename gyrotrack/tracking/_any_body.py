@@ -22,6 +22,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
+from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._diagnosis import (
     Pair,
     RefusedFilmError,
@@ -288,6 +289,11 @@ def _track(
             "describe it."
         )
         tracked = replace(tracked, warnings=(text, *tracked.warnings))
+    second = second_rotation(
+        block, motion, best.ring.hub, best.angle, stretch=best.ring.stretch, separate=best.separate
+    )
+    if second is not None:
+        tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
     doubt = (
         rival_hub(
             [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],

@@ -49,6 +49,8 @@ _EXPLAINED = 0.4  # share of the change of brightness about the path that the ro
 # the same for a body whose outline is the path: of a rigid body, rotation explains nearly all of the change. Real pucks
 # and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck: 0.56 to 0.63
 _RIGID = 0.7
+# the same for rough angles, from which registration differs by less than 0.1: others are not registered
+_ROUGHLY_RIGID = 0.5
 _COARSE, _MIDDLE = 48.0, 100.0  # samples of a radius, at most: for rough angles, and for the final ones
 _LEARNT = 150  # frames from which the template is learnt
 _ROUNDS = 10  # largest number of iterations between template and poses ...
@@ -362,7 +364,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
         share, _ = explained(polars, rough, template)
         if share > best:
             best, angle = share, rough
-    return (path, ring, angle, shift) if best > 0.5 * _EXPLAINED else None
+    return (path, ring, angle, shift) if best > _ROUGHLY_RIGID else None
 
 
 def _along_path(
