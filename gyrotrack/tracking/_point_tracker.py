@@ -27,6 +27,7 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
+from gyrotrack.tracking._links import move_as_links, paths_of
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
     ALIKE,
@@ -58,6 +59,7 @@ _ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
 _PRESENT = 0.4
 _TEMPLATE = 12.0  # radius to which the picture of a large patch is reduced, by a whole factor [px]
 _COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
+_FOLLOWED = 90  # frames in which the paths of two bodies show whether they are links
 _FOUND = 0.6  # smallest share of the frames in which a patch is found
 _LEARNT = 200  # frames from which the picture of the patch is learnt, at most
 _ROUNDS, _TURN_ROUNDS = 4, 3
@@ -315,7 +317,7 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
         if body is not None:
             spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
         if len(spots) > 1:
-            raise _several(frame, spots, differs(frame, background, noise), film.path.name)
+            raise _several(film, usable[skipped:], seen, frame, spots)
         if spots:
             return skipped, spots[0]
         if body is None:
@@ -326,15 +328,21 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
     )
 
 
-def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> RefusedFilmError:
-    (x, y), (u, v) = spots[0].place, spots[1].place
-    joined = _linked(region, spots[0], spots[1])
+def _several(
+    film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
+) -> RefusedFilmError:
+    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links."""
+    one, other = spots[:2]
+    (x, y), (u, v) = one.place, other.place
+    links = _linked(differs(frame, seen.background, seen.noise), one, other) and move_as_links(
+        paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other)), max(one.radius, other.radius)
+    )
     return RefusedFilmError(
-        f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
-        f"{', which are joined' if joined else ''}.",
-        FOLLOW_LINKS if joined else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
-        kind="two links" if joined else "two bodies",
-        evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
+        f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "
+        f"frame{', which are joined and move as two links' if links else ''}.",
+        FOLLOW_LINKS if links else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
+        kind="two links" if links else "two bodies",
+        evidence={"radius_px": one.radius, "other_radius_px": other.radius},
         frames=(frame,),
     )
 
