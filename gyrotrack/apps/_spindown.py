@@ -154,8 +154,8 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
             )
         if last < len(series.time):
             warnings.append(
-                f"The body is at rest from {series.time[last]:.3f} s; {len(series.time) - last} samples after it are "
-                "excluded. --keep-all keeps them."
+                f"The body is at rest after {series.time[last - 1]:.3f} s; the {len(series.time) - last} samples after "
+                "it are excluded. --keep-all keeps them."
             )
         series = _rows(series, slice(first, last))
     case = replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem)
