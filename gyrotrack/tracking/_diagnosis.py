@@ -350,7 +350,7 @@ def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
 def refuse_two_motions(name: str, pairs: Sequence[Pair], frames: Sequence[Plane]) -> None:
     """Raise a RefusedFilmError, with some frames, if two bodies turn differently about different hubs or are links.
 
-    A hub that moves, but is not the joint of two links, is no evidence of a body that turns.
+    A hub that moves shows a second body only if it is the joint of two links.
     """
     two = two_motions(pairs)
     if two is None or two.coaxial or (two.moving and not two.linked):
