@@ -654,11 +654,20 @@ _AGAIN = 0.5  # later rise of the speed over the first one, from which the first
 def _joins(time: Floats, angle: Floats, known: int) -> int:
     """Return how many samples continue the smooth motion of the first `known` ones; 0 if these are too few.
 
-    The motion is a cubic. A sample is off if it deviates by more than 6 standard uncertainties of the extrapolation,
-    and with it all later ones.
+    The motion is a cubic. A sample is off if it deviates by more than 6 standard uncertainties of the extrapolation
+    from the first ones, or from all those before it, and with it all later ones.
     """
     if known < _MIN_SAMPLES or known > len(time):
         return 0
+    end = known + _continued(time, angle, known)
+    for count in range(known, end):
+        if not _continued(time[: count + 1], angle[: count + 1], count):
+            return count
+    return end
+
+
+def _continued(time: Floats, angle: Floats, known: int) -> int:
+    """Return how many of the samples after the first `known` ones are on the cubic of these."""
     x = (time - time[0]) / (time[known - 1] - time[0])
     rows = x[:, None] ** np.arange(4)
     found = np.linalg.lstsq(rows[:known], angle[:known], rcond=None)[0]
@@ -667,7 +676,7 @@ def _joins(time: Floats, angle: Floats, known: int) -> int:
     inverse = np.linalg.inv(rows[:known].T @ rows[:known])
     error = np.sqrt(variance * (1.0 + np.einsum("ni,ij,nj->n", rows, inverse, rows)))
     away = np.flatnonzero(np.abs(off[known:]) > 6.0 * error[known:])
-    return known + int(away[0]) if len(away) else len(time)
+    return int(away[0]) if len(away) else len(time) - known
 
 
 def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:

@@ -42,7 +42,7 @@ from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
 from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
-from gyrotrack.tracking._first_look import first_look, follow_long_body
+from gyrotrack.tracking._first_look import FirstLook, first_look, follow_long_body
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import (
     TrackedPoint,
@@ -53,6 +53,7 @@ from gyrotrack.tracking._point_motion import (
 )
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._profile import load
+from gyrotrack.tracking._silhouettes import Foreground
 from gyrotrack.tracking._tracked import Tracked, white_noise
 from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
@@ -153,8 +154,8 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
             )
         if last < len(series.time):
             warnings.append(
-                f"The body is at rest from {series.time[last]:.3f} s; {len(series.time) - last} samples after it are "
-                "excluded. --keep-all keeps them."
+                f"The body is at rest after {series.time[last - 1]:.3f} s; the {len(series.time) - last} samples after "
+                "it are excluded. --keep-all keeps them."
             )
         series = _rows(series, slice(first, last))
     case = replace(case, casing=series, warnings=tuple(warnings), label=options.label or source.stem)
@@ -248,7 +249,8 @@ def _film(
     # the texture of a film of the paper's gyroscope may be followed about either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
-    if (known := _by_silhouette(film, options, progress)) is not None:
+    look = first_look(film)
+    if (known := _by_silhouette(film, look, options, progress)) is not None:
         recording, point = known
         return recording, (film, point)
     try:
@@ -263,7 +265,9 @@ def _film(
             raise
         several: RefusedFilmError | None = None
         try:
-            recording, point = point_recording(film, options, progress)
+            recording, point = point_recording(
+                film, options, progress, None if film.stabilised else look.seen
+            )
         except TrackingError as other:  # of several compact bodies, one may move across the picture
             several = other if isinstance(other, RefusedFilmError) else None
         else:
@@ -283,20 +287,19 @@ def _film(
 
 
 def _by_silhouette(
-    film: Film, options: SpindownOptions, progress: Progress | None
+    film: Film, look: FirstLook, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, TrackedPoint] | None:
     """Track a ball on a string or a long body about a tilted axis, as the silhouettes of a few frames show it.
 
     None for any other film. A ball whose pivot is inside the picture is left to the tracker of textures.
     """
-    look = first_look(film)
     if look.long is not None and options.tilt is None:
         with suppress(TrackingError):
             found = follow_long_body(film, look.long)
             return _recording_of(film, options, found), found
     if look.pendulum(options.hub):
         with suppress(TrackingError):
-            return point_recording(film, options, progress)
+            return point_recording(film, options, progress, look.seen)
     return None
 
 
@@ -361,11 +364,17 @@ def film_recording(
 
 
 def point_recording(
-    film: Film, options: SpindownOptions, progress: Progress | None = None
+    film: Film,
+    options: SpindownOptions,
+    progress: Progress | None = None,
+    seen: Foreground | None = None,
 ) -> tuple[Recording, TrackedPoint]:
-    """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it."""
+    """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it.
+
+    `seen` is what differs from the background of the film, if it is known.
+    """
     point, hub = (_levelled(film, place) for place in (options.point, options.hub))
-    tracked = follow_point(film, point, hub, progress)
+    tracked = follow_point(film, point, hub, progress, seen)
     return _recording_of(film, options, tracked), tracked
 
 

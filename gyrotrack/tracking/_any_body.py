@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import NoReturn
 
@@ -21,7 +22,9 @@ import numpy.typing as npt
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
+from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._diagnosis import (
+    Pair,
     RefusedFilmError,
     pairs_of,
     refuse_blurred,
@@ -29,7 +32,15 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, Shake, camera_shake, fresh_frames
+from gyrotrack.tracking._film import (
+    FEWEST_FRAMES,
+    Film,
+    Plane,
+    Shake,
+    camera_shake,
+    fresh_frames,
+    reduced,
+)
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -40,7 +51,7 @@ from gyrotrack.tracking._hub_search import (
     tilted_outline,
 )
 from gyrotrack.tracking._live_angles import FrameAngles
-from gyrotrack.tracking._moving_hub import track_by_features, track_free_body
+from gyrotrack.tracking._moving_hub import may_be_loose, track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
@@ -48,6 +59,7 @@ from gyrotrack.tracking._registration import (
     Pose,
     Ring,
     Template,
+    every,
     explained,
     follow,
     learn,
@@ -98,6 +110,9 @@ _HOPEFUL = 0.5  # share of what must be explained, below which no candidate is r
 # explained share from which a candidate is refined at once; number of frames and iterations of the cheap refinement of
 # others, and the share of what must be explained that it must reach: few frames are explained better than many
 _CLEAR, _FEW_FRAMES, _FEW_STEPS, _PROMISING = 0.6, 12, 3, 0.85
+# a film is screened in frames that are reduced by a whole factor to this size, at least [px]; the area of what moves
+# there [px2] from which that shows a body, and the share of what a candidate must explain that one must reach there
+_SCREEN_SIZE, _SCREEN_AREA, _SCREENED = 320, 1000, 0.75
 _STEPS, _FRAMES = 6, 60  # iterations of the refinement of a candidate, and frames for it
 _TILTED = 0.35  # tilt of the axis [rad] from which the result states it
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
@@ -202,42 +217,40 @@ def _track(
             frames=(sample[0], sample[-1]),
         )
     first = min(len(usable) // 10, max(0, len(usable) - _TRIAL)) if len(usable) > 60 else 0
-    block = film.some(usable[first : first + _TRIAL])
     if hub is not None and not all(math.isfinite(v) for v in hub):
         what = "The coordinates of the hub are not finite numbers."
         raise UsageError(what, "Give the hub as --hub X,Y in px.")
-    loose = track_by_features(film, usable, motion, progress)
+    small = _Reduced.of(film, usable, sample, motion, margin)
+    loose = None
+    if small is None or may_be_loose(small.frames, small.motion):
+        loose = track_by_features(film, usable, motion, progress)
     # a body without an axle, for example a suspended table, does not turn about a given place on it
     if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
+    pairs = cache(lambda: pairs_of(film, usable))
     if hub is None and not margin:
-        refuse_moving_camera(film, usable, pairs_of(film, usable), motion.mean.shape)
-    proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
-    trials = [trial for p in proposals for trial in _trials(p, block, motion)]
-    if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):
-        trials += _trials(seen, block, motion)
-    trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
+        refuse_moving_camera(film, usable, pairs(), motion.mean.shape)
     where, hint = "about a hub", _GIVE_HUB
     if hub is not None:
         where = f"about the hub ({hub[0]:g}, {hub[1]:g}) px"
         hint = "Check the hub. The body must show marks or texture; --point X,Y follows one of its points."
-    coarse = trials[0].score if trials else 0.0
-    if coarse < _HOPEFUL * _EXPLAINED:  # the refinement is the slowest step
-        _refuse(film, usable, block, motion, trials[0] if trials else None, where, hint, _EXPLAINED)
-    distinct = _distinct(trials)
-    if coarse < _CLEAR:  # a cheap refinement shows whether any candidate can explain enough
-        rough = [_quickly_refined(trial, block, motion.area, keep=hub is not None) for trial in distinct]
-        needs = [_OUTSIDE if _off_picture(t.ring, motion, hub) else _EXPLAINED for t in rough]
-        distinct = [t for t, r, n in zip(distinct, rough, needs, strict=True) if r.score >= _PROMISING * n]
-        if not distinct:
-            k = max(range(len(rough)), key=lambda k: rough[k].score / needs[k])
-            _refuse(film, usable, block, motion, rough[k], where, hint, needs[k])
+    if small is not None:
+        there = None if hub is None else small.reduced(hub)
+        screened = _candidates(small.frames[first : first + _TRIAL], small.motion, there, share=_SCREENED)
+        if not screened.kept:
+            shown = film.some(usable[first : first + _TRIAL][:: max(min(len(usable), _TRIAL) // 30, 1)])
+            _refuse(film, pairs(), shown, motion, small.seen(screened.best), where, hint, screened.needed)
+    block = film.some(usable[first : first + _TRIAL])
+    candidates = _candidates(block, motion, hub)
+    if not candidates.kept:
+        _refuse(film, pairs(), block, motion, candidates.best, where, hint, candidates.needed)
+    distinct = candidates.kept
     refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
     best = max(refined, key=lambda t: t.score * _steadiness(t))
     outside = _off_picture(best.ring, motion, hub)
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
-        _refuse(film, usable, block, motion, best, where, hint, needed)
+        _refuse(film, pairs(), block, motion, best, where, hint, needed)
     few = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
     if translates(block.at(few), motion.moving, best.ring.hub, best.ring.outer, best.angle[few]):
         raise RefusedFilmError(
@@ -276,6 +289,11 @@ def _track(
             "describe it."
         )
         tracked = replace(tracked, warnings=(text, *tracked.warnings))
+    second = second_rotation(
+        block, motion, best.ring.hub, best.angle, stretch=best.ring.stretch, separate=best.separate
+    )
+    if second is not None:
+        tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
     doubt = (
         rival_hub(
             [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],
@@ -287,6 +305,86 @@ def _track(
     return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
 
 
+@dataclass(frozen=True)
+class _Candidates:
+    """Candidates that are refined; without any, the best of all, and the share that it must explain."""
+
+    kept: Sequence[_Trial]
+    best: _Trial | None
+    needed: float
+
+
+def _candidates(
+    block: StoredPictures, motion: Motion, hub: tuple[float, float] | None, share: float = 1.0
+) -> _Candidates:
+    """Propose hubs unless it is given, track about each, and keep the candidates that may explain enough.
+
+    They must reach `share` of what a candidate must explain before its refinement, which is the slowest step.
+    """
+    proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
+    trials = [trial for p in proposals for trial in _trials(p, block, motion)]
+    if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):
+        trials += _trials(seen, block, motion)
+    trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
+    coarse = trials[0].score if trials else 0.0
+    if coarse < share * _HOPEFUL * _EXPLAINED:
+        return _Candidates((), trials[0] if trials else None, _EXPLAINED)
+    distinct = _distinct(trials)
+    if coarse >= _CLEAR:
+        return _Candidates(distinct, trials[0], _EXPLAINED)
+    # a cheap refinement shows whether any candidate can explain enough
+    rough = [_quickly_refined(trial, block, motion.area, keep=hub is not None) for trial in distinct]
+    needs = [_OUTSIDE if _off_picture(t.ring, motion, hub) else _EXPLAINED for t in rough]
+    kept = [t for t, r, n in zip(distinct, rough, needs, strict=True) if r.score >= share * _PROMISING * n]
+    k = max(range(len(rough)), key=lambda k: rough[k].score / needs[k])
+    return _Candidates(kept, rough[k], needs[k])
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The frames of a film with the means of squares of `factor` px as pixels, in which it is screened."""
+
+    factor: int
+    frames: StoredPictures
+    motion: Motion
+
+    @classmethod
+    def of(
+        cls,
+        film: Film,
+        usable: npt.NDArray[np.int64],
+        sample: Sequence[Plane],
+        motion: Motion,
+        margin: int,
+    ) -> _Reduced | None:
+        """Reduce the frames of a film; None for small pictures, and where what moves is small."""
+        factor = max(motion.mean.shape) // _SCREEN_SIZE
+        if factor < 2 or np.count_nonzero(motion.moving) < _SCREEN_AREA * factor**2:
+            return None
+        few = [reduced(f, factor) for f in sample]
+        wanted = set(usable.tolist())
+        frames = (reduced(f, factor) for i, f in enumerate(film.frames()) if i in wanted)
+        small = StoredPictures.of(len(usable), frames)
+        return cls(factor, small, Motion.of(few, -(-margin // factor)))
+
+    def reduced(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return where a place (x, y) of the film is in the reduced frames."""
+        x, y = ((v + 0.5) / self.factor - 0.5 for v in place)
+        return x, y
+
+    def seen(self, trial: _Trial | None) -> _Trial | None:
+        """Return a candidate with its ring in the film."""
+        if trial is None:
+            return None
+        ring = trial.ring
+        x, y = ((v + 0.5) * self.factor - 0.5 for v in ring.hub)
+        inner, outer = self.factor * ring.inner, self.factor * ring.outer
+        there = Ring.about(
+            (x, y), inner, outer, finest=_COARSE, start=ring.start, span=ring.span, stretch=ring.stretch
+        )
+        return replace(trial, ring=there)
+
+
 def _off_picture(ring: Ring, motion: Motion, given: tuple[float, float] | None) -> bool:
     """Return whether a hub that was found is outside the picture, or most of its ring is."""
     height, width = motion.mean.shape
@@ -296,7 +394,7 @@ def _off_picture(ring: Ring, motion: Motion, given: tuple[float, float] | None) 
 
 def _refuse(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    pairs: Sequence[Pair],
     block: StoredPictures,
     motion: Motion,
     best: _Trial | None,
@@ -305,8 +403,8 @@ def _refuse(
     needed: float,
 ) -> NoReturn:
     """Raise a RefusedFilmError that names why no rotation explains a film."""
-    refuse_two_motions(film, usable, pairs_of(film, usable))
     some = tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int))
+    refuse_two_motions(film.path.name, pairs, some)
     if best is not None and best.ring.span >= TURN:
         refuse_blurred(film, block[:: max(len(block) // 30, 1)], best.ring, motion.noise)
     what = f"No body that turns {where} is found in {film.path.name}"
@@ -429,7 +527,7 @@ def _trials(proposal: Proposal, block: Sequence[Plane], motion: Motion) -> list[
 def _score(
     polars: Sequence[Picture], angle: Floats, allowed: Bools, ring: Ring, *, separate: bool
 ) -> tuple[float, Floats]:
-    use = slice(None, None, max(1, len(polars) // 100))
+    use = slice(None, None, every(len(polars)))
     template = learn(polars[use], angle[use], allowed, ring, separate=separate, plain=True)
     return explained(polars, angle, template)
 

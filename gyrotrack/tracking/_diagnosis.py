@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import Film, Plane, features_of, tracked
+from gyrotrack.tracking._links import share_a_joint
 from gyrotrack.tracking._registration import Ring
 
 Floats = npt.NDArray[np.float64]
@@ -286,12 +287,18 @@ class TwoMotions:
     places: tuple[complex, complex]  # centroids of the features [px]
     shares: tuple[float, float]  # of the features that move
     ratio: float  # rotation of the second over that of the first
+    joined: bool = False  # whether both move a joint at a fixed distance from one of the hubs alike
+
+    @property
+    def moving(self) -> int:
+        """Number of hubs that move."""
+        reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
+        return sum(spread > _LINKED * max(reach, 1.0) for spread in self.spread)
 
     @property
     def linked(self) -> bool:
-        """Whether the second body turns about a point that moves, as the lower link of a double pendulum."""
-        reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
-        return max(self.spread) > _LINKED * max(reach, 1.0)
+        """Whether one body turns about a hub and the other one about a joint on it, as in a double pendulum."""
+        return self.moving == 1 and self.joined
 
     @property
     def coaxial(self) -> bool:
@@ -302,7 +309,7 @@ class TwoMotions:
 
 def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
     """Return the motions of two bodies that turn differently; None unless most pairs of frames show both."""
-    found, turns = [], []
+    found, turns, motions = [], [], []
     moving = 0
     for pair in pairs:
         moves = np.abs(pair.step) > _STEP
@@ -322,41 +329,48 @@ def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
         shares = [float(m.members.sum() / moves.sum()) for m in (first, second)]
         found.append((*hubs, *places, *shares))
         turns.append(two / one)
+        motions.append([[m.a, m.b] for m in (first, second)])
     if len(found) < max(_MOST * moving, 3):
         return None
     columns = np.array(found, dtype=np.complex128).T
     middle = np.median(columns.real, axis=1) + 1j * np.median(columns.imag, axis=1)
     spread = np.median(np.abs(columns - middle[:, None]), axis=1)
+    k = int(np.argmin(spread[:2]))  # the body whose hub moves less
+    pair_motions = np.array(motions)
     return TwoMotions(
         (complex(middle[0]), complex(middle[1])),
         (float(spread[0]), float(spread[1])),
         (complex(middle[2]), complex(middle[3])),
         (float(middle[4].real), float(middle[5].real)),
         float(np.median(turns)),
+        share_a_joint(complex(middle[k]), pair_motions[:, k], pair_motions[:, 1 - k]),
     )
 
 
-def refuse_two_motions(film: Film, usable: Frames, pairs: Sequence[Pair]) -> None:
-    """Raise a RefusedFilmError if two bodies turn differently about different hubs."""
+def refuse_two_motions(name: str, pairs: Sequence[Pair], frames: Sequence[Plane]) -> None:
+    """Raise a RefusedFilmError, with some frames, if two bodies turn differently about different hubs or are links.
+
+    A hub that moves shows a second body only if it is the joint of two links.
+    """
     two = two_motions(pairs)
-    if two is None or two.coaxial:
+    if two is None or two.coaxial or (two.moving and not two.linked):
         return
     (p, q), (h, _), (s, t) = two.places, two.hubs, two.shares
     measured = (
         f"{100 * s:.0f} % of the features that move, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
         f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, by {two.ratio:.2g} times as much"
     )
-    kind, what = "two bodies", f"Two bodies turn in {film.path.name}"
+    kind, what = "two bodies", f"Two bodies turn in {name}"
     one, other = (f"--hub {z.real:.0f},{z.imag:.0f}" for z in two.hubs)
     hint = f"Give the centre of the body to track: {one} or {other}."
     if two.linked:
-        kind, what, hint = "two links", f"Two linked bodies turn in {film.path.name}", FOLLOW_LINKS
+        kind, what, hint = "two links", f"Two linked bodies turn in {name}", FOLLOW_LINKS
     raise RefusedFilmError(
         f"{what}: {measured}.",
         hint,
         kind=kind,
         evidence={"share": s, "other_share": t, "ratio": two.ratio},
-        frames=tuple(film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])),
+        frames=tuple(frames),
         hub=(h.real, h.imag),
     )
 

@@ -335,6 +335,11 @@ class Film:
         """Compensate the motion of the camera in all frames from now on; None: do not."""
         self._shake = shake
 
+    @property
+    def stabilised(self) -> bool:
+        """Whether the motion of the camera is compensated."""
+        return self._shake is not None
+
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         """Yield the luma of the frames from `first` to before `stop`."""
         stop = self.count if stop is None else min(stop, self.count)
@@ -438,6 +443,13 @@ class Film:
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
         return StoredPictures.of(len(wanted), chosen)
+
+
+def reduced(frame: Plane, factor: int) -> Plane:
+    """Return the means of the squares of `factor` px of a frame, without the pixels beyond the last whole square."""
+    height, width = (n // factor for n in frame.shape)
+    whole = frame[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 _EXAMINED = 12  # frames that show whether a film is interlaced

@@ -9,20 +9,17 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
-from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._silhouettes import (
     CompactBody,
+    Foreground,
     LongBody,
-    compact_body,
     long_tilted_body,
-    median_picture,
 )
 
 Floats = npt.NDArray[np.float64]
 
-_BACKGROUND, _COMPARED = 60, 30  # frames of which the background is the median, and that are compared with it
 _SHOWN = 0.8  # share of the frames in which a long body must be seen
 _EDGE = 0.3  # rough uncertainty of the end of a silhouette [px]
 
@@ -34,6 +31,7 @@ class FirstLook:
     shape: tuple[int, int]  # height and width of the picture [px]
     compact: CompactBody | None = None
     long: LongBody | None = None
+    seen: Foreground | None = None
 
     def pendulum(self, hub: tuple[float, float] | None = None) -> bool:
         """Return whether a compact body alone moves on an open arc about a pivot outside the picture.
@@ -53,14 +51,10 @@ def first_look(film: Film) -> FirstLook:
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
         return FirstLook((0, 0))
-    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
-    background = median_picture(sample)
-    noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
-    few = sample[:: max(1, len(sample) // _COMPARED)]
-    height, width = background.shape
-    return FirstLook(
-        (height, width), compact_body(few, background, noise), long_tilted_body(few, background, noise)
-    )
+    seen = Foreground.of(film, usable)
+    height, width = seen.background.shape
+    long = long_tilted_body(seen.few, seen.background, seen.noise)
+    return FirstLook((height, width), seen.body, long, seen)
 
 
 def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:

@@ -25,6 +25,11 @@ Plane = npt.NDArray[np.uint8]
 
 _PAIRS = 40  # pairs of frames of each lag
 _LAGS = (1, 4, 16)  # distances of the frames of a pair, for fast and slow bodies
+_FIRST = 5  # one in this number of pairs shows whether the others are needed
+# residual of the displacements from those about one hub over the displacements (medians) of these first pairs, beyond
+# which they have no common hub: 1 without any rotation, 0.07 to 0.5 for bodies whose features show their hub
+_NO_COMMON_HUB = 0.8
+_FEWEST_PAIRS = 4  # pairs with a rotation that a hub needs
 _FEATURES = 400  # features of a frame at most
 _STRAY = 8.0  # residual from the similarity at which a feature is discarded [px]
 _NEAR = 640.0  # width of the picture over the largest residual of an inlier
@@ -267,28 +272,58 @@ def similarity_hubs(
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
         return None, None
-    found: list[tuple[complex, complex, complex]] = []
-    for lag in (n for n in _LAGS if n < len(frames)):
-        for i in np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int)):
-            pair = similarity(frames[i], frames[i + lag], mask)
-            if pair is not None:
-                found.append(pair)
-    if len(found) < 4:
+    pairs = [
+        (lag, int(i))
+        for lag in _LAGS
+        if lag < len(frames)
+        for i in np.unique(np.linspace(0, len(frames) - 1 - lag, _PAIRS).astype(int))
+    ]
+    few = pairs[::_FIRST]
+    found = {(lag, i): similarity(frames[i], frames[i + lag], mask) for lag, i in few}
+    if (rough := _CommonHub.of(found.values())) is None:
         return None, None
-    turn, moved, centroid = (np.array(column, dtype=np.complex128) for column in zip(*found, strict=True))
-    left = 1.0 - turn
-    weight = np.abs(left) > np.median(np.abs(left)) * 0.5
-    hub = complex(
-        np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
-    )
-    for _ in range(20):
-        miss = np.abs(moved - left * hub)
-        scale = max(1.4826 * float(np.median(miss)), 1e-3)
-        robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
+    if rough.unexplained < _NO_COMMON_HUB:
+        for lag, i in pairs:
+            if (lag, i) not in found:
+                found[lag, i] = similarity(frames[i], frames[i + lag], mask)
+        rough = _CommonHub.of([found[pair] for pair in pairs]) or rough
+    return (rough.hub.real, rough.hub.imag), distant_hub(rough.hub, rough.left, rough.shift, rough.centroid)
+
+
+@dataclass(frozen=True)
+class _CommonHub:
+    """The hub that the similarities of pairs of frames have in common, x + i y [px]."""
+
+    hub: complex
+    left: npt.NDArray[
+        np.complex128
+    ]  # 1 - a of each pair, the displacement of its features, and their centroid [px]
+    shift: npt.NDArray[np.complex128]
+    centroid: npt.NDArray[np.complex128]
+    unexplained: float  # median residual of the displacements over their median
+
+    @classmethod
+    def of(cls, found: Iterable[tuple[complex, complex, complex] | None]) -> _CommonHub | None:
+        """Fit the hub by robust least squares; None for fewer than `_FEWEST_PAIRS` pairs with a similarity."""
+        known = [pair for pair in found if pair is not None]
+        if len(known) < _FEWEST_PAIRS:
+            return None
+        turn, moved, centroid = (np.array(column, dtype=np.complex128) for column in zip(*known, strict=True))
+        left = 1.0 - turn
+        weight = np.abs(left) > np.median(np.abs(left)) * 0.5
         hub = complex(
-            np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+            np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
         )
-    return (hub.real, hub.imag), distant_hub(hub, left, moved - left * centroid, centroid)
+        for _ in range(20):
+            miss = np.abs(moved - left * hub)
+            scale = max(1.4826 * float(np.median(miss)), 1e-3)
+            robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
+            hub = complex(
+                np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+            )
+        shift = moved - left * centroid
+        rest = float(np.median(np.abs(moved - left * hub)))
+        return cls(hub, left, shift, centroid, rest / max(float(np.median(np.abs(shift))), 1e-12))
 
 
 def distant_hub(
@@ -347,9 +382,11 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
 
 
 def follow_features(
-    frames: Iterable[Plane], motion: Motion
+    frames: Iterable[Plane], motion: Motion, widest: float
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
-    """Track the features of a body by optical flow from frame to frame; None with too few inliers.
+    """Track the features of a body by optical flow from frame to frame.
+
+    None with too few inliers, or as soon as the angles range over `widest` [rad].
 
     Returned are a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each, and the frame in which the tracked
     features were selected: new features inherit the error of the previous ones.
@@ -365,6 +402,7 @@ def follow_features(
     start: Any = None
     now: Any = None
     base_a, base_b = 1.0 + 0.0j, 0.0 + 0.0j
+    angle = least = most = 0.0
     near = 1.5
     for frame in frames:
         if before is None:
@@ -406,6 +444,10 @@ def follow_features(
         start, now = start[far < _STRAY], now[far < _STRAY]
         turn.append(a * base_a)
         moved.append(a * base_b + b)
+        angle += float(np.angle(turn[-1] * np.conj(turn[-2])))
+        least, most = min(least, angle), max(most, angle)
+        if most - least >= widest:
+            return None
         since.append(chosen)
         if (use.sum() < 0.5 * _FEATURES and use.sum() < 60) or len(start) < 2 * _FEWEST:
             fresh = cv2.goodFeaturesToTrack(frame, _FEATURES, 0.01, 7, mask=mask)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -33,6 +33,7 @@ from gyrotrack.tracking._registration import (
     learn,
     register,
 )
+from gyrotrack.tracking._silhouettes import median_picture
 from gyrotrack.tracking._tracked import Tracked, white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -41,10 +42,15 @@ Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
 Progress = Callable[[int, int | None], None]
 
+# range of the angles [rad] in which features are followed: a wider one is left to registration about a hub
+_LEAST_RANGE, _WIDEST = 0.01, 2.0
+_LENIENT = 2.0  # factor by which the limits of range and travel are wider in reduced frames
 _EXPLAINED = 0.4  # share of the change of brightness about the path that the rotation must explain
 # the same for a body whose outline is the path: of a rigid body, rotation explains nearly all of the change. Real pucks
 # and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck: 0.56 to 0.63
 _RIGID = 0.7
+# the same for rough angles, from which registration differs by less than 0.1: others are not registered
+_ROUGHLY_RIGID = 0.5
 _COARSE, _MIDDLE = 48.0, 100.0  # samples of a radius, at most: for rough angles, and for the final ones
 _LEARNT = 150  # frames from which the template is learnt
 _ROUNDS = 10  # largest number of iterations between template and poses ...
@@ -53,7 +59,6 @@ _HIDDEN = 6.0  # mean square residual over its median from which a frame does no
 _LARGEST_STEP = 2.0  # px that a registration may correct the path by
 
 _BACKGROUND = 60  # frames of which the background is the median
-_BAND = 64  # rows of the picture of which the median is taken at a time
 _LAG = 4  # frames between which the picture of a moving body changes
 _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
 _FAINTEST = 0.1  # ... and the share of the strongest contrast
@@ -87,23 +92,12 @@ def track_by_features(
     is outside the picture, for example the ball of a pendulum.
     """
     wanted = set(usable.tolist())
-    found = follow_features((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    found = _loose_motion((f for i, f in enumerate(film.frames()) if i in wanted), motion)
     if found is None:
         return None
-    turn, moved, followed = found
-    theta = np.unwrap(np.angle(turn))
-    if not 0.01 < np.ptp(theta) < 2.0:
-        return None
-    start = complex(*still_point(turn, moved))
-    path = turn * start + moved
+    theta, path, followed, ring = found
     hub = complex(np.mean(path))
     if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
-        return None
-    height, width = motion.moving.shape
-    if not (0.0 <= hub.real < width and 0.0 <= hub.imag < height):
-        return None
-    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
-    if ring is None or np.abs(path - hub).std() > theta.std() * ring.outer:
         return None
     shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
     use = np.unique(np.linspace(0, len(usable) - 1, _LEARNT).astype(int))
@@ -137,6 +131,36 @@ def track_by_features(
     if repeated:
         notes.append(f"{repeated} of {film.selected.sum()} frames repeat the previous frame and are omitted.")
     return _completed(film, tracked, correlated, "features", notes)
+
+
+def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
+    """Return whether the features of reduced frames show a body that turns a little and travels less."""
+    return _loose_motion(frames, motion, travel=_LENIENT, least=_LEAST_RANGE / _LENIENT) is not None
+
+
+def _loose_motion(
+    frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
+) -> tuple[Floats, npt.NDArray[np.complex128], Frames, Ring] | None:
+    """Return the angles of the features of a body, the path of its hub, their generations, and a ring; or None.
+
+    The angles must range over more than `least` [rad], and the hub may move by `travel` times the arcs of the rim.
+    """
+    found = follow_features(frames, motion, _WIDEST)
+    if found is None:
+        return None
+    turn, moved, followed = found
+    theta = np.unwrap(np.angle(turn))
+    if not least < np.ptp(theta) < _WIDEST:
+        return None
+    path = turn * complex(*still_point(turn, moved)) + moved
+    hub = complex(np.mean(path))
+    height, width = motion.moving.shape
+    if not (0.0 <= hub.real < width and 0.0 <= hub.imag < height):
+        return None
+    ring = ring_for((hub.real, hub.imag), motion, _COARSE)
+    if ring is None or np.abs(path - hub).std() > travel * theta.std() * ring.outer:
+        return None
+    return theta, path, followed, ring
 
 
 def _completed(film: Film, tracked: Tracked, correlated: float, way: str, notes: list[str]) -> Tracked:
@@ -233,9 +257,7 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
     steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])
     sample = film.some(usable[np.unique(np.minimum(steps, len(usable) - 1))])
-    bands = range(0, len(sample[0]), _BAND)
-    background = np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands])
-    background = background.astype(np.float32)
+    background = median_picture(sample)
     away = max(float(np.quantile(np.abs(frame - background), 0.999)) for frame in sample)
     limit = max(_CONTRAST * noise, _FAINTEST * away)
     active: list[_Link] = []
@@ -342,7 +364,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
         share, _ = explained(polars, rough, template)
         if share > best:
             best, angle = share, rough
-    return (path, ring, angle, shift) if best > 0.5 * _EXPLAINED else None
+    return (path, ring, angle, shift) if best > _ROUGHLY_RIGID else None
 
 
 def _along_path(

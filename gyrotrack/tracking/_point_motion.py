@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
+from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._film import Film
-from gyrotrack.tracking._hub_search import FARTHEST
+from gyrotrack.tracking._hub_search import FARTHEST, Motion
 from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
 from gyrotrack.tracking._registration import TURN
+from gyrotrack.tracking._silhouettes import Foreground
 from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
@@ -32,6 +34,7 @@ _WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs fro
 # distance from the arc, in standard deviations of the residuals and at least [px], beyond which a frame shows something
 # else, and the smallest share of frames on the arc
 _OFF, _OFF_LEAST, _ON = 8.0, 0.5, 0.8
+_COMPARED = 300  # frames in which another rotation about the pivot is searched for
 _STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in standard deviations of its noise
 # smallest error by place of a learnt picture and background: of interpolation and blur [px], and over the noise of a
 # position (rendered bobs: 0.003 to 0.005 px, and 0.3 to 0.8)
@@ -115,6 +118,7 @@ def follow_point(
     start: tuple[float, float] | None,
     hub: tuple[float, float] | None = None,
     progress: Progress | None = None,
+    seen: Foreground | None = None,
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
@@ -126,13 +130,17 @@ def follow_point(
         Position (x, y) in the first frame [px]; without it, the only compact body that moves.
     hub : tuple of float, optional
         The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
+    progress : callable, optional
+        Called with the number of frames that are measured, and that of all frames.
+    seen : Foreground, optional
+        What differs from the background of the film, if it is known.
 
     Raises
     ------
     TrackingError
         There is nothing to follow, or the path does not determine the pivot.
     """
-    path = track_point(film, start, _turn_about(hub), progress)
+    path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
 
 
@@ -246,7 +254,17 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
+        if (second := _second_rotation(film, found)) is not None:
+            warnings.append(second)
     return TrackedPoint(**{**vars(found), "warnings": (*warnings, *found.warnings)})
+
+
+def _second_rotation(film: Film, found: TrackedPoint) -> str | None:
+    """Return a warning if something else than the followed body turns about its pivot."""
+    usable = found.frame[:_COMPARED]
+    frames, angle = film.some(usable), -found.angle[:_COMPARED]
+    second = second_rotation(frames, Motion.of(frames), (float(found.hub[0]), float(found.hub[1])), angle)
+    return None if second is None else second.warning(angle)
 
 
 def about_pivot(

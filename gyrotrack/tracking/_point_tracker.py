@@ -27,16 +27,16 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
-from gyrotrack.tracking._hub_search import spatial_noise
+from gyrotrack.tracking._links import move_as_links, paths_of
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
     ALIKE,
     AS_LARGE,
+    Foreground,
     Spot,
-    compact_body,
     depth_of,
     differs,
-    median_picture,
+    parts_of,
     spot_of,
     spots_in,
 )
@@ -48,9 +48,7 @@ Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
-_BACKGROUND = 60  # frames of which the background is the median, at most
 _CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
-_COMPARED = 30  # frames in which the size of the only body is compared
 _LATE = 0.1  # share of the frames before the one in which it is seen first, at most
 _REACH = 12.0  # largest distance of a spot from the point that was given [px]
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
@@ -61,6 +59,7 @@ _ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
 _PRESENT = 0.4
 _TEMPLATE = 12.0  # radius to which the picture of a large patch is reduced, by a whole factor [px]
 _COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
+_FOLLOWED = 90  # frames in which the paths of two bodies show whether they are links
 _FOUND = 0.6  # smallest share of the frames in which a patch is found
 _LEARNT = 200  # frames from which the picture of the patch is learnt, at most
 _ROUNDS, _TURN_ROUNDS = 4, 3
@@ -113,12 +112,17 @@ Turn = Callable[[Floats], Floats | None]
 
 
 def track_point(
-    film: Film, start: tuple[float, float] | None, turn_of: Turn, progress: Progress | None = None
+    film: Film,
+    start: tuple[float, float] | None,
+    turn_of: Turn,
+    progress: Progress | None = None,
+    seen: Foreground | None = None,
 ) -> PointPath:
     """Follow a point of a body, by its position `start` in the first frame, or the only compact body that moves.
 
-    `turn_of` gives the rotation of the patch for rough positions. A TrackingError is raised if there is nothing to
-    follow at the given place, if several bodies move and none is chosen, or if the patch is lost in most frames.
+    `turn_of` gives the rotation of the patch for rough positions, `seen` is the foreground of the film if it is known.
+    A TrackingError is raised if there is nothing to follow at the given place, if several bodies move and none is
+    chosen, or if the patch is lost in most frames.
     """
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
@@ -128,9 +132,8 @@ def track_point(
             "Give a longer film.",
         )
     refuse_cut(film, usable)
-    sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
-    noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
-    background = median_picture(sample)
+    seen = seen or Foreground.of(film, usable)
+    noise, background = seen.noise, seen.background
     if start is not None:
         first = film.some(usable[:1])[0]
         height, width = first.shape
@@ -143,7 +146,7 @@ def track_point(
             first, noise, start, _moving(first, background, noise)
         )
     else:
-        skipped, spot = _only_spot(film, usable, sample, background, noise)
+        skipped, spot = _only_spot(film, usable, seen)
         usable = usable[skipped:]
     factor = max(round(spot.radius / _TEMPLATE), 1)
     where, unselected = spot.place, start is None
@@ -288,7 +291,7 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
         if depth[best[1], best[0]] <= depth[at[1], at[0]]:
             break
         at = best
-    spot, inner = spot_of(region, at), float(depth[at[1], at[0]])
+    spot, inner = spot_of(parts_of(region), at), float(depth[at[1], at[0]])
     if spot is None or math.dist(spot.place, place) <= max(inner, _REACH):
         return spot
     # rods join the part that was pointed at to others: the inscribed disc about its middle
@@ -302,21 +305,19 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
     return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
-def _only_spot(
-    film: Film, usable: Frames, sample: Sequence[Plane], background: Picture, noise: float
-) -> tuple[int, Spot]:
+def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]:
     """Return the compact body that moves, and the number of frames before the first one that shows it.
 
     It has the size of the largest one in most frames of a sample: what passes through a few frames, for example a hand
     or a shadow at the start, is another body. A TrackingError is raised if there is none, or another one as large.
     """
-    body = compact_body(sample[:: max(1, len(sample) // _COMPARED)], background, noise)
+    body, background, noise = seen.body, seen.background, seen.noise
     for skipped, frame in enumerate(film.some(usable[: max(int(_LATE * len(usable)), 1)])):
         spots = spots_in(differs(frame, background, noise), AS_LARGE, 2 if body is None else 5)
         if body is not None:
             spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
         if len(spots) > 1:
-            raise _several(frame, spots, differs(frame, background, noise), film.path.name)
+            raise _several(film, usable[skipped:], seen, frame, spots)
         if spots:
             return skipped, spots[0]
         if body is None:
@@ -327,15 +328,21 @@ def _only_spot(
     )
 
 
-def _several(frame: Plane, spots: Sequence[Spot], region: Plane, name: str) -> RefusedFilmError:
-    (x, y), (u, v) = spots[0].place, spots[1].place
-    joined = _linked(region, spots[0], spots[1])
+def _several(
+    film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
+) -> RefusedFilmError:
+    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links."""
+    one, other = spots[:2]
+    (x, y), (u, v) = one.place, other.place
+    links = _linked(differs(frame, seen.background, seen.noise), one, other) and move_as_links(
+        paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other)), max(one.radius, other.radius)
+    )
     return RefusedFilmError(
-        f"Several bodies move in {name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first frame"
-        f"{', which are joined' if joined else ''}.",
-        FOLLOW_LINKS if joined else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
-        kind="two links" if joined else "two bodies",
-        evidence={"radius_px": spots[0].radius, "other_radius_px": spots[1].radius},
+        f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "
+        f"frame{', which are joined and move as two links' if links else ''}.",
+        FOLLOW_LINKS if links else f"Select one with --point {x:.0f},{y:.0f} or --point {u:.0f},{v:.0f}.",
+        kind="two links" if links else "two bodies",
+        evidence={"radius_px": one.radius, "other_radius_px": other.radius},
         frames=(frame,),
     )
 
@@ -358,7 +365,7 @@ def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
     region = differs(frame, background, noise)
     depth = depth_of(region)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    return spot_of(region, (int(column), int(row)))
+    return spot_of(parts_of(region), (int(column), int(row)))
 
 
 def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Spot | None) -> Spot:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -118,15 +119,19 @@ class Ring:
         y = self.hub[1] + shift[1] + self.radius[:, None] * (q * cos + (1 - p) * sin)
         return x.astype(np.float32), y.astype(np.float32)
 
+    @cached_property
+    def _places(self) -> tuple[Picture, Picture]:
+        return self.grid()
+
     def inside(self, area: Area) -> Bools:
         """Return which samples are within the area (left, top, right, bottom) of the picture [px]."""
-        x, y = self.grid()
+        x, y = self._places
         left, top, right, bottom = area
         return np.asarray((x >= left + 1) & (y >= top + 1) & (x <= right - 2) & (y <= bottom - 2))
 
     def unwrap(self, picture: npt.NDArray[np.uint8], shift: Sequence[float] = (0.0, 0.0)) -> Picture:
         """Return the polar picture, (rows, columns)."""
-        x, y = self.grid(shift)
+        x, y = self.grid(shift) if any(shift) else self._places
         height, width = picture.shape
         step = (self.outer - self.inner) / self.rows
         if step > 1.5:  # average over the area of a sample
@@ -146,8 +151,12 @@ def rolled(picture: Picture, columns: float) -> Picture:
 
 def _rotated(spectrum: npt.NDArray[Any], size: int, columns: float) -> Picture:
     """Return the polar picture of a spectrum, rotated by a number of columns."""
-    phase = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns).astype(np.complex64)
-    return np.asarray(np.fft.irfft(spectrum * phase, size, axis=1), dtype=np.float32)
+    return np.asarray(np.fft.irfft(spectrum * _phase(size, columns), size, axis=1), dtype=np.float32)
+
+
+def _phase(size: int, columns: float) -> npt.NDArray[np.complex64]:
+    """Return the factors of a spectrum by which `size` columns are rotated by a number of columns."""
+    return np.asarray(np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns), dtype=np.complex64)
 
 
 def _slope(picture: Picture) -> Picture:
@@ -301,44 +310,42 @@ def learn(
     details.
     """
     counted = np.ones(len(polars)) if counted is None else counted
+    turns = np.asarray(angles, dtype=np.float64) / ring.step
     usable = allowed.astype(np.float32)
-    fixed = np.zeros(usable.shape, dtype=np.float32)
-    body = fixed.copy()
-    if separate:
-        for polar, count in zip(polars, counted, strict=True):  # one by one, to limit memory
-            fixed += np.float32(count / counted.sum()) * polar
-        fixed -= fixed.mean(axis=1, keepdims=True)
+    complete = bool(allowed.all())
+    mean = np.zeros(usable.shape, dtype=np.float32)
+    # sums over the frames of their spectra, and of the phase factors, both turned back by their angles
+    turned_back = np.zeros((usable.shape[0], ring.columns // 2 + 1), dtype=np.complex64)
+    phases = np.zeros(ring.columns // 2 + 1, dtype=np.complex64)
+    for polar, turn, count in zip(polars, turns, counted, strict=True):  # one by one, to limit memory
+        mean += np.float32(count / counted.sum()) * polar
+        phase = np.complex64(count) * _phase(ring.columns, -turn)
+        phases += phase
+        if complete:
+            turned_back += np.fft.rfft(polar, axis=1) * phase
+    fixed = mean - mean.mean(axis=1, keepdims=True) if separate else np.zeros_like(mean)
+    body = np.zeros_like(mean)
     for _ in range(_ROUNDS if separate else 1):  # alternating updates of body and fixed picture
-        total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)
-        for polar, angle, count in zip(polars, angles, counted, strict=True):
-            if count > 0:
-                whole, part = _split(angle / ring.step)
-                seen = np.float32(count) * np.roll(usable, -whole, axis=1)
-                total += seen * np.roll(rolled(polar - fixed, -part), -whole, axis=1)
-                number += seen
-        body = np.asarray(total / number, dtype=np.float32)
-        unseen = number < 0.5
-        level = np.sum(np.where(unseen, 0, body), axis=1) / np.maximum((~unseen).sum(axis=1), 1)
-        body = np.where(unseen, level[:, None], body).astype(np.float32)
+        if complete:
+            sum_of = turned_back - np.fft.rfft(fixed, axis=1) * phases
+            body = np.fft.irfft(sum_of / np.float32(counted.sum()), ring.columns, axis=1).astype(np.float32)
+        else:
+            body = _mean_body(polars, turns, counted, fixed, usable)
         spectrum = np.fft.rfft(body, axis=1)
         if separate:
-            change = np.zeros_like(fixed)
-            for polar, angle, count in zip(polars, angles, counted, strict=True):
-                if count > 0:
-                    change += np.float32(count) * (
-                        polar - _rotated(spectrum, ring.columns, angle / ring.step)
-                    )
-            fixed = np.asarray(change / np.float32(counted.sum()), dtype=np.float32)
+            # the sum over the frames of what the body adds to the picture: that of its spectrum times the phase factors
+            added = np.fft.irfft(spectrum * np.conj(phases), ring.columns, axis=1)
+            fixed = np.asarray(mean - added / np.float32(counted.sum()), dtype=np.float32)
             fixed -= fixed.mean(axis=1, keepdims=True)
     by_body: Any = np.zeros_like(fixed)
     by_image: Any = np.zeros_like(fixed)
-    number = np.full_like(fixed, 1e-6)
-    for polar, angle, count in zip(polars, angles, counted, strict=True):
-        if count > 0:
-            square = (polar - fixed - _rotated(spectrum, ring.columns, angle / ring.step)) ** 2
-            whole, _ = _split(angle / ring.step)
-            by_image += np.float32(count) * square
-            by_body += np.float32(count) * np.roll(square * usable, -whole, axis=1)
+    number = np.full_like(fixed, 1e-6 + (counted.sum() if complete else 0.0))
+    for polar, turn, count in zip(polars, turns, counted, strict=True):
+        square = (polar - fixed - _rotated(spectrum, ring.columns, turn)) ** 2
+        whole, _ = _split(turn)
+        by_image += np.float32(count) * square
+        by_body += np.float32(count) * np.roll(square if complete else square * usable, -whole, axis=1)
+        if not complete:
             number += np.float32(count) * np.roll(usable, -whole, axis=1)
     by_body = cv2.blur(np.where(number < 0.5, by_body.sum() / number.sum(), by_body / number), (3, 3))
     by_image = cv2.blur(by_image / np.float32(counted.sum()), (3, 3))
@@ -356,21 +363,36 @@ def learn(
     )
 
 
+def _mean_body(
+    polars: Sequence[Picture], turns: Floats, counted: Floats, fixed: Picture, usable: Picture
+) -> Picture:
+    """Return the mean picture of a body; a ring that is partly outside the picture shows some of it in each frame."""
+    total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)
+    for polar, turn, count in zip(polars, turns, counted, strict=True):
+        whole, part = _split(turn)
+        seen = np.float32(count) * np.roll(usable, -whole, axis=1)
+        total += seen * np.roll(rolled(polar - fixed, -part), -whole, axis=1)
+        number += seen
+    body = np.asarray(total / number, dtype=np.float32)
+    unseen = number < 0.5
+    level = np.sum(np.where(unseen, 0, body), axis=1) / np.maximum((~unseen).sum(axis=1), 1)
+    return np.where(unseen, level[:, None], body).astype(np.float32)
+
+
 def _split(turned: float) -> tuple[int, float]:
     whole = int(np.rint(turned))
     return whole, turned - whole
 
 
-def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
-    """Return the correlation of two polar pictures over the shift in columns of the second against the first.
+def _band(size: int, band: str) -> npt.NDArray[np.float32]:
+    """Return the weights of the orders of a polar picture with `size` columns, up to the last one that counts.
 
-    The result is normalised to the energies of both pictures. `band` selects which details count, by their order k
-    (cycles per turn): "low", "middle" or "high". High orders make the maximum narrow; low ones avoid secondary maxima
-    for periodic details, for example spokes; the middle ones are insensitive to a small displacement of the hub.
+    `band` selects which details count, by their order k (cycles per turn): "low", "middle" or "high". High orders make
+    the maximum of a correlation narrow; low ones avoid secondary maxima for periodic details, for example spokes; the
+    middle ones are insensitive to a small displacement of the hub.
     """
-    a, b = (np.fft.rfft(p, axis=1) for p in (first, second))
-    k = np.fft.rfftfreq(first.shape[1])
-    order = k * first.shape[1]
+    k = np.fft.rfftfreq(size)
+    order = k * size
     if band == "low":
         factor = np.exp(-((order / 10.0) ** 2))
     elif band == "middle":
@@ -378,13 +400,12 @@ def correlation(first: Picture, second: Picture, *, band: str) -> Floats:
     else:
         factor = k * np.exp(-((k / 0.2) ** 2))
     factor[0] = 0.0
-    cross = (np.conj(a) * b * factor).sum(axis=0)
-    scale = np.sqrt(((np.abs(a) ** 2) * factor).sum() * ((np.abs(b) ** 2) * factor).sum())
-    size = first.shape[1]
-    double = np.zeros(size // 2 + 1, dtype=np.complex128)
-    double[: len(cross)] = cross
-    energy = 2 * scale / size
-    return np.asarray(np.fft.irfft(double, size) / max(energy, 1e-12), dtype=np.float64)
+    last = int(np.flatnonzero(factor > np.finfo(np.float32).eps * factor.max())[-1])
+    return np.asarray(factor[: last + 1], dtype=np.float32)
+
+
+def _energy(spectrum: npt.NDArray[np.complex64], factor: npt.NDArray[np.float32]) -> float:
+    return float((spectrum.real**2 + spectrum.imag**2).sum(axis=0) @ factor)
 
 
 # Equal parts of a body, for example the spokes of a wheel, are equally probable places for each of them. From this
@@ -398,18 +419,24 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
-    mean = None
+    factor = _band(size, band)
+    orders = np.arange(len(factor))
+    mean = np.zeros((0, 0), dtype=np.complex64)
     angle = np.zeros(len(polars))
     speed, known, taken = 0.0, 0, 0
     usual = 1.0
+    whole = np.zeros(size // 2 + 1, dtype=np.complex128)
     for t, polar in enumerate(polars):
         shown = polar - fixed
-        shown = shown - shown.mean(axis=1, keepdims=True)
-        if mean is None:
-            mean, taken = shown * root, 1
+        shown = (shown - shown.mean(axis=1, keepdims=True)) * root
+        spectrum = np.fft.rfft(shown, axis=1)[:, : len(factor)].astype(np.complex64, copy=False)
+        if t == 0:
+            mean, taken = spectrum, 1
             continue
         expected = angle[t - 1] + speed
-        found = correlation(mean, shown * root, band=band)
+        whole[: len(factor)] = (np.conj(mean) * spectrum).sum(axis=0) * factor
+        scale = math.sqrt(_energy(mean, factor) * _energy(spectrum, factor))
+        found = np.fft.irfft(whole, size) / max(2 * scale / size, 1e-12)
         away = (centred - expected + size / 2) % size - size / 2
         trust = min(known, 8) / 8
         judged = found - (0.05 + 0.45 * trust) * found.max() * (away / (size / 2)) ** 2 * (
@@ -431,8 +458,19 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
         speed = now if known == 0 else speed + 0.5 * (now - speed)
         known += 1
         taken = min(taken + 1, 40)
-        mean = mean + (np.roll(shown * root, -int(np.rint(angle[t])), axis=1) - mean) / taken
+        turned_back = np.exp(2j * np.pi / size * np.rint(angle[t]) * orders).astype(np.complex64)
+        mean = mean + (spectrum * turned_back - mean) / np.float32(taken)
     return angle * ring.step
+
+
+_COMPARED = (
+    100  # largest number of frames from which a template is learnt for a comparison, and that are compared
+)
+
+
+def every(count: int) -> int:
+    """Return the distance of equally spaced frames, at most `_COMPARED` of a number of frames."""
+    return max(1, -(-count // _COMPARED))
 
 
 def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:
@@ -448,19 +486,20 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
         float(np.mean([np.sum(usable * (polars[i + lag] - polars[i]) ** 2) for i in some])) for lag in lags
     ]
     lag = next(lag for lag, size in zip(lags, change, strict=True) if size >= 0.5 * max(change))
-    total, rest = (np.zeros(len(usable)) for _ in range(2))
-    pairs = range(0, len(polars) - lag, max(1, len(polars) // 100))
-    # the learnt noise contains slow changes of the illumination, which are absent at a short lag
-    still = np.mean([(polars[i + lag] - polars[i]) ** 2 for i in pairs], axis=0)[usable > 0]
-    least = min(template.noise, 0.5 * float(np.quantile(still, 0.2))) if still.size else template.noise
-    noise = 2 * least * len(pairs) * usable.sum(axis=1)
+    rest = np.zeros(len(usable))
+    pairs = range(0, len(polars) - lag, every(len(polars)))
+    spectrum, size, step = np.fft.rfft(template.body, axis=1), template.ring.columns, template.ring.step
+    squares = np.zeros(usable.shape, dtype=np.float32)
     for i in pairs:
         seen = polars[i + lag] - polars[i]
-        expected = rolled(template.body, angles[i + lag] / template.ring.step) - rolled(
-            template.body, angles[i] / template.ring.step
-        )
-        total += (usable * seen**2).sum(axis=1)
-        rest += (usable * (seen - expected) ** 2).sum(axis=1)
+        turning = spectrum * (_phase(size, angles[i + lag] / step) - _phase(size, angles[i] / step))
+        squares += seen**2
+        rest += (usable * (seen - np.fft.irfft(turning, size, axis=1)) ** 2).sum(axis=1)
+    total = (usable * squares).sum(axis=1, dtype=np.float64)
+    # the learnt noise contains slow changes of the illumination, which are absent at a short lag
+    still = squares[usable > 0] / np.float32(len(pairs))
+    least = min(template.noise, 0.5 * float(np.quantile(still, 0.2))) if still.size else template.noise
+    noise = 2 * least * len(pairs) * usable.sum(axis=1)
     rows = np.where(total > 1.1 * noise, 1.0 - (rest - noise).clip(0) / np.maximum(total - noise, 1e-9), 0.0)
     whole = float(total.sum() - noise.sum())
     if whole <= 0.1 * noise.sum():

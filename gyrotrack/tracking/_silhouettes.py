@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._registration import TURN
 
@@ -21,7 +24,8 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
-_BAND = 64  # rows of the picture of which the median is taken at a time
+_BACKGROUND, _COMPARED = 60, 30  # frames of which the background is the median, and that are compared with it
+_BAND = 32  # rows of the picture of which the median is taken at a time
 _CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
 _FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
 _SMALLEST = 1.5  # smallest radius of a spot [px]
@@ -47,10 +51,18 @@ class Spot:
 
 def median_picture(sample: Sequence[Plane]) -> Picture:
     """Return the median of some frames."""
-    bands = range(0, len(sample[0]), _BAND)
-    return np.concatenate([np.median([f[y : y + _BAND] for f in sample], axis=0) for y in bands]).astype(
-        np.float32
-    )
+    bands = (np.stack([f[y : y + _BAND] for f in sample]) for y in range(0, len(sample[0]), _BAND))
+    ranks = (len(sample) - 1) // 2, len(sample) // 2
+    return np.concatenate([np.mean([_ranked(b, k) for k in ranks], axis=0, dtype=np.float32) for b in bands])
+
+
+def _ranked(values: Plane, rank: int) -> Plane:
+    """Return the value of a rank along the first axis, bit by bit, which is faster than sorting."""
+    found = np.zeros(values.shape[1:], dtype=np.uint8)
+    for bit in (128, 64, 32, 16, 8, 4, 2, 1):
+        larger = found + np.uint8(bit)
+        found = np.where((values < larger).sum(axis=0, dtype=np.uint16) <= rank, larger, found)
+    return found
 
 
 def differs(frame: Plane, background: Picture, noise: float) -> Plane:
@@ -60,9 +72,19 @@ def differs(frame: Plane, background: Picture, noise: float) -> Plane:
     return np.asarray(away > limit, dtype=np.uint8)
 
 
-def spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
-    """Return the compact part about the pixel `top` (x, y), the farthest from the edge, of a region; None if small."""
+Parts = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
+"""The number of the connected part of each pixel, and the statistics of the parts."""
+
+
+def parts_of(region: Plane) -> Parts:
+    """Return the connected parts of a region."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(region)
+    return np.asarray(label, dtype=np.int32), np.asarray(stats, dtype=np.int32)
+
+
+def spot_of(parts: Parts, top: tuple[int, int]) -> Spot | None:
+    """Return the compact part about the pixel `top` (x, y), the farthest from the edge; None if small."""
+    label, stats = parts
     number = label[top[1], top[0]]
     if number == 0:
         return None
@@ -75,10 +97,10 @@ def spot_of(region: Plane, top: tuple[int, int]) -> Spot | None:
     if inner < _SMALLEST:
         return None
     opened = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(int(_OPENED * inner), 1)))
-    _, label = cv2.connectedComponents(opened)
-    if label[at] == 0:
+    _, around = cv2.connectedComponents(opened)
+    if around[at] == 0:
         return None
-    y, x = np.nonzero(label == label[at])
+    y, x = np.nonzero(around == around[at])
     y, x = y + above, x + left
     centre = (float(x.mean()), float(y.mean()))
     radius = math.sqrt(len(x) / math.pi)
@@ -112,7 +134,8 @@ def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
         tops.append((float(inside[row, column]), (left + int(column), top + int(row))))
     tops.sort(reverse=True)
     chosen = [top for inner, top in tops[:most] if inner > least * tops[0][0]]
-    return [s for top in chosen if (s := spot_of(region, top)) is not None]
+    parts = parts_of(region)
+    return [s for top in chosen if (s := spot_of(parts, top)) is not None]
 
 
 @dataclass(frozen=True)
@@ -170,6 +193,32 @@ def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> 
         return None
     place = np.array([s.place for s, _ in chosen])
     return CompactBody(radius, place, float(np.median([s.mask.sum() / total for s, total in chosen])))
+
+
+@dataclass(frozen=True)
+class Foreground:
+    """Some frames of a film, equally spaced, and what differs in them from their median, the background."""
+
+    sample: Sequence[Plane]
+    background: Picture
+    noise: float  # standard deviation of single frames [grey levels]
+
+    @classmethod
+    def of(cls, film: Film, usable: npt.NDArray[np.int64]) -> Foreground:
+        """Compare some of the usable frames."""
+        sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
+        noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
+        return cls(sample, median_picture(sample), noise)
+
+    @property
+    def few(self) -> Sequence[Plane]:
+        """Half of the frames."""
+        return self.sample[:: max(1, len(self.sample) // _COMPARED)]
+
+    @cached_property
+    def body(self) -> CompactBody | None:
+        """The compact body that most of the frames show."""
+        return compact_body(self.few, self.background, self.noise)
 
 
 def _unlike(spot: Spot, radius: float) -> float:

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from gyrotrack._correlated_noise import Estimate
-from gyrotrack.apps._motion import _averaged, end_of_motion, motion_of, motion_of_speeds, start_of_motion
+from gyrotrack.apps._motion import (
+    _averaged,
+    _joins,
+    end_of_motion,
+    motion_of,
+    motion_of_speeds,
+    start_of_motion,
+)
 
 SIGMA = 1e-3
 
@@ -172,3 +179,12 @@ def test_a_motor_that_is_faster_again_later_is_not_pushed_by_hand():
         speed = 10 - 6 * np.exp(-3 * t) - 0.3 * t + again * 3.0 * np.exp(-((t - 7) ** 2))
         angle, sigma = noisy(np.cumsum(speed) * 0.01)
         assert (start_of_motion(t, angle, sigma) > 0) == driven
+
+
+@pytest.mark.parametrize(("off", "found"), [(5.0, 30), (12.0, 28)])
+def test_the_sample_that_leaves_the_motion_is_found_beside_many_that_do_not(off, found):
+    """From all samples before it, a sample is predicted better than from the first ones alone."""
+    time = np.arange(30) / 60
+    angle = 12.0 * time - 0.9 * time**2 + np.random.default_rng(4).normal(0, 1e-4, 30)
+    angle[28:] += off * 1e-4
+    assert _joins(time, angle, 21) == found

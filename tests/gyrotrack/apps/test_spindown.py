@@ -434,6 +434,7 @@ def test_coloured_things_at_rest_are_not_the_papers_markers(monkeypatch, swing):
 
     class Frames:
         info = SimpleNamespace(tag_fps=30.0)
+        stabilised = False
 
         def __len__(self):
             return 200

@@ -113,13 +113,27 @@ def test_a_large_ball_before_a_blank_wall_is_not_the_background():
     assert camera_motion(_pairs(ball), SHAPE) is None
 
 
-def _two(hub, other, turn, second, moving_joint=False):
+def _two(hub, other, turn, second, joint=None):
+    """Two bodies about two hubs; with a `joint`, the second hub is on the first body and turns with it to places."""
+
     def pair(k):
         a, b = _places(80, k, (40.0, 60.0, 140.0, 180.0)), _places(60, k + 50, (180.0, 60.0, 280.0, 180.0))
-        place = other + (25.0 * np.exp(2j * k) if moving_joint else 0.0)
-        return np.concatenate([a, b]), np.concatenate([_moved(a, turn, hub), _moved(b, second, place)])
+        place, shift = other, 0.0
+        if joint is not None:
+            place = joint(k)
+            shift = (place - hub) * (np.exp(1j * turn) - 1.0)
+        moved = _moved(b, second, place) + shift
+        return np.concatenate([a, b]), np.concatenate([_moved(a, turn, hub), moved])
 
     return _pairs(pair)
+
+
+def _on_body(k):
+    return 90 + 120j + 60.0 * np.exp(0.5j * k)
+
+
+def _anywhere(k):
+    return 90 + 120j + (20.0 + 12.0 * k) * np.exp(0.5j * k)
 
 
 def test_two_bodies_that_turn_differently_are_reported_with_both_hubs():
@@ -132,9 +146,15 @@ def test_two_bodies_that_turn_differently_are_reported_with_both_hubs():
     assert not two.coaxial
 
 
-def test_a_second_body_about_a_point_that_moves_is_a_link():
-    two = two_motions(_two(90 + 120j, 230 + 120j, 0.06, -0.1, moving_joint=True))
-    assert two.linked
+@pytest.mark.parametrize(("joint", "linked"), [(_on_body, True), (_anywhere, False)])
+def test_a_second_body_about_a_joint_on_the_first_one_is_a_link(joint, linked):
+    """The joint keeps its distance from the hub; a point that moves otherwise is no evidence of a link."""
+    pairs = _two(90 + 120j, 0j, 0.06, -0.1, joint)
+    two = two_motions(pairs)
+    assert two.moving == 1
+    assert two.linked == linked
+    if not linked:
+        refuse_two_motions("film.mp4", pairs, ())
 
 
 def test_rotor_and_casing_of_a_gyroscope_are_coaxial():
@@ -241,14 +261,14 @@ def test_a_refusal_writes_a_picture_and_names_it(tmp_path):
 
 
 def test_the_hint_names_the_command():
-    film = _film([np.zeros((8, 8), np.uint8)] * 20, np.ones(20))
+    frames = [np.zeros((8, 8), np.uint8)] * 4
     pairs = _two(90 + 120j, 230 + 120j, 0.06, -0.1)
     with pytest.raises(RefusedFilmError, match="--hub 90,120 or --hub 230,120") as error:
-        refuse_two_motions(film, np.arange(20), pairs)
+        refuse_two_motions("film.mp4", pairs, frames)
     assert error.value.kind == "two bodies"
-    linked = _two(90 + 120j, 230 + 120j, 0.06, -0.1, moving_joint=True)
+    linked = _two(90 + 120j, 0j, 0.06, -0.1, _on_body)
     with pytest.raises(RefusedFilmError, match="--links") as error:
-        refuse_two_motions(film, np.arange(20), linked)
+        refuse_two_motions("film.mp4", linked, frames)
     assert error.value.kind == "two links"
-    refuse_two_motions(film, np.arange(20), _two(160 + 120j, 162 + 120j, 0.03, 0.09))
+    refuse_two_motions("film.mp4", _two(160 + 120j, 162 + 120j, 0.03, 0.09), frames)
     assert _diagnosis.FOLLOW_LINKS in error.value.hint

@@ -1,0 +1,109 @@
+"""Two bodies about one hub: what the rotation of the first leaves of the picture turns about its hub as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrotrack.tracking._hub_search import Motion, ring_for
+from gyrotrack.tracking._registration import every, explained, follow, learn, rolled
+
+Floats = npt.NDArray[np.float64]
+Plane = npt.NDArray[np.uint8]
+
+_COARSE = 48.0  # samples of a radius
+# share of the change of brightness left by the first rotation that the second one must explain, as any rotation must,
+# and of the whole change. One body, with light fixed in the image or a displaced hub: less than 0.2, and 0.03
+_OF_REST, _OF_ALL = 0.4, 0.05
+# standard deviation of the difference of both angles over that of the larger one, from which the motions differ. What a
+# displaced hub leaves of one body turns with it (up to 0.1)
+_APART = 0.2
+_LEAST_RANGE = 2e-3  # range of an angle [rad] below which nothing turns
+
+
+@dataclass(frozen=True)
+class SecondRotation:
+    """Rotation of another part of the picture about the hub of a body.
+
+    Attributes
+    ----------
+    angle : ndarray, shape (n,)
+        Its angle in each frame, clockwise as seen [rad].
+    of_rest, of_all : float
+        Share that it explains of the change of brightness which the first body leaves, and of the whole.
+    """
+
+    angle: Floats
+    of_rest: float
+    of_all: float
+
+    def warning(self, first: Floats) -> str:
+        """Return the warning that belongs to the angles (n,) of the `first` body [rad]."""
+        return (
+            f"Another part of the picture turns about the same hub: over {np.ptp(self.angle):.3g} rad in "
+            f"{len(first)} frames, in which the tracked body turns over {np.ptp(first):.3g} rad. It explains "
+            f"{100 * self.of_rest:.0f} % of the change of brightness that the tracked body leaves. --point X,Y follows "
+            "a detail of either body, --colour its colour; `gyrotrack extract` measures a rotor and its casing by "
+            "coloured markers. A torque law of one body does not describe bodies that act on each other."
+        )
+
+
+def second_rotation(
+    frames: Sequence[Plane],
+    motion: Motion,
+    hub: tuple[float, float],
+    angle: Floats,
+    *,
+    stretch: tuple[float, float] = (0.0, 0.0),
+    separate: bool = True,
+) -> SecondRotation | None:
+    """Return the rotation of another part of the picture about the hub of a tracked body; None if there is none.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray
+        Consecutive frames.
+    motion : Motion
+        The moving part of the film.
+    hub : tuple of float
+        Hub (x, y) [px].
+    angle : ndarray, shape (n,)
+        Angle of the tracked body in each frame, clockwise as seen [rad].
+    stretch : tuple of float, optional
+        Of the circles by a tilted axis (see `Ring`).
+    separate : bool, optional
+        Whether a fixed picture is part of the model of the tracked body.
+    """
+    ring = ring_for(hub, motion, _COARSE, stretch)
+    if ring is None:
+        return None
+    allowed = ring.inside(motion.area)
+    polars = [ring.unwrap(frame) for frame in frames]
+    some = slice(None, None, every(len(polars)))
+    body = learn(polars[some], angle[some], allowed, ring, separate=separate, plain=True)
+    share, _ = explained(polars, angle, body)
+    if 1.0 - share < _OF_ALL:
+        return None
+    rest = [p - body.fixed - rolled(body.body, a / ring.step) for p, a in zip(polars, angle, strict=True)]
+    fixed, weight = np.mean(rest, axis=0), (ring.area * allowed).astype(np.float32)
+    found = []
+    for band in ("low", "high"):
+        other = follow(rest, weight, fixed, ring, band=band)
+        if np.ptp(other) < _LEAST_RANGE:
+            continue
+        second = learn(rest[some], other[some], allowed, ring, separate=True, plain=True)
+        of_rest, _ = explained(rest, other, second)
+        found.append(SecondRotation(other, of_rest, of_rest * (1.0 - share)))
+    best = max(found, key=lambda second: second.of_rest, default=None)
+    if best is None or best.of_rest < _OF_REST or best.of_all < _OF_ALL:
+        return None
+    return best if differs_from(angle, best.angle) else None
+
+
+def differs_from(angle: Floats, other: Floats) -> bool:
+    """Return whether two angles (n,) [rad] are those of different motions."""
+    largest = max(float(np.std(angle)), float(np.std(other)), 1e-12)
+    return bool(np.std(other - angle) > _APART * largest)

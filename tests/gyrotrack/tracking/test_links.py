@@ -1,0 +1,97 @@
+"""Two links are named only where a joint moves about a pivot, and the second body about the joint."""
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking._links import move_as_links, paths_of, share_a_joint
+from gyrotrack.tracking._silhouettes import Foreground, differs, median_picture, spots_in
+
+TIME = np.arange(60) / 30
+FIRST = 0.7 * np.cos(4.0 * TIME)
+SECOND = 0.9 * np.cos(6.5 * TIME + 1.0)
+HUB = np.array([80.0, 12.0])
+
+
+def _along(angle):
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+def _double_pendulum(stretch=0.0):
+    joint = HUB + 50.0 * _along(FIRST)
+    length = 40.0 * (1.0 + stretch * np.sqrt(2.0) * np.cos(9.0 * TIME))
+    return np.stack([joint, joint + length[:, None] * _along(SECOND)], axis=1)
+
+
+def test_a_double_pendulum_has_two_links_in_either_order():
+    paths = _double_pendulum()
+    assert move_as_links(paths, 5.0)
+    assert move_as_links(paths[:, ::-1], 5.0)
+
+
+def test_two_pendulums_on_one_pivot_are_not_links():
+    paths = np.stack([HUB + 50.0 * _along(FIRST), HUB + 40.0 * _along(SECOND)], axis=1)
+    assert not move_as_links(paths, 5.0)
+
+
+def test_two_dots_of_one_body_are_not_links():
+    paths = np.stack([HUB + 50.0 * _along(FIRST), HUB + 40.0 * _along(FIRST + 0.8)], axis=1)
+    assert not move_as_links(paths, 5.0)
+
+
+@pytest.mark.parametrize(("stretch", "linked"), [(0.04, True), (0.06, False)])
+def test_the_distance_of_the_second_body_from_the_joint_is_constant_within_5_percent(stretch, linked):
+    assert move_as_links(_double_pendulum(stretch), 5.0) == linked
+
+
+@pytest.mark.parametrize(("count", "linked"), [(19, False), (20, True)])
+def test_twenty_positions_show_links(count, linked):
+    assert move_as_links(_double_pendulum()[:count], 2.0) == linked
+
+
+def test_bodies_that_move_by_less_than_their_size_are_not_links():
+    paths = _double_pendulum()
+    extent = float(np.hypot(*np.ptp(paths, axis=0).T).min())
+    assert move_as_links(paths, 0.49 * extent)
+    assert not move_as_links(paths, 0.51 * extent)
+
+
+def _drawn(paths, step=1):
+    frames = []
+    for joint, end in paths[::step]:
+        frame = np.full((120, 160), 200, np.uint8)
+        points = [tuple(round(16 * v) for v in p) for p in (HUB, joint, end)]
+        for p, q in itertools.pairwise(points):
+            cv2.line(frame, p, q, 60, 1, cv2.LINE_AA, 4)
+        for p in points[1:]:
+            cv2.circle(frame, p, 6 * 16, 40, -1, cv2.LINE_AA, 4)
+        frames.append(frame)
+    return frames
+
+
+@pytest.mark.parametrize(("step", "all_of_it"), [(1, True), (6, False)])
+def test_the_bodies_are_followed_until_they_move_too_far_in_one_frame(step, all_of_it):
+    paths = _double_pendulum()
+    frames = _drawn(paths, step)
+    seen = Foreground(frames, median_picture(frames), 1.0)
+    spots = spots_in(differs(frames[0], seen.background, 1.0), 0.35, 2)
+    assert len(spots) == 2
+    order = np.argsort([np.hypot(*(s.place - paths[0, 0])) for s in spots])
+    found = paths_of(frames, seen, (spots[order[0]], spots[order[1]]))
+    assert (len(found) == len(frames)) == all_of_it
+    if all_of_it:
+        assert np.abs(found - paths).max() < 1.5
+        assert move_as_links(found, 6.0)
+
+
+def test_two_motions_share_a_joint_at_a_fixed_distance_from_the_hub():
+    hub, turn, other = 90 + 120j, np.exp(0.06j), np.exp(-0.1j)
+    rng = np.random.default_rng(0)
+    for spread, linked in ((0.02, True), (0.2, False)):
+        joint = hub + 60.0 * (1.0 + spread * rng.normal(size=12)) * np.exp(0.5j * np.arange(12))
+        first = np.stack([np.full(12, turn), np.full(12, (1 - turn) * hub)], axis=1)
+        after = hub + turn * (joint - hub)
+        second = np.stack([np.full(12, other), after - other * joint], axis=1)
+        assert share_a_joint(hub, first, second) == linked
