@@ -86,6 +86,18 @@ def test_the_bodies_are_followed_until_they_move_too_far_in_one_frame(step, all_
         assert move_as_links(found, 6.0)
 
 
+@pytest.mark.parametrize(("hidden", "followed"), [(2, True), (3, False)])
+def test_a_body_may_be_hidden_in_two_frames_in_a_row(hidden, followed):
+    frames = _drawn(_double_pendulum())
+    background = median_picture(frames)
+    seen = Foreground(frames, background, 1.0)
+    first = spots_in(differs(frames[0], background, 1.0), 0.35, 2)
+    for k in range(20, 20 + hidden):
+        frames[k] = background
+    found = paths_of(frames, seen, (first[0], first[1]))
+    assert len(found) == (len(frames) - hidden if followed else 20)
+
+
 def test_two_motions_share_a_joint_at_a_fixed_distance_from_the_hub():
     hub, turn, other = 90 + 120j, np.exp(0.06j), np.exp(-0.1j)
     rng = np.random.default_rng(0)
