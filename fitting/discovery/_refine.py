@@ -152,12 +152,12 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 
 
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
-    """Return whether scores about a fit may have the wrong sign: of a driven body whose model, with a drive, fails.
+    """Return whether scores about a fit may have the wrong sign: the model has a drive, and fails.
 
-    Drive and drag of such a body depend on each other strongly. Without a missing drag both are wrong by so much that
-    the response to the drag, of first order, requires a negative strength (measured: drag 40 % too large).
+    Drive and drag are strongly correlated. Without the missing drag both are so wrong (measured: the drag by 40 %) that
+    the linear score asks for a negative strength. A body that oscillates is excepted.
     """
-    return any(e.inputs for e in base.model.effects) and base.fails(criteria)
+    return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
 
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:

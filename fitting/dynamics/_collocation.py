@@ -479,11 +479,12 @@ def coarsened(path: Path) -> Path:
     return replace(coarse, kinks=path.kinks)
 
 
-# numbers of explicit steps between two nodes of the mesh; largest step over the time of decay (limit: 2.8)
+# numbers of Runge-Kutta steps between two nodes of the mesh; a law that needs more is not searched for
 _PARTS_OF_STEPS = (1, 4, 16, 64)
+# largest step over the time of decay: a step is stable up to 2.8
 _STABLE = 2.5
-# edges of a mesh from which on one step crosses an interval, and the states change linearly within: an input that
-# changes often makes intervals so short that Newton's method converges from there
+# a mesh with more edges, as of an input that changes often, gets one step per interval, and the states are interpolated
+# linearly in it: its intervals are so short that Newton's method converges from there
 _SHORT_INTERVALS = 400
 
 
@@ -496,7 +497,10 @@ def _stepped(
     width: int,
     parts: int,
 ) -> Array:
-    """Return the states at some times by steps of which `parts` are between two; until the casing rests."""
+    """Return the states at the given times, with `parts` steps between two of them.
+
+    They end with the interval in which the casing comes to rest, or with the first state that is not finite.
+    """
     y = np.empty((len(times), len(start)))
     y[0] = start
     last = len(times) - 1
@@ -535,7 +539,10 @@ def runge_kutta(
     times = np.concatenate([mesh.edges[:-1, None], inside], axis=1)
     width = times.shape[1]
     times = np.append(times.ravel(), mesh.edges[-1])
-    decay = float(np.abs(dynamics.tangent(times[:1], start[None], numbers, sense)[1]).max())
+    jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
+    if not np.isfinite(jacobian).all():
+        raise SimulationError(UNBOUNDED)
+    decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min()))
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)
     if parts is None:
         raise SimulationError(UNBOUNDED)

@@ -28,9 +28,9 @@ Interpolation = Literal["linear", "hold"]
 INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 # largest number of times at which an input changes value or slope
 MOST_CHANGES = 4000
-# changes of value or slope below this share of the largest value or slope are rounding
+# a smaller step of a held input, relative to its largest value, is rounding
 _ROUNDING = 1e-9
-# change of the value by a change of its slope, over its range, that is rounding: numbers of eight digits in a file
+# a kink that shifts the next sample by less, relative to the range of the input, is rounding: eight digits in a file
 _ROUNDED = 1e-7
 
 

@@ -124,7 +124,7 @@ def angle_dependent_rows(
     return AngleRows(_observed(data, speed, angle), strength, value)
 
 
-_DIVERGED = 1e100  # speed [rad/s] or angle [rad] whose square might not be finite
+_DIVERGED = 1e100  # speed [rad/s] or angle [rad] that no body reaches; sums of squares overflow from 1e154 on
 
 
 class _FixedPoint:

@@ -47,7 +47,7 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1  # share of the bearing torque that the power law has at the start of the search
-# smallest first torque of a bearing, over the mean torque that slows the rotor down
+# smallest first torque of a bearing, over the torque that would stop the rotor within the record
 _LEAST_SHARE = 1e-5
 # a casing slower than this share of its largest speed counts as at rest, for initial values
 _AT_REST = 0.01
@@ -200,15 +200,15 @@ def start_values(
         theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
     pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
     if all(k in layout.model.free for k in pair):
-        slowing = [
-            layout.numbers(theta, i)[INERTIA_ROTOR] * float(np.ptp(speeds[:, 0])) / float(np.ptp(times))
+        stopping = [
+            layout.numbers(theta, i)[INERTIA_ROTOR] * float(np.abs(speeds[:, 0]).max()) / float(np.ptp(times))
             for i, (times, speeds) in enumerate(rough)
         ]
         # each bearing once, however many cases share it
         for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
             if theta[f] > 0:
                 continue
-            torque = max(theta[d] * reference, _LEAST_SHARE * max(slowing))
+            torque = max(theta[d] * reference, _LEAST_SHARE * max(stopping))
             theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
             theta[d] = (1 - _FIRST_SHARE) * torque / reference
     return theta

@@ -642,7 +642,8 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     stop = int(moving[-1])
     if stop > _FREE and size[stop - 1] > _ABRUPT * size.max():
         first = int(edges[stop]) - _FREE * width
-        return first + _joins(time[first:last], angle[first:last], _FREE * width) or last
+        joined = _joins(time[first:last], angle[first:last], _FREE * width)
+        return first + joined if joined else last
     return last
 
 
@@ -652,7 +653,7 @@ _AGAIN = 0.5  # later rise of the speed over the first one, from which the first
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
-    """Return how many samples continue the smooth motion of the first `known` ones; 0 if these are too few.
+    """Return the number of samples on the smooth motion of the first `known` ones, with these; 0 if they are too few.
 
     The motion is a cubic. A sample is off if it deviates by more than 6 standard uncertainties of the extrapolation
     from the first ones, or from all those before it, and with it all later ones.

@@ -110,8 +110,8 @@ _HOPEFUL = 0.5  # share of what must be explained, below which no candidate is r
 # explained share from which a candidate is refined at once; number of frames and iterations of the cheap refinement of
 # others, and the share of what must be explained that it must reach: few frames are explained better than many
 _CLEAR, _FEW_FRAMES, _FEW_STEPS, _PROMISING = 0.6, 12, 3, 0.85
-# a film is screened in frames that are reduced by a whole factor to this size, at least [px]; the area of what moves
-# there [px2] from which that shows a body, and the share of what a candidate must explain that one must reach there
+# reduced frames: smallest length of the longer side [px]; moving area from which a film is screened in them [px2 of the
+# reduced frame]; factor on the share that a candidate must explain
 _SCREEN_SIZE, _SCREEN_AREA, _SCREENED = 320, 1000, 0.75
 _STEPS, _FRAMES = 6, 60  # iterations of the refinement of a candidate, and frames for it
 _TILTED = 0.35  # tilt of the axis [rad] from which the result states it

@@ -280,13 +280,14 @@ def similarity_hubs(
     ]
     few = pairs[::_FIRST]
     found = {(lag, i): similarity(frames[i], frames[i + lag], mask) for lag, i in few}
-    if (rough := _CommonHub.of(found.values())) is None:
-        return None, None
-    if rough.unexplained < _NO_COMMON_HUB:
+    rough = _CommonHub.of(found.values())
+    if rough is None or rough.unexplained < _NO_COMMON_HUB:
         for lag, i in pairs:
             if (lag, i) not in found:
                 found[lag, i] = similarity(frames[i], frames[i + lag], mask)
-        rough = _CommonHub.of([found[pair] for pair in pairs]) or rough
+        rough = _CommonHub.of([found[pair] for pair in pairs])
+    if rough is None:
+        return None, None
     return (rough.hub.real, rough.hub.imag), distant_hub(rough.hub, rough.left, rough.shift, rough.centroid)
 
 

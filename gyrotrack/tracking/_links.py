@@ -66,8 +66,8 @@ def move_as_links(paths: Floats, radius: float) -> bool:
         arc = fit_arc(joint, np.full(len(joint), _ROUGH))
         if not arc.determined:
             continue
-        about = (np.hypot(*(p - arc.hub).T) for p in (joint, end))
-        if _constant(next(about)) and not _constant(next(about)):
+        of_joint, of_end = (np.hypot(*(p - arc.hub).T) for p in (joint, end))
+        if _constant(of_joint) and not _constant(of_end):
             return True
     return False
 
@@ -81,7 +81,8 @@ def share_a_joint(hub: complex, first: Complexes, second: Complexes) -> bool:
     joint = (second[:, 1] - first[:, 1]) / np.where(np.abs(turn) < 1e-9, 1e-9, turn)
     distance = np.abs(joint - hub)
     middle = float(np.median(distance))
-    return float(np.median(np.abs(distance - middle))) < _RIGID * middle
+    # the median deviation of normal noise is 0.67 standard deviations
+    return 1.4826 * float(np.median(np.abs(distance - middle))) < _RIGID * middle
 
 
 def _constant(distance: Floats) -> bool:

@@ -44,7 +44,7 @@ Progress = Callable[[int, int | None], None]
 
 # range of the angles [rad] in which features are followed: a wider one is left to registration about a hub
 _LEAST_RANGE, _WIDEST = 0.01, 2.0
-_LENIENT = 2.0  # factor by which the limits of range and travel are wider in reduced frames
+_LENIENT = 2.0  # factor by which the lower limits of range and travel are smaller in reduced frames
 _EXPLAINED = 0.4  # share of the change of brightness about the path that the rotation must explain
 # the same for a body whose outline is the path: of a rigid body, rotation explains nearly all of the change. Real pucks
 # and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck: 0.56 to 0.63

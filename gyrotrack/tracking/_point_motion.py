@@ -260,7 +260,9 @@ def _of_path(
 
 
 def _second_rotation(film: Film, found: TrackedPoint) -> str | None:
-    """Return a warning if something else than the followed body turns about its pivot."""
+    """Return a warning if something else than the followed body turns about its pivot, seen along its axis."""
+    if found.orbit is not None:
+        return None
     usable = found.frame[:_COMPARED]
     frames, angle = film.some(usable), -found.angle[:_COMPARED]
     second = second_rotation(frames, Motion.of(frames), (float(found.hub[0]), float(found.hub[1])), angle)

@@ -212,7 +212,7 @@ class Foreground:
 
     @property
     def few(self) -> Sequence[Plane]:
-        """Half of the frames."""
+        """Every second frame of a full sample, all frames of a shorter one."""
         return self.sample[:: max(1, len(self.sample) // _COMPARED)]
 
     @cached_property

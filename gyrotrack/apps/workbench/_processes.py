@@ -87,7 +87,9 @@ class Job:
             "total": self.total,
             "angles": self.motion.reported,
             "seconds": round(monotonic() - self.began, 1) if self.is_active else None,
-            "message": ". ".join(x.rstrip(".") for x in (error.get("message"), error.get("hint")) if x),
+            "message": " ".join(
+                x if x[-1] in ".?!" else f"{x}." for x in (error.get("message"), error.get("hint")) if x
+            ),
         }
 
 

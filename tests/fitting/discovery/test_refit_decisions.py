@@ -67,12 +67,18 @@ class TestScoresOfDrivenBodies:
     """About a driven body whose model fails, a law with a score of zero is fitted from scratch."""
 
     @pytest.mark.parametrize(
-        ("inputs", "fails", "mislead"),
-        [((), True, False), (("voltage",), False, False), (("voltage",), True, True)],
+        ("inputs", "fails", "restoring", "mislead"),
+        [
+            ((), True, False, False),
+            (("voltage",), False, False, False),
+            (("voltage",), True, False, True),
+            (("voltage",), True, True, False),
+        ],
     )
-    def test_scores_mislead_if_the_model_of_a_driven_body_fails(self, inputs, fails, mislead):
+    def test_scores_mislead_if_the_model_of_a_driven_body_fails(self, inputs, fails, restoring, mislead):
         effects = [SimpleNamespace(inputs=()), SimpleNamespace(inputs=inputs)]
-        base = SimpleNamespace(model=SimpleNamespace(effects=effects), fails=lambda criteria: fails)
+        model = SimpleNamespace(effects=effects, restoring=restoring)
+        base = SimpleNamespace(model=model, fails=lambda criteria: fails)
         assert module.scores_mislead(base, DEFAULT) is mislead
 
     @pytest.mark.parametrize(

@@ -47,6 +47,16 @@ def test_steps_are_stable(steps, share, parts):
         assert solved.y[0, :, 1] == pytest.approx(3 * np.exp(-decay * mesh.times[0]), abs=5e-3)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e4])
+def test_the_number_of_steps_does_not_depend_on_the_unit_of_time(steps, unit):
+    """With the angle as a state, its derivative by the speed is 1 in any unit."""
+    numbers = {f"{DRAG}.b2": 0.3 / unit, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    dynamics = Dynamics(Model.of([DRAG]), angles=True)
+    start = np.array([0.0, 3.0 / unit, 0.0, 0.0])
+    runge_kutta(dynamics, numbers, start, Mesh(np.linspace(0.0, 10.0 * unit, 5)), 1.0)
+    assert [parts for _, parts in steps] == [1]
+
+
 def test_a_decay_that_no_step_follows_is_unbounded(steps):
     with pytest.raises(SimulationError, match="bounded"):
         first(1e9, Mesh(np.array([0.0, 1.0, 2.0])))

@@ -77,14 +77,14 @@ class TestStrengths:
         assert found["touchpoint.constant.b1"] == 0.0
 
     @pytest.mark.parametrize("scale", [1.0, 1e3])
-    def test_a_bearing_without_a_torque_starts_with_a_share_of_that_on_the_rotor(self, scale):
-        """The casing is at rest, so nothing is said of the bearing; the rotor loses 100 rad/s in 50 s."""
+    def test_a_bearing_without_a_torque_starts_with_a_share_of_what_stops_the_rotor(self, scale):
+        """The casing is at rest, so nothing is said of the bearing; 4 rad/s2 would stop the rotor in 50 s."""
         times = np.linspace(0.0, 50.0 * scale, 200)
         rough = [(times, np.column_stack([np.linspace(200.0, 100.0, 200), np.zeros(200)]) / scale)]
         names = ("rotor.air.quadratic", "bearing.linear", "bearing.power")
         known = {"bearing.linear.d": 0.0}
         found = started(names, rough, prior=known, reference=150.0 / scale)
-        torque = 1e-5 * 5.5e-5 * 2.0 / scale**2
+        torque = 1e-5 * 5.5e-5 * 4.0 / scale**2
         assert found["bearing.linear.d"] == pytest.approx(0.9 * torque * scale / 150.0)
         power = found["bearing.power.f"] * (150.0 / scale) ** found["bearing.power.g"]
         assert power == pytest.approx(0.1 * torque)
