@@ -296,9 +296,8 @@ class _CommonHub:
     """The hub that the similarities of pairs of frames have in common, x + i y [px]."""
 
     hub: complex
-    left: npt.NDArray[
-        np.complex128
-    ]  # 1 - a of each pair, the displacement of its features, and their centroid [px]
+    # of each pair: 1 - a, the displacement of its features, and their centroid [px]
+    left: npt.NDArray[np.complex128]
     shift: npt.NDArray[np.complex128]
     centroid: npt.NDArray[np.complex128]
     unexplained: float  # median residual of the displacements over their median

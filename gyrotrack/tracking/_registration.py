@@ -463,9 +463,8 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
     return angle * ring.step
 
 
-_COMPARED = (
-    100  # largest number of frames from which a template is learnt for a comparison, and that are compared
-)
+# largest number of frames from which a template is learnt for a comparison, and that are compared
+_COMPARED = 100
 
 
 def every(count: int) -> int:
