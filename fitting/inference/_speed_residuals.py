@@ -57,9 +57,8 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
 
 
 _PARTS = {"casing": 2, "rotor": 5}
-_PERIOD_PARTS = (
-    8  # parts of a period of an oscillation: errors of its amplitude and of its phase are both seen
-)
+# parts of a period of an oscillation: errors of its amplitude and of its phase are both seen
+_PERIOD_PARTS = 8
 _POINTS = 40  # points of the mean over a block
 
 
