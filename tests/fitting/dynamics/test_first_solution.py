@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fitting import Model, SimulationError
+from fitting import Model, SimulationError, effect
 from fitting.dynamics import _collocation as module
 from fitting.dynamics._collocation import Mesh, newton, runge_kutta
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
@@ -55,6 +55,18 @@ def test_the_number_of_steps_does_not_depend_on_the_unit_of_time(steps, unit):
     start = np.array([0.0, 3.0 / unit, 0.0, 0.0])
     runge_kutta(dynamics, numbers, start, Mesh(np.linspace(0.0, 10.0 * unit, 5)), 1.0)
     assert [parts for _, parts in steps] == [1]
+
+
+def test_a_law_without_a_derivative_at_the_start_is_no_reason_to_give_up(steps):
+    """The root of a speed, from rest, with a constant torque: the speed approaches (2 / 0.5)^2."""
+    dynamics = Dynamics(
+        Model.of(["external.constant"]) + effect("casing: -k*sqrt(abs(omega_c))*sign(omega_c)")
+    )
+    law = next(p for p in dynamics.parameters if p.startswith("casing:"))
+    numbers = {"external.constant.k": 2.0, law: 0.5, INERTIA_ROTOR: 1.0, INERTIA_CASING: 1.0}
+    found = runge_kutta(dynamics, numbers, np.zeros(2), Mesh(np.linspace(0.0, 100.0, 30)), 1.0)
+    assert [parts for _, parts in steps] == [1]
+    assert found.edges[-1, 1] == pytest.approx(16.0, rel=0.05)
 
 
 def test_a_decay_that_no_step_follows_is_unbounded(steps):
