@@ -57,7 +57,7 @@ def test_the_number_of_steps_does_not_depend_on_the_unit_of_time(steps, unit):
     assert [parts for _, parts in steps] == [1]
 
 
-def test_a_law_without_a_derivative_at_the_start_is_no_reason_to_give_up(steps):
+def test_a_law_may_have_an_infinite_derivative_at_the_start(steps):
     """The root of a speed, from rest, with a constant torque: the speed approaches (2 / 0.5)^2."""
     dynamics = Dynamics(
         Model.of(["external.constant"]) + effect("casing: -k*sqrt(abs(omega_c))*sign(omega_c)")
