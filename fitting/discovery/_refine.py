@@ -152,10 +152,10 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 
 
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
-    """Return whether scores about a fit may have the wrong sign: the model has a drive, and fails.
+    """Return whether scores about a fit mislead: the model has a drive, and fails.
 
     Drive and drag are strongly correlated. Without the missing drag both are so wrong (measured: the drag by 40 %) that
-    the linear score asks for a negative strength. A body that oscillates is excepted.
+    the linear score of the drag is small, or asks for a negative strength. A body that oscillates is excepted.
     """
     return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
@@ -172,8 +172,6 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
         # the parameters of a model without the drive of a body describe the drive
-        return fit_from_scratch(base, score.effect)
-    if score.score <= 0 and scores_mislead(base, criteria):
         return fit_from_scratch(base, score.effect)
 
     def falls_short(refitted: Fit) -> bool:

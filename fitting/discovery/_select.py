@@ -159,8 +159,13 @@ def rank(
         found.append(Candidate(s.effect, s.score, np.nan, p, np.nan, (), {}, p < criteria.significance, s))
     found.sort(key=lambda c: -c.score)
     chosen = [True] * len(found) if driving else _to_refit(found, criteria)
+    afresh = [False] * len(found)
     if scores_mislead(base, criteria):
-        chosen = [w or (c.score <= 0 and not c.screened.absorbed) for w, c in zip(chosen, found, strict=True)]
+        afresh = [
+            not (w or c.screened.absorbed or c.effect.depends_on_angle) and c.effect.mechanical
+            for w, c in zip(chosen, found, strict=True)
+        ]
+        chosen = [w or a for w, a in zip(chosen, afresh, strict=True)]
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
@@ -185,8 +190,10 @@ def rank(
     if refitting:
         best_score = max((c.score for c, w in zip(found, chosen, strict=True) if w), default=0.0)
         promising = [
-            _Promising(c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score)
-            for c, w in zip(found, chosen, strict=True)
+            _Promising(
+                c, nulls[c.effect.name], family, criteria, c.score > criteria.rival_share * best_score, a
+            )
+            for c, w, a in zip(found, chosen, afresh, strict=True)
             if w
         ]
         refits = iter(recorded_map(workers or WorkerPool(0), _refit_candidate, base, promising, shared_data))
@@ -325,13 +332,18 @@ class _Promising(NamedTuple):
     family: FamilywiseNull
     criteria: Criteria
     thorough: bool
+    afresh: bool = False  # fitted from scratch: the scores about the base mislead
 
 
 def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
     """Refit base and effect together from the base's optimum."""
-    candidate, null, family, criteria, thorough = promising
+    candidate, null, family, criteria, thorough, afresh = promising
     screened = candidate.screened
-    found = refit(base, screened, criteria, thorough=thorough)
+    found = (
+        fit_from_scratch(base, candidate.effect)
+        if afresh
+        else refit(base, screened, criteria, thorough=thorough)
+    )
     if found is None:
         return candidate
     if screened.own_phase:

@@ -466,12 +466,17 @@ class FitRequest:
         from fitting.inference._fit import robust_fit
 
         try:
-            return robust_fit(wanted, data, self.loss, start=start, **options)
+            found = robust_fit(wanted, data, self.loss, start=start, **options)
         except FittingError:
             # the values of the previous fit can be poor initial values of the new model: use the defaults
             if start is None:
                 raise
             return robust_fit(wanted, data, self.loss, **options)
+        if start is None or not any(e.inputs for e in wanted.effects) or not found.fails():
+            return found
+        # without the right drag, the parameters of a driven body describe the drive: a search from there may fail
+        other = robust_fit(wanted, data, self.loss, **options)
+        return other if other.deviance < found.deviance else found
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the shared and the per-case parameters: those of the modified fit, unless requested otherwise."""

@@ -64,7 +64,7 @@ def score(effect=DRAG, value=50.0, gamma=(3.0,), shape=({},), *, own_phase=False
 
 
 class TestScoresOfDrivenBodies:
-    """About a driven body whose model fails, a law with a score of zero is fitted from scratch."""
+    """About a driven body whose model fails, laws with small scores are fitted from scratch."""
 
     @pytest.mark.parametrize(
         ("inputs", "fails", "restoring", "mislead"),
@@ -80,17 +80,6 @@ class TestScoresOfDrivenBodies:
         model = SimpleNamespace(effects=effects, restoring=restoring)
         base = SimpleNamespace(model=model, fails=lambda criteria: fails)
         assert module.scores_mislead(base, DEFAULT) is mislead
-
-    @pytest.mark.parametrize(
-        ("value", "mislead", "expected"),
-        [(0.0, True, "scratch"), (0.1, True, "together"), (0.0, False, "together")],
-    )
-    def test_a_score_of_zero_is_refitted_from_scratch(self, monkeypatch, value, mislead, expected):
-        monkeypatch.setattr(module, "scores_mislead", lambda base, criteria: mislead)
-        monkeypatch.setattr(module, "fit_from_scratch", lambda base, effect: "scratch")
-        monkeypatch.setattr(module, "fit_together", lambda base, score: "together")
-        base = Found(model=SimpleNamespace(restoring=False, effects=()))
-        assert refit(base, score(value=value), DEFAULT, thorough=False) == expected
 
 
 class TestNoise:

@@ -202,7 +202,9 @@ class TestRank:
     """The ranking of three candidates with given scores; p is 10 / score."""
 
     def ranked(self, monkeypatch, base, scores, **options):
-        refits = {}
+        refits, self.afresh = {}, {}
+        if "mislead" in options:
+            monkeypatch.setattr(module, "scores_mislead", lambda base, criteria: options["mislead"])
 
         class Null:
             weights = np.ones(1)
@@ -215,6 +217,7 @@ class TestRank:
 
         def refit(base, promising):
             refits[promising.candidate.effect.name] = promising.thorough
+            self.afresh[promising.candidate.effect.name] = promising.afresh
             return promising.candidate
 
         monkeypatch.setattr(module, "applicable_effects", lambda *_: list(scores))
@@ -247,6 +250,23 @@ class TestRank:
         ]
         assert [c.p_value for c in found] == pytest.approx([0.01, 10 / (half + 1), 10 / (half - 1)])
         assert all(c.significant for c in found)
+
+    @pytest.mark.parametrize("mislead", [True, False])
+    def test_laws_with_small_scores_are_fitted_from_scratch_if_scores_mislead(self, monkeypatch, mislead):
+        """One law leads, five are refitted in any case; the others have small scores."""
+        names = [n for n, e in LIBRARY.items() if e.mechanical and not e.depends_on_angle and not e.inputs][
+            :9
+        ]
+        scores = {LIBRARY[n]: 1e6 if i == 0 else 1.0 / (1 + i) for i, n in enumerate(names)}
+        scores |= {LIBRARY["casing.unbalance"]: 0.01, LIBRARY["camera.clock"]: 0.01}
+        _, refits = self.ranked(monkeypatch, Found(), scores, mislead=mislead)
+        small = [n for n in names if n not in {k for k, v in self.afresh.items() if not v}]
+        assert small == names[DEFAULT.refit_least :]
+        assert {k for k, v in self.afresh.items() if v} == (set(small) if mislead else set())
+        assert ("casing.unbalance" in refits) is False
+        assert {k for k, v in self.afresh.items() if not v} == set(names[: DEFAULT.refit_least]) | (
+            {"camera.clock"} & set(refits)
+        )
 
     @pytest.mark.parametrize(("value", "significant"), [(334.0, True), (333.0, False)])
     def test_a_probability_of_three_percent_is_significant(self, monkeypatch, value, significant):
