@@ -78,6 +78,14 @@ def test_a_constant_drive_that_begins_within_the_record(quantity):
     assert turns[1] < 0.2
 
 
+def test_the_ends_of_a_driven_motion_have_the_uncertainty_of_their_mean():
+    """Of angles: the difference of two, each with 1 mrad, over the time of a turn."""
+    made = series(TIME, 60 * (1 - np.exp(-TIME / 0.8)), 0.1)
+    found = drive_of(made, "angle", [])
+    turn = 2 * np.pi / found.omega["last"]
+    assert found.omega_u["last"] == pytest.approx(np.sqrt(2) * 1e-3 / turn, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("size", "noise", "begin"),
     [(1.0, 1e-3, 1199), (1.0, 0.2, 0), (0.021, 1e-3, 399), (0.019, 1e-3, 1199)],

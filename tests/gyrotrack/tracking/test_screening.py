@@ -137,6 +137,20 @@ def test_all_pairs_are_compared_only_if_the_first_ones_have_a_common_hub(monkeyp
     assert (unexplained < _hub_search._NO_COMMON_HUB) == every_pair
 
 
+def test_all_pairs_are_compared_if_the_first_ones_are_too_few_for_a_hub(monkeypatch):
+    """Features are matched in every tenth pair only: 3 of the first 24, 12 of all 120."""
+    known, compared = iter(_turning(200, 0.1)), []
+
+    def similarity(*_):
+        compared.append(next(known) if len(compared) % 10 == 9 else None)
+        return compared[-1]
+
+    monkeypatch.setattr(_hub_search, "similarity", similarity)
+    near, _ = similarity_hubs([np.zeros((80, 120), np.uint8)] * 100, _still(80, 120, 4000))
+    assert len(compared) == 120
+    assert near == pytest.approx((50.0, 40.0), abs=4.0)
+
+
 def test_fewer_than_four_pairs_have_no_hub():
     assert _CommonHub.of(_turning(3, 0.1)) is None
     assert _CommonHub.of([*_turning(4, 0.1), None]).hub == pytest.approx(50.0 + 40.0j, abs=4.0)
