@@ -336,7 +336,7 @@ class _Promising(NamedTuple):
 
 
 def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
-    """Refit base and effect together from the base's optimum."""
+    """Fit base and effect together, from the base's optimum or from scratch."""
     candidate, null, family, criteria, thorough, afresh = promising
     screened = candidate.screened
     found = (

@@ -479,7 +479,7 @@ def coarsened(path: Path) -> Path:
     return replace(coarse, kinks=path.kinks)
 
 
-# numbers of Runge-Kutta steps between two nodes of the mesh; a law that needs more is not searched for
+# numbers of Runge-Kutta steps between two nodes of the mesh; a motion that needs more is given up
 _PARTS_OF_STEPS = (1, 4, 16, 64)
 # largest step over the time of decay: a step is stable up to 2.8
 _STABLE = 2.5

@@ -202,7 +202,7 @@ _MAX_BAND = 2.0
 # 16-bit integers: the resolution of 1/65000 of the range is less than 0.1 pixel on a screen
 _STEPS = 32767
 _REGULAR = 1e-6
-_MOST_MARKED = 300  # points of a curve up to which each has a marker
+_MOST_MARKED = 300  # points of a curve up to which each has a marker, as in charts.js
 # characters that could end a script element are written as JSON escapes
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
