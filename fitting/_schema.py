@@ -305,6 +305,7 @@ class FitDocument(Document):
     names: dict[str, NameDocument] = {}
     parameters: dict[str, EstimateDocument]
     cases: list[CaseDocument] = []
+    misfit: Number = math.nan
     n_eff: Number = math.nan
     bic: Number = math.nan
     verdict: str = ""

@@ -535,9 +535,9 @@ class History(list[Step]):
 
     def __repr__(self) -> str:
         width = max((len(s.change) for s in self), default=0) + 2
-        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'chi2/n':>11}{'prediction':>11}  verdict"]
+        lines = [f"{'change':<{width}}{'rms [rad/s]':>12}{'misfit':>11}{'prediction':>11}  verdict"]
         for s in self:
-            numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.reduced_chi2:>11.4g}{s.fit.held_out:>10.4g}"
+            numbers = f"{s.fit.rmse_casing:>12.4g}{s.fit.misfit:>11.4g}{s.fit.held_out:>10.4g}"
             lines.append(f"{s.change or 'base':<{width}}{numbers}  {s.fit.verdict}")
         return "\n".join(lines)
 
@@ -564,13 +564,13 @@ class History(list[Step]):
             found = step.fit
             width = max(1, round(100 * found.rmse_casing / largest))
             gain = found.bic - self[i - 1].fit.bic if i else 0.0
-            numbers = [short(v) for v in (found.rmse_casing, found.reduced_chi2, found.held_out, gain)]
+            numbers = [short(v) for v in (found.rmse_casing, found.misfit, found.held_out, gain)]
             bar = f'<div style="background:{BLUE};height:.6em;width:{width}px"></div>'
             rows.append([escape(step.words), *numbers, short(found.torque_noise, 2), bar])
         columns = (
             "change",
             "rms [rad/s]",
-            "χ²/n",
+            "misfit [noise]",
             "cross-validation error [noise]",
             "ΔBIC",
             f"remaining torque [{unit_text(self[0].fit.torque_unit)}]",

@@ -106,6 +106,15 @@ class FitSummary:
         """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
         return TORQUE if any(e.unit.startswith(TORQUE) for e in self.estimates.values()) else PER_INERTIA
 
+    @property
+    def misfit(self) -> float:
+        """Rms residual over that of the noise, of all rows that a model can describe; 1 is the noise limit.
+
+        Unlike the reduced chi-square of the samples, it does not depend on the sampling rate: further samples add
+        noise, but no row.
+        """
+        return math.sqrt(sum(c.rows * c.chi2_per_row for c in self.cases) / sum(c.rows for c in self.cases))
+
     def _origin(self) -> Origin:
         """Return the names of the variables, their covariance, and sources and digests of the data."""
         raise NotImplementedError
@@ -242,16 +251,15 @@ def estimate_text(fit: FitSummary, name: str) -> str:
 
 def merit_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the noise of a fit as lines of at most 80 columns."""
-    lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'chi2/n':>12}{'prediction':>11}"]
+    lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'prediction':>11}"]
     for case in fit.cases:
         single = math.isnan(case.rotor.rmse)
         for name, body in ((_body_of(fit) if single else "casing", case.casing), ("rotor", case.rotor)):
             if math.isnan(body.rmse):
                 continue
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
-            lines.append(
-                f"{title:<12}{body.r2:>10.6f}{speed(body.rmse):>14.4g}{body.reduced_chi2:>12.4g}{body.held_out:>11.4g}"
-            )
+            lines.append(f"{title:<12}{body.r2:>10.6f}{speed(body.rmse):>14.4g}{body.held_out:>11.4g}")
+    lines.append(f"misfit {fit.misfit:.3g} times the noise (1: the residuals are noise)")
     lines.append(
         f"energy balance error {max(c.energy_drift for c in fit.cases):.2g}, "
         f"effective samples {fit.n_eff:.0f}, BIC {fit.bic:.1f}"
@@ -584,14 +592,6 @@ class Fit(FitSummary):
         ) / sum(d.casing.n_effective for d in self.problem.data)
 
     @property
-    def misfit(self) -> float:
-        """Rms residual over that of the noise, of all rows that a model can describe; 1 is the noise limit.
-
-        Unlike `reduced_chi2`, it does not depend on the sampling rate: further samples add noise, but no row.
-        """
-        return math.sqrt(sum(c.rows * c.chi2_per_row for c in self.cases) / sum(c.rows for c in self.cases))
-
-    @property
     def rmse_casing(self) -> float:
         """Rms residual speed of the casings [rad/s]."""
         return math.sqrt(sum(c.casing.rmse**2 for c in self.cases) / len(self.cases))
@@ -793,7 +793,7 @@ class Fit(FitSummary):
                 c.label,
                 name,
                 f"{body.r2:.6f}",
-                *(short(v) for v in (body.rmse, body.reduced_chi2, body.held_out)),
+                *(short(v) for v in (body.rmse, body.held_out)),
             )
             for c in self.cases
             for name, body in (
@@ -806,8 +806,9 @@ class Fit(FitSummary):
             (name, with_uncertainty(e.value, e.stderr, e.unit), "active bound" if e.at_bound else "")
             for name, e in self.estimates.items()
         ]
-        head = f"{', '.join(self.labels)}; BIC {self.bic:.1f}, effective samples {self.n_eff:.0f}"
-        columns = ("case", "body", "R²", "rms [rad/s]", "χ²/n", "cross-validation error [noise]")
+        misfit = f"misfit {short(self.misfit)} times the noise"
+        head = f"{', '.join(self.labels)}; {misfit}, BIC {self.bic:.1f}, effective samples {self.n_eff:.0f}"
+        columns = ("case", "body", "R²", "rms [rad/s]", "cross-validation error [noise]")
         return block(
             headline(self.verdict, head),
             table("figures of merit", columns, merits),

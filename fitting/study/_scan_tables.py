@@ -156,7 +156,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _metrics_head() -> str:
-    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'chi2/n':>10}{'predict.':>10}{'predicted':>11}{'energy':>10}"
+    return f"{'R2 rotor':>10}{'R2 casing':>11}{'rmse':>9}{'misfit':>10}{'predict.':>10}{'predicted':>11}{'energy':>10}"
 
 
 def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
@@ -164,7 +164,7 @@ def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
     ahead = f"{predicted:.4g}" if joint and not math.isnan(predicted) else ""
     return (
         f"{case.rotor.r2:>10.6f}{case.casing.r2:>11.6f}{case.casing.rmse:>9.3g}"
-        f"{case.casing.reduced_chi2:>10.4g}{case.casing.held_out:>10.4g}{ahead:>11}{case.energy_drift:>10.1e}"
+        f"{math.sqrt(case.chi2_per_row):>10.4g}{case.casing.held_out:>10.4g}{ahead:>11}{case.energy_drift:>10.1e}"
     )
 
 

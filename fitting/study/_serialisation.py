@@ -136,6 +136,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
             for k, e in fit.estimates.items()
         },
         cases=cases,
+        misfit=fit.misfit,
         n_eff=fit.n_eff,
         bic=fit.bic,
         verdict=fit.verdict,

@@ -26,13 +26,14 @@ from gyrotrack.apps._motion import (
     start_of_motion,
 )
 from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
-from gyrotrack.apps._study import Recorder, open_study
+from gyrotrack.apps._study import Recorder, changed, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
 from gyrotrack.io.readers._import_case import case_of_body, no_series
+from gyrotrack.io.readers._inputs import read_input_options
 from gyrotrack.io.readers._motion_table import Driver, MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_numbers, usable_numbers
 from gyrotrack.io.readers._registry import read_motion, read_passages
@@ -61,6 +62,7 @@ from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 if TYPE_CHECKING:
     from fitting.discovery._oscillator import OscillatorLaws
     from fitting.discovery._select import Step
+    from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
 
 Floats = npt.NDArray[np.float64]
@@ -98,6 +100,7 @@ class SpindownOptions:
     marker: str | None = None
     centre: str | None = None
     likelihood: float = 0.6  # minimum likelihood of the points that are used
+    inputs: tuple[str, ...] = ()  # recorded inputs of a table, for example "current=3 [A]"
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,10 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if filmed and (options.columns or options.marker or options.centre):
         what = "--column, --marker and --centre apply to tables and tracked points, not to a film."
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
+    tabulated = not filmed and source.suffix.lower() not in (".h5", ".hdf5")
+    if options.inputs and not tabulated:
+        what = "--input applies to a table, whose clock is that of the input."
+        raise UsageError(what, "Write the angles with `gyrotrack export`, and the input beside them.")
     if not filmed and (options.point or options.colour or options.scale or options.tilt):
         what = "--point, --colour, --scale and --tilt apply to films."
         raise UsageError(what, "Select a column or a tracked point of a table by --column or --marker.")
@@ -171,6 +178,7 @@ def _reading(options: SpindownOptions) -> ReadOptions:
         options.capture_fps,
         likelihood=options.likelihood,
         pulses_per_turn=options.pulses_per_turn,
+        inputs=read_input_options(options.inputs),
     )
 
 
@@ -194,6 +202,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     return {
         **parts,
         "motion": motion,
+        "first_order": [],
         "laws": [],
         "ladder": [],
         "warnings": [*found.notes, note],
@@ -621,6 +630,7 @@ def _analysed(
     from fitting.discovery._select import improve, rank
     from fitting.discovery._verdict import diagnose
     from fitting.effects._library import REDUCED
+    from fitting.inference._first_order import first_order
     from fitting.inference._fit import fit
     from fitting.study._serialisation import diagnosis_document
 
@@ -632,8 +642,8 @@ def _analysed(
         motion = motion_of_speeds(series.time, series.omega, series.omega_sigma, series.angle)
     else:
         motion = motion_of(series.time, series.angle, series.sigma)
-    drive = None if motion.kind == "oscillation" else _drive(read)
-    if drive is not None and motion.kind == "fluctuating":
+    drive = None if motion.kind == "oscillation" and not case.inputs else _drive(read)
+    if drive is not None and motion.kind == "fluctuating" and not case.inputs:
         drive = replace(drive, response=None)
     elif drive is not None:
         motion = replace(
@@ -642,6 +652,8 @@ def _analysed(
             omega=drive.omega or motion.omega,
             omega_u=drive.omega_u or motion.omega_u,
         )
+    elif case.inputs:
+        motion = replace(motion, kind="driven", period=None)
     if body is not None:
         recording = case.recordings["casing"]
         motion = (
@@ -668,6 +680,7 @@ def _analysed(
         "tilt": None if options.tilt is None else vars(options.tilt),
         "capture_fps": options.capture_fps,
         "inertia": options.inertia,
+        "inputs": list(options.inputs),
     }
     write_case(target, case, command=command, settings=settings, force=force)
     ambiguous = any(doubts_of(recording) for recording in case.recordings.values())
@@ -684,6 +697,7 @@ def _analysed(
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
     strengths: tuple[LawOfBody, ...] = ()
+    responses: list[dict[str, Any]] = []
     diagnosis: dict[str, Any] | None = None
     warnings = list(case.warnings)
     written = None
@@ -691,30 +705,29 @@ def _analysed(
         "case": target,
         "picture": picture,
         "motion": motion,
-        "response": None if drive is None else drive.response,
+        "response": None if drive is None or case.inputs else drive.response,
         "reading": case.extra.get("reading", []),
         "ambiguous": ambiguous,
     }
-    if drive is not None or motion.kind == "fluctuating":
+    if not case.inputs and (drive is not None or motion.kind == "fluctuating"):
         reason = "its speed rises and falls repeatedly"
         if drive is not None and motion.kind == "driven":
             reason = drive.reason
         text = f"No torque law: the body is driven ({reason}), so its friction is not determined."
         if body is None:
-            text += (
-                " If a column is the drive: gyrotrack import --body FILE --input NAME=COLUMN, "
-                "then gyrotrack fit --add casing.input.NAME."
-            )
+            text += " If a column is the drive, repeat with --input NAME=COLUMN."
         warnings.append(text)
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
-        return {**document, **nothing, "laws": [], "ladder": [], "warnings": warnings}
+        return {**document, **nothing, "first_order": [], "laws": [], "ladder": [], "warnings": warnings}
     try:
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case; an oscillation has no solution without a
             # restoring torque, and while one law is missing the next one imitates it
-            if laws is None:
+            if case.inputs:
+                base = _first_order_fit(study.data)
+            elif laws is None:
                 base = fit(study.model(REDUCED), study.data)
             else:
                 laws, base = fit_oscillator(laws, study.model, study.data[0])
@@ -747,6 +760,7 @@ def _analysed(
                 warnings += [disagreement] if disagreement else []
             found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
             strengths = laws_of_body(_supported(base, history, found.verdict))
+            responses = [] if base.verdict == "not_converged" else [vars(r) for r in first_order(base)]
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)
             if report is not None:
@@ -770,11 +784,34 @@ def _analysed(
         **document,
         "report": written,
         "oscillator": laws,
+        "first_order": responses,
         "laws": strengths,
         "ladder": [] if recorder is None else [entry.document["rung"] for entry in recorder.entries],
         "diagnosis": diagnosis,
         "warnings": warnings,
     }
+
+
+def _first_order_fit(data: Sequence[CaseData]) -> Fit:
+    """Return the fit of a driven body of the first order: viscous friction, and a torque in proportion to each input.
+
+    Dead times of the inputs are part of it if they lower BIC: without them, laws of friction would imitate them. A
+    recorded temperature drives nothing; laws may depend on it.
+    """
+    from fitting._errors import FittingError
+    from fitting.dynamics._model import Model
+    from fitting.inference._fit import fit
+
+    inputs = data[0].record.inputs
+    drives = [i.name for i in inputs if i.unit != "K"]
+    model = changed(
+        Model.of(["casing.air.linear"]), [f"casing.input.{name}" for name in drives], (), (), inputs
+    )
+    found = fit(model, data)
+    with suppress(FittingError):
+        late = fit(changed(model, [f"input.{name}.delay" for name in drives], (), (), inputs), data)
+        found = min(found, late, key=lambda f: f.bic)
+    return found
 
 
 def _supported(base: Fit, history: Sequence[Step], verdict: str) -> Fit:

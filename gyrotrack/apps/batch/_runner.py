@@ -222,6 +222,7 @@ class Row:
     # figures of merit of the fit [rad/s, 1]
     rmse_casing: float | None
     reduced_chi2: float | None
+    misfit: float | None
     diagnosis: str
     missing: str
     trusted: bool  # whether every step returned a trusted result (exit code 0)
@@ -260,6 +261,7 @@ def _row(e: Experiment, outcomes: dict[str, Outcome]) -> Row:
         fit=str(fit.get("verdict", "")),
         rmse_casing=casing.get("rmse"),
         reduced_chi2=casing.get("reduced_chi2"),
+        misfit=fit.get("misfit"),
         diagnosis=str(diagnosis.get("verdict", "")),
         missing=_missing(diagnosis, outcomes.get("improve")),
         trusted=all(o.trusted for o in outcomes.values()),
@@ -300,12 +302,12 @@ def write_summary(folder: Path, rows: Sequence[Row], facts: Mapping[str, Any]) -
 
 def lines(rows: Sequence[Row]) -> list[str]:
     """Return the table for a terminal of 80 columns, followed by the failures."""
-    out = [f"{'case':<20}{'films':>7}{'frames':>8}  {'fit':<14}{'rmse':>9}{'chi2/n':>9}  missing"]
+    out = [f"{'case':<20}{'films':>7}{'frames':>8}  {'fit':<14}{'rmse':>9}{'misfit':>9}  missing"]
     for r in rows:
         name = r.label if len(r.label) < 20 else "..." + r.label[-16:]
-        rmse, chi2 = ("-" if v is None else f"{v:.3g}" for v in (r.rmse_casing, r.reduced_chi2))
+        rmse, misfit = ("-" if v is None else f"{v:.3g}" for v in (r.rmse_casing, r.misfit))
         films, verdict = f"{r.tracked}/{r.films}", r.fit or ("-" if r.state == "done" else r.state)
-        line = f"{name:<20}{films:>7}{r.frames:>8}  {verdict:<14}{rmse:>9}{chi2:>9}  {r.missing}"
+        line = f"{name:<20}{films:>7}{r.frames:>8}  {verdict:<14}{rmse:>9}{misfit:>9}  {r.missing}"
         out.append(line.rstrip())
     failures = [f"  {r.label}: {r.problem}" for r in rows if r.problem]
     return [*out, *(["", "failures:", *failures] if failures else [])]

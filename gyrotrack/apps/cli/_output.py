@@ -425,7 +425,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     from fitting.effects._words import change_name
 
     lines = [
-        f"{'fit':<6}{'rmse':>9} {'chi2/n':>9} {'predict.':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
+        f"{'fit':<6}{'rmse':>9} {'misfit':>9} {'predict.':>9} {'BIC':>10} {'dBIC':>9}  {'':<{_BAR}}".rstrip(),
         "",
     ]
     sizes = [max(r["rmse_casing"], 1e-300) for r in steps]
@@ -438,7 +438,8 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
             added += f"  (from {r['parent']})"
         previous = r["fit_id"]
         lines.append(
-            f"{r['fit_id']:<6}{speed(r['rmse_casing']):>9.4g} {r['reduced_chi2']:>9.3g} {r['held_out']:>9.3g} "
+            f"{r['fit_id']:<6}{speed(r['rmse_casing']):>9.4g} "
+            f"{_formatted(r['misfit'], '.3g'):>9} {r['held_out']:>9.3g} "
             f"{_formatted(r.get('bic'), '.1f'):>10} {r['delta_bic']:>9.1f}  {bar}"
         )
         if left := r.get("torque_left_Nm"):
@@ -447,20 +448,21 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         lines += [f"        {r['added']}"] if words != r["added"] else []
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"      {line}" for line in _wrapped(comment)]
-    last = steps[-1]
-    counted = bool(last.get("samples"))
-    noise = last.get("rmse_noise")
+    # the last fit that a command happens to show may have parameters that nothing justifies
+    best = min(steps, key=lambda r: r["bic"] if math.isfinite(r.get("bic") or math.nan) else math.inf)
+    counted = bool(best.get("samples"))
+    noise = best.get("rmse_noise")
     rmse, bic = (
         _formatted(noise if noise is None else speed(noise), ".4g"),
-        _formatted(last.get("bic_noise"), ".1f"),
+        _formatted(best.get("bic_noise"), ".1f"),
     )
     lines += [
         f"{'noise':<6}{rmse:>9} {1:>9} {1:>9} {bic:>10}  expected for noise alone",
         "",
-        f"rmse of the angular rate of the {record.body} [{speed_unit()}]; prediction: cross-validation",
-        "error / noise"
+        f"rmse of the angular rate of the {record.body} [{speed_unit()}]; misfit and prediction",
+        "(cross-validation) error in units of the noise"
         + (
-            f"; {last['samples']} samples, {last['n_eff']:.0f} equivalent independent ones" if counted else ""
+            f"; {best['samples']} samples, {best['n_eff']:.0f} equivalent independent ones" if counted else ""
         ),
     ]
     return ["\n".join(lines)]

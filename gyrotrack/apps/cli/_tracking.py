@@ -550,6 +550,7 @@ def spindown_command(
     inertia: shared.BodyInertia = None,
     pulses_per_turn: shared.PulsesPerTurn = None,
     columns: shared.Columns = None,
+    inputs: shared.Inputs = None,
     marker: shared.Marker = None,
     centre: shared.Centre = None,
     likelihood: shared.Likelihood = 0.6,
@@ -606,6 +607,7 @@ def spindown_command(
         marker=marker,
         centre=centre,
         likelihood=likelihood,
+        inputs=tuple(inputs or ()),
         point=None if point is None else read_point(point),
         colour=None if colour is None else colour.value,
         scale=shared.checked_scale(scale),
@@ -690,6 +692,30 @@ def _response_lines(response: Response | None) -> list[str]:
     ]
 
 
+def _first_order_lines(document: dict[str, Any]) -> list[str]:
+    """Return the constants of the first-order fit of a body that recorded inputs drive."""
+    from fitting._numbers import rounded
+
+    found = document["first_order"]
+    values = [
+        (name, e)
+        for f in found
+        for name, e in (
+            ("tau", f["time_constant"]),
+            *((f"gain of {n}", e) for n, e in f["gains"].items()),
+            *((f"dead time of {n}", e) for n, e in f["delays"].items()),
+        )
+    ]
+    if not values:
+        return []
+    complete = (document["diagnosis"] or {}).get("verdict") == "adequate"
+    return [
+        "response   of the first-order fit to the recorded input"
+        + ("" if complete else ", which is not complete"),
+        *(f"{name:<9}  {rounded(e.value, e.stderr, e.unit)}" for name, e in values),
+    ]
+
+
 def _law_lines(document: dict[str, Any]) -> list[str]:
     """Return the strengths of the fitted laws, and what they do to the motion; of an oscillator the latter alone."""
     from fitting._numbers import rounded
@@ -742,8 +768,9 @@ def _lines(document: dict[str, Any]) -> list[str]:
             if kind in own:
                 unit, scale = own[kind]
                 lines[-1] += f" ({rounded(q.value / scale, q.stderr / scale, unit)})"
-    if motion.kind == "driven":
+    if motion.kind == "driven" and document["diagnosis"] is None:
         lines += _response_lines(document["response"])
+    lines += _first_order_lines(document)
     if document["oscillator"] is not None:
         lines += _oscillator_lines(document["oscillator"])
     lines += _law_lines(document)

@@ -242,3 +242,63 @@ def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, nam
     pairs = [(found["time_constant"], 0), (found["gains"]["u"], 1)]
     for one, place in pairs:
         assert abs(one["value"] - x[place]) < 2 * np.hypot(one["stderr"], u[place])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0, 12])
+def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late):
+    a, path = np.exp(-0.01 / TAU), tmp_path / "motor.csv"
+    acting = np.concatenate([np.full(late, VOLTAGE[0]), VOLTAGE[: len(VOLTAGE) - late]])
+    speed = np.asarray(lfilter([0.0, 1 - a], [1.0, -a], GAIN * acting))
+    speed = speed + NOISE * np.random.default_rng(4).standard_normal(len(TIME))
+    rows = np.stack([TIME, speed, VOLTAGE], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="t [s],omega [rad/s],voltage [V]", comments="", fmt="%.9g")
+    words = ["spindown", path, "--input", "voltage=3", "-o", tmp_path / "motor.h5"]
+    code, out, err = run(capsys, *words, "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["motion"]["kind"] == "driven"
+    assert found["diagnosis"]["verdict"] == "adequate"
+    (response,) = found["first_order"]
+    tau, gain = response["time_constant"], response["gains"]["voltage"]
+    assert tau["value"] == pytest.approx(TAU, abs=4 * tau["stderr"])
+    assert tau["stderr"] < 0.01 * TAU
+    assert gain["value"] == pytest.approx(GAIN, abs=4 * gain["stderr"])
+    # a dead time is part of the model only where the record shows one
+    assert set(response["delays"]) == ({"voltage"} if late else set())
+    if late:
+        delay = response["delays"]["voltage"]
+        assert delay["value"] == pytest.approx(0.01 * late, abs=4 * delay["stderr"])
+    assert (tmp_path / "motor.h5").exists()
+    assert (tmp_path / "motor.html").exists()
+
+
+def test_spindown_prints_the_constants_of_the_first_order(capsys, motor, tmp_path):
+    words = ["spindown", motor, "--input", "voltage=3", "-o", tmp_path / "motor.h5"]
+    _, out, _ = run(capsys, *words)
+    lines = out.splitlines()
+    at = lines.index("response   of the first-order fit to the recorded input")
+    assert lines[at + 1].startswith("tau        0.2")
+    assert lines[at + 2].startswith("gain of voltage")
+
+
+def test_an_input_of_spindown_needs_a_table(capsys, motor, tmp_path):
+    case, _ = imported(capsys, motor)
+    code, _, err = run(capsys, "spindown", case, "--input", "voltage=3", "-o", tmp_path / "b.h5")
+    assert code == 2
+    assert "--input applies to a table" in err
+
+
+def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
+    time = np.arange(0.0, 4.0, 0.1)
+    speed = 20 * np.exp(-time / 2) + 0.01 * np.random.default_rng(2).standard_normal(len(time))
+    path = tmp_path / "coast.csv"
+    np.savetxt(
+        path, np.stack([time, speed, 20 + time], axis=1), delimiter=",", comments="", fmt="%.9g",
+        header="t [s],omega [rad/s],room [degC]",
+    )  # fmt: skip
+    code, out, err = run(capsys, "spindown", path, "--input", "room=3", "-o", tmp_path / "m.h5", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["first_order"] == []
+    assert {law["parameter"].rpartition(".")[0] for law in found["laws"]} == {"casing.air.linear"}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting import Case, fit
-from gyrotrack.apps.cli._output import fit_tables
+from gyrotrack.apps.cli._output import fit_tables, ladder_tables
 from gyrotrack.apps.cli._parameters import key_beneath
 
 
@@ -27,6 +27,42 @@ def test_a_fit_names_effects_in_words_with_symbol_and_key(found):
     assert lines[at + 1].endswith("  air.linear.b2")
     assert all(len(line) < 80 for line in lines)
     assert any(line.startswith("wheel ") for line in lines)  # figures of merit of the body, by its name
+
+
+def test_fit_and_history_show_the_same_misfit(found):
+    (text,) = fit_tables(found, "f1")
+    value = f"{found.misfit:.3g}"
+    rows = sum(c.rows for c in found.cases)
+    chi2 = sum(c.rows * c.chi2_per_row for c in found.cases)
+    assert found.misfit == pytest.approx(math.sqrt(chi2 / rows))
+    assert f"misfit {value} times the noise" in text
+    (table,) = ladder_tables([_step("f1", found.bic, misfit=found.misfit)], found.problem.data[0].record)
+    head, _, first, *_ = table.splitlines()
+    assert first.split()[head.split().index("misfit")] == value
+
+
+def _step(fit_id, bic, *, misfit=1.0, bic_noise=500.0):
+    merits = {"rmse_casing": 0.1, "rmse_noise": 0.1, "held_out": 1.0, "misfit": misfit}
+    return {
+        "fit_id": fit_id, "added": "", "bic": bic, "bic_noise": bic_noise, "delta_bic": 0.0,
+        "samples": 100, "n_eff": 90.0, **merits,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("second", "noise"), [(90.0, "802.0"), (110.0, "801.0"), (math.nan, "801.0"), (None, "801.0")]
+)
+def test_the_noise_of_a_history_is_that_of_the_fit_with_the_lowest_bic(found, second, noise):
+    steps = [_step("f1", 100.0, bic_noise=801.0), _step("f2", second, bic_noise=802.0)]
+    (table,) = ladder_tables(steps, found.problem.data[0].record)
+    (row,) = (line for line in table.splitlines() if line.startswith("noise"))
+    assert row.split()[4] == noise
+
+
+def test_a_history_of_a_fit_that_was_stored_without_a_misfit_shows_a_dash(found):
+    (table,) = ladder_tables([_step("f1", 100.0, misfit=math.nan)], found.problem.data[0].record)
+    head, _, first, *_ = table.splitlines()
+    assert first.split()[head.split().index("misfit")] == "-"
 
 
 def test_speeds_are_printed_in_rpm_and_torques_as_before(found):
