@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, NOISE, Criteria
@@ -106,20 +107,21 @@ class StartTimeNoise:
 
 
 def start_response(window: Compressed, *, angle: bool) -> Array:
-    """Return the rows of a window by an error of its start, per second, apart from its free phase."""
-    t = window.node_times
-    return window.at_nodes(
-        acceleration(window.samples, angle=angle) * (t - t.mean() if angle else np.ones_like(t))
-    )
+    """Return the rows of a window by an error of its start, per second, apart from its free phase.
+
+    An angle changes by the speed, and a speed by the acceleration.
+    """
+    rate = rate_of_change(window.samples, window.node_times, parts=4 if angle else 3)
+    return window.at_nodes(rate - rate.mean() if angle else rate)
 
 
-def acceleration(samples: Samples, *, angle: bool) -> float:
-    """Return the mean acceleration in a window [rad/s2]: of a parabola through angles, a line through speeds."""
-    degree = 2 if angle else 1
-    if len(samples) <= degree:
-        return 0.0
-    t = samples.time - samples.time.mean()
-    return float(np.polyfit(t, samples.value, degree)[0] * degree)
+def rate_of_change(samples: Samples, times: Array, *, parts: int) -> Array:
+    """Return the derivative at times of a polynomial of degree `parts` through samples, or of as many as they allow."""
+    degree = min(parts, len(samples) - 1)
+    if degree < 1:
+        return np.zeros(len(times))
+    curve = Polynomial.fit(samples.time, samples.value, degree)
+    return np.asarray(curve.deriv()(times))
 
 
 Array = NDArray[np.float64]

@@ -127,8 +127,8 @@ def _refuse_jumps(table: MotionTable) -> None:
     step = np.abs(step)
     usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
     beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
-    # a step of whole turns is a slip, which the fit finds and corrects
-    turns = (step - beside) / TURN
+    # whole turns more or less than the motion are a slip, which the fit finds and corrects
+    turns = off / TURN
     slipped = (np.rint(turns) > 0) & (turns < _MOST_SLIPPED) & (np.abs(turns - np.rint(turns)) < _SLIP)
     far = step > _JUMP * np.maximum(beside, usual)
     far |= (step > _CLEAR_JUMP * np.maximum(beside, usual)) & (off > _UNSTEADY * noise)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import twobody
+from numpy.polynomial import Polynomial
 
 from fitting import REDUCED, Model, fit, make_record
-from fitting.inference._case_data import CaseData, StartTimeNoise, acceleration
+from fitting.inference._case_data import CaseData, StartTimeNoise, rate_of_change, start_response
 from fitting.inference._record import Samples
 
 LATE = 1e-3
@@ -26,13 +27,38 @@ def filmed(seed, known=False, quantity="angle"):
     return make_record(**film, start_sigma=() if known else [LATE] * len(late))
 
 
-def test_the_acceleration_is_that_of_the_window():
+def test_the_rate_of_change_is_that_of_the_motion():
     t = np.linspace(3.0, 5.0, 400)
-    angle = Samples(t, 7 + 400 * t - 0.5 * 6.5 * t**2, np.full(400, 1e-3))
-    speed = Samples(t, 400 - 6.5 * t, np.full(400, 1e-3))
-    assert acceleration(angle, angle=True) == pytest.approx(-6.5, rel=1e-9)
-    assert acceleration(speed, angle=False) == pytest.approx(-6.5, rel=1e-9)
-    assert acceleration(Samples(t[:1], t[:1], t[:1]), angle=False) == 0.0
+    sigma = np.full(400, 1e-3)
+    angle = 7 + 400 * t - 0.5 * 6.5 * t**2 + 0.3 * t**3 - 0.02 * t**4
+    speed = 400 - 6.5 * t + 0.9 * t**2 - 0.08 * t**3
+    nodes = np.array([3.1, 4.0, 4.7])
+    found = rate_of_change(Samples(t, angle, sigma), nodes, parts=4)
+    np.testing.assert_allclose(found, 400 - 6.5 * nodes + 0.9 * nodes**2 - 0.08 * nodes**3, rtol=1e-7)
+    found = rate_of_change(Samples(t, speed, sigma), nodes, parts=3)
+    np.testing.assert_allclose(found, -6.5 + 1.8 * nodes - 0.24 * nodes**2, rtol=1e-7)
+
+
+def test_few_samples_have_a_rate_of_change_of_a_lower_degree():
+    t = np.array([1.0, 1.5])
+    np.testing.assert_allclose(rate_of_change(Samples(t, 4 * t, t), np.zeros(1), parts=4), 4.0)
+    assert rate_of_change(Samples(t[:1], t[:1], t[:1]), np.zeros(3), parts=4).tolist() == [0.0] * 3
+
+
+@pytest.mark.parametrize("quantity", ["angle", "omega"])
+def test_an_error_of_the_start_changes_rows_by_the_curved_motion(quantity):
+    """A window of a light rotor decelerates by different amounts at its ends; a line in time does not describe it."""
+    data = CaseData.of(filmed(0, known=True, quantity=quantity))
+    window = data.rotor[0]
+    response = start_response(window, angle=quantity == "angle")
+    t, late = window.samples.time, 1e-4
+    curve = Polynomial.fit(t, window.samples.value, 4)
+    change, _ = window.at_samples(((curve(t - late) - curve(t)) / late)[:, None])
+    change = change[:, 0]
+    if quantity == "angle":
+        zero = window.at_nodes(np.ones_like(window.node_times))
+        change, response = (x - zero * (zero @ x) / (zero @ zero) for x in (change, response))
+    assert np.abs(change + response).max() < 0.01 * np.abs(response).max()
 
 
 @pytest.mark.slow
@@ -43,14 +69,7 @@ def test_rows_are_white_with_the_noise_of_the_starts(quantity):
     window, where = data.rotor[0], slice(len(data.casing.z), len(data.casing.z) + len(data.rotor[0].z))
     rng = np.random.default_rng(1)
     shifts = rng.normal(0, LATE, 4000)
-    c = window.at_nodes(
-        acceleration(window.samples, angle=quantity == "angle")
-        * (
-            window.node_times - window.node_times.mean()
-            if quantity == "angle"
-            else np.ones_like(window.node_times)
-        )
-    )
+    c = start_response(window, angle=quantity == "angle")
     rows = np.zeros((len(data.z), 4000))
     rows[where] = rng.standard_normal((len(window.z), 4000)) + np.outer(c, shifts)
     white = data.start_time_noise.whitened(rows)[where]

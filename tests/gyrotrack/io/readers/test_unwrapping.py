@@ -84,3 +84,33 @@ def test_an_angle_that_jumps_is_refused(tmp_path):
     read(pushed)
     with pytest.raises(DatasetError, match=r"line 1202: the angle jumps by 1144.7 rad at 24 s.*1 such jump"):
         read(angle + 2**16 * 2 * np.pi / 360 * (time >= 24))
+
+
+@pytest.mark.parametrize(
+    ("turns", "accepted"),
+    [
+        (1, True),
+        (-1, True),
+        (2, True),
+        (-3, True),
+        (0.93, False),
+        (-0.93, False),
+        (-1.5, False),
+        (4, False),
+        (-4, False),
+    ],
+)
+@pytest.mark.parametrize("speed", [5.0, 40.0])
+def test_a_slip_by_whole_turns_in_either_sense_is_kept_for_the_fit(tmp_path, speed, turns, accepted):
+    time = np.arange(2000) / 50
+    angle = speed * time - speed / 100 * time**2 + np.random.default_rng(0).normal(0, 5e-3, 2000)
+    path = tmp_path / "a.csv"
+    rows = zip(time, angle + turns * TURN * (time >= 24), strict=True)
+    path.write_text("t [s],angle [rad]\n" + "".join(f"{t},{a}\n" for t, a in rows))
+    if accepted:
+        case = import_body(path, 1.0)
+        moved = np.interp([23.9, 24.1], case.casing.time, case.casing.angle)
+        assert np.diff(moved)[0] == pytest.approx(0.2 * 0.52 * speed + turns * TURN, abs=0.5)
+    else:
+        with pytest.raises(DatasetError, match="the angle jumps by"):
+            import_body(path, 1.0)
