@@ -70,6 +70,25 @@ def test_errors_of_starts_are_found_where_nothing_is_stated():
     assert with_start_u(found.fit, 5e-3).verdict == "no_lack_of_fit"
 
 
+@pytest.mark.parametrize("size", [0.3, 0.01])
+def test_the_evidence_for_errors_of_starts_is_that_of_their_refit(size):
+    """A base that large errors have bent has too much noise, and the linear fall about it is too small."""
+    shifts = tuple(size * s for s in SHIFTS)
+    base = fit(fitted().model, [CaseData.of(started_late(data(seed=0).record, shifts))])
+    starts = StartErrors(base, DEFAULT)
+    refitted = starts.refit()
+    # -2 log of the densities of the rows, whose whitening has the determinant 1 / sqrt(1 + s^2 c'c) for each window
+    whitened = [part[2] for part in refitted.problem.data[0].start_time_noise.parts]
+    fall = base.deviance - refitted.deviance - sum(np.log1p(x**2) for x in whitened)
+    occam = starts.evidence - starts.fall
+    assert occam < 0
+    assert starts.evidence_of(refitted) == pytest.approx(max(starts.evidence, fall + occam), rel=1e-9)
+    if size == 0.3:
+        assert starts.evidence_of(refitted) > 1.2 * starts.evidence
+    else:
+        assert starts.evidence_of(refitted) < starts.evidence + 3
+
+
 @pytest.mark.slow
 def test_starts_that_are_right_are_not_candidate_of_weight():
     record = replace(data(seed=0).record, start_sigma=UNKNOWN)
