@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting._numbers import percentage
 from fitting.discovery._residuals import format_torque
-from fitting.discovery._score import RANK, NullDistribution
-from fitting.discovery._select import Candidate
+from fitting.discovery._score import RANK, NullDistribution, Score
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
@@ -195,11 +194,11 @@ def _deviance(fit: Fit, noises: Sequence[Noise], moving: NDArray[np.bool_]) -> f
 
 
 def is_established(
-    without: RandomTorque, chosen: Candidate, named: Fit, tests: int, criteria: Criteria
+    without: RandomTorque, screened: Score, named: Fit, tests: int, criteria: Criteria
 ) -> bool:
     """Return whether a fit with an effect describes the data better than any random torque without it.
 
-    `named` is the fit with the effect `chosen`, `tests` the number of effects that were tried.
+    `named` is the fit with the effect, `screened` its score, `tests` the number of effects that were tried.
     """
     more = len(named.theta) - len(without.fit.theta)
     fall = without.deviance - with_random_torque(named, criteria).deviance
@@ -207,7 +206,7 @@ def is_established(
         return fall > criteria.evidence
 
     def passes(factor: float) -> bool:
-        p_value = min(1.0, tests * NullDistribution(chosen.screened).at_one_level(fall / factor))
+        p_value = min(1.0, tests * NullDistribution(screened).at_one_level(fall / factor))
         enough = more * float(np.log(named.rows)) + criteria.evidence
         return fall / factor > enough and p_value < criteria.significance
 

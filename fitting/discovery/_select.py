@@ -24,6 +24,7 @@ from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
 from fitting.discovery._measurement import StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
+from fitting.discovery._random_torque import describes, is_established, with_random_torque
 from fitting.discovery._refine import (
     fit_from_scratch,
     has_less_process_noise,
@@ -789,6 +790,8 @@ def _steps(
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
+    if _may_be_random(history, chosen, found, criteria):
+        return
     newest = Step(f"+{chosen.effect.name}", found, ())
     last = _backward([*history, newest], criteria)
     try:
@@ -803,6 +806,19 @@ def _steps(
     symbol = general.model.effects[general.model.names.index(chosen.effect.name)].parameters[-1].symbol
     candidates = rank(general, extra, criteria=criteria, workers=workers)
     yield Step(f"+{chosen.effect.name}.{symbol}", general, tuple(candidates))
+
+
+def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, criteria: Criteria) -> bool:
+    """Return whether a random torque explains what a further effect explains, about a fit without a lack of fit.
+
+    The diagnosis tests the first effect; a fit that fails lacks more than a random torque.
+    """
+    before = history[-1].fit
+    if len(history) < 2 or before.fails(criteria):
+        return False
+    random = with_random_torque(before, criteria)
+    tests = len(history[-1].candidates)
+    return describes(random, criteria) and not is_established(random, chosen.screened, found, tests, criteria)
 
 
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:

@@ -480,7 +480,7 @@ def _random_alternative(
     if chosen is None and not random.is_raised:
         return None
     if chosen is not None and is_established(
-        random, chosen, selection.named, len(selection.candidates), criteria
+        random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
     # a deterministic law of a speed leaves a structure that a random torque does not have

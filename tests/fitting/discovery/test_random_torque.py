@@ -44,11 +44,11 @@ def test_a_random_torque_describes_residuals_of_unit_variance(deviance, raised, 
     assert describes(found, DEFAULT) == expected
 
 
-def candidate(columns=1, trials=1):
-    """Return a candidate with `trials` independent choices of its shape."""
+def screened(columns=1, trials=1):
+    """Return a score with `trials` independent choices of its shape."""
     random = np.random.default_rng(0)
     draws = (random.standard_normal((trials, columns, 4000)) ** 2).sum(axis=1).max(axis=0)
-    return SimpleNamespace(screened=SimpleNamespace(columns=columns, null=draws, noise=(), shares=()))
+    return SimpleNamespace(columns=columns, null=draws, noise=(), shares=())
 
 
 def established(monkeypatch, fall, *, more=1, tests=1, factor=1.0, **choices):
@@ -58,7 +58,7 @@ def established(monkeypatch, fall, *, more=1, tests=1, factor=1.0, **choices):
     )
     monkeypatch.setattr(_random_torque, "inflation", lambda *_: factor)
     named = SimpleNamespace(theta=np.zeros(8 + more), rows=ROWS)
-    return is_established(alternative(600.0), candidate(**choices), named, tests, DEFAULT)
+    return is_established(alternative(600.0), screened(**choices), named, tests, DEFAULT)
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.1, True), (-0.1, False)])
@@ -205,7 +205,7 @@ def test_an_effect_of_less_than_three_standard_uncertainties_is_a_hint(value, st
     (strength,) = effect.parameters
     estimates = {f"bearing.drift.{strength.symbol}": Estimate(value, stderr, "s-1", at_bound=False)}
     named = SimpleNamespace(converged=converged, estimates=estimates, name=lambda e: e.name)
-    found = _undetermined(Selection((), SimpleNamespace(effect=effect), named, named), DEFAULT)
+    found = _undetermined(Selection((), SimpleNamespace(effect=effect, screened=None), named, named), DEFAULT)
     assert (hint in found) if hint else found == ""
 
 
@@ -236,7 +236,7 @@ def test_every_effect_must_be_established_beside_a_random_torque(monkeypatch, na
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
     monkeypatch.setattr(_verdict, "is_established", lambda *_: established)
     monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
-    chosen = SimpleNamespace(effect=LIBRARY[name], physical=LIBRARY[name].kind == "physical")
+    chosen = SimpleNamespace(effect=LIBRARY[name], screened=None, physical=LIBRARY[name].kind == "physical")
     selection = Selection([], chosen, None, None)
     found = _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT)
     assert (found is random) == alternative
@@ -262,7 +262,7 @@ def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, w
     from fitting.discovery._verdict import _undecided
 
     random = SimpleNamespace(words="a random torque of 2e-7 N m", is_raised=raised)
-    chosen = SimpleNamespace(effect=LIBRARY["bearing.drift"], indistinguishable_from=())
+    chosen = SimpleNamespace(effect=LIBRARY["bearing.drift"], screened=None, indistinguishable_from=())
     final = SimpleNamespace(name=lambda e: e.name)
     assert words in _undecided(Selection([], chosen, None, final), random, "", [], DEFAULT)
 
@@ -272,5 +272,5 @@ def test_starts_and_slips_are_found_without_a_model():
 
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
     for effect in (_verdict.START, _verdict.SLIP):
-        selection = Selection([], SimpleNamespace(effect=effect), None, None)
+        selection = Selection([], SimpleNamespace(effect=effect, screened=None), None, None)
         assert _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT) is None

@@ -196,5 +196,5 @@ def test_an_effect_must_be_significant_in_the_whole_list(monkeypatch, p, establi
     named = SimpleNamespace(theta=np.zeros(4), rows=500)
     # null scores of one column without a choice of shapes, at equal steps of probability
     null = chdtri(1, (np.arange(2001) + 0.5) / 2001)
-    chosen = SimpleNamespace(screened=SimpleNamespace(columns=1, null=null, noise=(), shares=()))
-    assert is_established(alternative(1e-7), chosen, named, 2000, DEFAULT) is established
+    screened = SimpleNamespace(columns=1, null=null, noise=(), shares=())
+    assert is_established(alternative(1e-7), screened, named, 2000, DEFAULT) is established

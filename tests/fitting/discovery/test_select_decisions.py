@@ -851,6 +851,36 @@ class TestSteps:
     def test_a_step_needs_evidence(self, monkeypatch, base, count):
         assert len(list(self.steps(monkeypatch, refined=50.0, base=base))) == count
 
+    @pytest.mark.parametrize(
+        ("steps", "wrong", "describes", "established", "added"),
+        [
+            (2, False, True, False, False),
+            (2, False, True, True, True),  # better than any random torque
+            (2, False, False, False, True),  # which does not describe the residuals
+            (2, True, True, False, True),  # a lack of fit
+            (1, False, True, False, True),  # the first effect is tested by the diagnosis
+        ],
+    )
+    def test_a_further_effect_is_better_than_a_random_torque(
+        self, monkeypatch, steps, wrong, describes, established, added
+    ):
+        asked = []
+        monkeypatch.setattr(module, "with_random_torque", lambda found, criteria: ("random", found.bic))
+        monkeypatch.setattr(module, "describes", lambda *_: describes)
+        monkeypatch.setattr(module, "is_established", lambda *args: asked.append(args) or established)
+        monkeypatch.setattr(module, "refined", lambda found, criteria: found)
+        monkeypatch.setattr(module, "rank", lambda *_, **__: [candidate()])
+        monkeypatch.setattr(module, "with_free_shape", lambda *_: None)
+        before = Found(60.0, wrong=wrong)
+        history = [Step("", Found(100.0), ()), Step("+a", before, (candidate(), candidate(STEP)))][-steps:]
+        chosen, found = candidate(DRAG), Found(50.0, model=Model((DRAG,)))
+        made = list(module._steps(history, chosen, found, (), DEFAULT, None))
+        assert bool(made) is added
+        if (steps, wrong, describes) == (2, False, True):
+            assert asked == [(("random", 60.0), chosen.screened, found, 2, DEFAULT)]
+        else:
+            assert asked == []
+
     def test_a_free_shape_is_a_separate_step(self, monkeypatch):
         law = module.with_free_shape.__globals__["with_shape_parameter"](DRAG)
         general = Found(20.0, model=Model((STEP, law)))

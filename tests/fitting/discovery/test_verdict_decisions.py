@@ -170,9 +170,13 @@ class TestVerdict(Answer):
         self.answer(
             select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(), describes=True
         )
-        ((random, chosen, named_fit, tests, _), _) = self.arguments["is_established"]
+        ((random, screened, named_fit, tests, _), _) = self.arguments["is_established"]
         assert random is self.given["with_random_torque"]
-        assert (chosen, named_fit, tests) == (self.given["select"].chosen, self.given["select"].named, 1)
+        assert (screened, named_fit, tests) == (
+            self.given["select"].chosen.screened,
+            self.given["select"].named,
+            1,
+        )
 
     def test_a_lack_of_fit_that_nothing_explains(self):
         found = self.answer(
