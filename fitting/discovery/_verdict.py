@@ -502,17 +502,20 @@ def _undecided(
         chosen = selection.chosen
         names = [] if chosen is None else _class_names(selection, chosen)
         rivals = f" as well as {'; '.join(names)}" if names else ""
-        words = f"{random.words[0].upper()}{random.words[1:]}"
-        level = (
-            "without the model the recording does not establish its level"
-            if random.is_raised
-            else "the recording shows this level without a model"
-        )
-        parts.append(f"{words} describes the data{rivals}; {level}.")
-        if chosen is not None:
-            parts.append(
-                "Repeat the recording: a law returns with the same strength, a random torque does not."
+        other = "a random torque"
+        if random.noise.level > 0:
+            words = f"{random.words[0].upper()}{random.words[1:]}"
+            level = (
+                "without the model the recording does not establish its level"
+                if random.is_raised
+                else "the recording shows this level without a model"
             )
+            parts.append(f"{words} describes the data{rivals}; {level}.")
+        else:
+            other = "chance"
+            parts.append(f"The noise of the angles alone describes the data{rivals}.")
+        if chosen is not None:
+            parts.append(f"Repeat the recording: a law returns with the same strength, {other} does not.")
     return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
 
 

@@ -136,8 +136,9 @@ class Answer:
 COMPLETE = Grade("exact", 1.0, None)
 
 
-def random_torque(*, is_raised=True):
-    return SimpleNamespace(fit=Found(), words="a random torque of 1 uN m rms", is_raised=is_raised)
+def random_torque(*, is_raised=True, level=1e-6):
+    words, noise = "a random torque of 1 uN m rms", SimpleNamespace(level=level)
+    return SimpleNamespace(fit=Found(), words=words, is_raised=is_raised, noise=noise)
 
 
 class TestVerdict(Answer):
@@ -262,6 +263,22 @@ class TestVerdict(Answer):
         if verdict == "undecided":
             assert f"A random torque of 1 uN m rms describes the data as well as {BOTH}" in found.sentence
             assert "Repeat the recording" in found.sentence
+
+    @pytest.mark.parametrize(("level", "noise"), [(0.0, True), (1e-12, False)])
+    def test_a_random_torque_of_level_zero_is_the_noise_of_the_angles(self, level, noise):
+        random = random_torque(is_raised=False, level=level)
+        given = {
+            "select": selection(candidate()),
+            "grade": COMPLETE,
+            "smooth_test": SmoothTest("casing", 0.5),
+        }
+        found = self.answer(**given, with_random_torque=random, describes=True, is_established=False)
+        assert found.verdict == "undecided"
+        assert (
+            f"The noise of the angles alone describes the data as well as {NAMED}." in found.sentence
+        ) is noise
+        assert ("random torque" in found.sentence) is not noise
+        assert "a law returns with the same strength" in found.sentence
 
     def test_a_random_torque_that_describes_an_unexplained_lack_of_fit(self):
         wrong = selection(final=Found(wrong=True))
