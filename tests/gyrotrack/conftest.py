@@ -92,7 +92,7 @@ def rotor_clip(draw):
 
 @pytest.fixture(scope="session")
 def measured_film(made_once):
-    """Run `spindown` on a film once for all processes: measured_film(film, *words) -> (code, document, stderr, case)."""
+    """Run `spindown` on a film once for all processes: (code, document, stderr, case) = measured_film(film, *words)."""
     from gyrotrack.apps.cli import _app as app
 
     def measured(film, *words):
