@@ -34,7 +34,6 @@ TORQUE = 2e-6
 HIDDEN = {
     "exponent": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.9),
     "exponent between": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.6),
-    "exact": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 2),
     "ramp": twobody.Hidden(
         casing=lambda t, wr, wc, pr, pc: -3e-6 * (0.5 + 0.5 * math.tanh((t - 88.0) / 1.5))
     ),
@@ -58,18 +57,6 @@ def base(name):
 @cache
 def answer(name):
     return diagnose(base(name))
-
-
-@pytest.mark.slow
-def test_an_exact_law_has_no_remainder():
-    found = answer("exact")
-    assert (found.verdict, found.form, found.explained, found.remainder) == (
-        "missing_effect",
-        "exact",
-        1.0,
-        None,
-    )
-    assert "close to" not in found.sentence
 
 
 @pytest.mark.slow
