@@ -270,6 +270,7 @@ def test_an_effect_that_is_dropped_after_it_was_named_has_no_freed_shape():
     assert not _is_freed("casing.unbalance", selection)
 
 
+@pytest.mark.slow
 def test_the_unmodelled_torque_of_a_pendulum_of_large_amplitude_is_finite():
     """A base model without a restoring torque leaves the whole torque; the largest is 20 N m (k sin, k = 20)."""
     from scipy.integrate import solve_ivp
