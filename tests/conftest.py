@@ -1,5 +1,6 @@
 """What holds for every test: one thread for linear algebra, set before NumPy is imported."""
 
+import gc
 import json
 import os
 import shutil
@@ -42,6 +43,11 @@ def pytest_configure(config):
         config.option.dist = "loadfile"
     if "PYTEST_XDIST_WORKER" not in os.environ:
         os.environ["GYROTRACK_TEST_SHARED"] = tempfile.mkdtemp(prefix="gyrotrack-tests-")
+
+
+def pytest_collection_finish():
+    """Exempt the collected tests from garbage collection: they stay, and each full collection would visit them all."""
+    gc.freeze()
 
 
 def pytest_unconfigure():

@@ -55,13 +55,14 @@ class Visit:
         assert self.hosts <= set(hosts)
 
 
-def accessibility(page):
-    """Return what axe-core has against a page."""
+def accessibility(page, *rules):
+    """Return what axe-core has against a page, by these rules only if any are given."""
     source = pytest.importorskip("axe_playwright_python.base").AXE_SCRIPT
     # put into the page by the driver, not by the page, whose policy allows no other script
     page.context.new_cdp_session(page).send("Page.setBypassCSP", {"enabled": True})
     page.evaluate(source)
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    options = {"resultTypes": ["violations"]} | ({"runOnly": list(rules)} if rules else {})
+    found = page.evaluate("(options) => axe.run(document, options)", options)
     return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found["violations"]]
 
 

@@ -6,8 +6,10 @@ import pickle
 from functools import lru_cache, wraps
 from pathlib import Path
 
+import numpy as np
 import twobody
 from filelock import FileLock
+from scipy.integrate import solve_ivp
 
 from fitting import REDUCED, Model, fit, make_record
 from fitting.inference._case_data import CaseData
@@ -46,6 +48,20 @@ def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
 @shared
 def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
     return fit(Model.of(REDUCED), [data(seed, ou, ou_time, hidden, quantity)])
+
+
+@shared
+def wheel(drag=4e-7):
+    """Fit friction and viscous drag to a wheel of 2 g m2, 60 rad/s at first, that a quadratic drag slows down too."""
+    time, inertia = np.linspace(0.0, 30.0, 1200), 2e-3
+    done = solve_ivp(
+        lambda _, y: [y[1], -(1e-3 + 2e-5 * y[1] + drag * y[1] ** 2) / inertia], (0, 30), [0.0, 60.0],
+        t_eval=time, rtol=1e-11, atol=1e-11,
+    )  # fmt: skip
+    angle = done.y[0] + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
+    samples = (time, angle, np.full(len(time), 1e-3))
+    record = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=inertia, single=True)
+    return fit(Model.of(["touchpoint.constant", "casing.air.linear"]), [CaseData.of(record)])
 
 
 def pulls(result, true):

@@ -1,8 +1,11 @@
 """Films drawn by a renderer that shares no code with the package."""
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.util
+import io
+import json
 import sys
 from pathlib import Path
 
@@ -85,6 +88,26 @@ def rotor_clip(draw):
         rotor=_rotor_fast,
         tilt=0.1,
     )
+
+
+@pytest.fixture(scope="session")
+def measured_film(made_once):
+    """Run `spindown` on a film once for all processes: (code, document, stderr, case) = measured_film(film, *words)."""
+    from gyrotrack.apps.cli import _app as app
+
+    def measured(film, *words):
+        def make(folder):
+            out, err = io.StringIO(), io.StringIO()
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                code = app.run(["spindown", str(film), *words, "-o", str(folder / "film.h5"), "--json"])
+            said = {"code": code, "document": json.loads(out.getvalue()), "err": err.getvalue()}
+            (folder / "said.json").write_text(json.dumps(said), encoding="utf-8")
+
+        folder = made_once(f"spindown-{film.stem}", make)
+        said = json.loads((folder / "said.json").read_text(encoding="utf-8"))
+        return said["code"], said["document"], said["err"], folder / "film.h5"
+
+    return measured
 
 
 def _casing(t):

@@ -5,6 +5,7 @@ from functools import cache
 
 import pytest
 import twobody
+from cases import wheel
 
 from fitting import LIBRARY, REDUCED, Model, diagnose, fit, improve, make_record
 from fitting._workers import WorkerPool
@@ -64,11 +65,19 @@ def test_a_missing_effect_is_ranked_first_with_its_strength(name):
 
 
 @pytest.mark.slow
+def test_an_exact_law_has_no_remainder():
+    found = diagnosed("casing.air.quadratic")
+    answer = (found.verdict, found.form, found.explained, found.remainder)
+    assert answer == ("missing_effect", "exact", 1.0, None)
+    assert "close to" not in found.sentence
+
+
+@pytest.mark.slow
 def test_two_processes_give_the_same_result_as_one():
-    fit_ = base("touchpoint.stribeck")
+    fit_ = wheel()
     with WorkerPool(1) as workers:
         shared = diagnose(fit_, workers=workers)
-    alone = diagnosed("touchpoint.stribeck")
+    alone = diagnose(fit_)
     assert shared.sentence == alone.sentence
     for a, b in zip(shared.candidates, alone.candidates, strict=True):
         assert (a.effect.name, a.score, a.p_value) == (b.effect.name, b.score, b.p_value)

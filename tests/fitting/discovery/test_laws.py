@@ -349,7 +349,7 @@ def test_a_brake_that_is_switched_on_is_found_and_its_torque_is_that_of_the_moti
     assert answer.verdict == "unexplained"
     # the true torque is k times a speed below 60 rad/s
     assert 0 < answer.remainder.torque_rms_Nm < k * first
-    best = laws(base).laws[0]
+    best = laws(base, diagnosis=answer).laws[0]
     assert best.formula == "casing: -k*heaviside(t - t0)*omega_c"
     for name, true in {"k": k, "t0": moment}.items():
         (estimate,) = (e for n, e in best.estimates.items() if n.endswith(f".{name}") or f".{name}@" in n)

@@ -247,6 +247,7 @@ def information():
 
 
 class TestInformation:
+    @pytest.mark.slow
     def test_information_and_search_give_the_same_standard_error(self):
         info = information()
         places = info.places(0)

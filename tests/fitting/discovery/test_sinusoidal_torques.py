@@ -66,6 +66,6 @@ def test_a_second_effect_is_found_after_a_sinusoidal_one():
     rungs = improve(fitted)
     assert {r.change for r in rungs[1:]} == {"+casing.precession", "+casing.unbalance"}
     assert rungs[-1].fit.torque_noise == pytest.approx(NOISE, rel=0.6)
-    answer = diagnose(fitted)
+    answer = diagnose(fitted, candidates=rungs[0].candidates, history=rungs)
     assert answer.verdict == "missing_effect"
     assert "second effect unbalance of the casing (casing.unbalance)" in answer.sentence

@@ -186,6 +186,11 @@ class TestOrder:
         film = replace(data, record=replace(data.record, tracked=tracked))
         seen = replace(base(), problem=replace(base().problem, data=(film,)))
         assert needed_evidence(LIBRARY[effect], seen, DEFAULT) == needed
+        of_film = replace(
+            ranked()[0], effect=LIBRARY[effect], fit=replace(ranked()[0].fit, problem=seen.problem)
+        )
+        assert best([replace(of_film, delta_bic=-0.9 * needed)]) is None
+        assert best([replace(of_film, delta_bic=-1.1 * needed)]) is not None
 
     def test_candidates_within_the_width_are_indistinguishable(self):
         first = ranked()[0]

@@ -119,6 +119,7 @@ def test_a_slow_clock_of_the_rotor_camera_is_recovered():
     assert clock.stderr < 1e-4
 
 
+@pytest.mark.slow
 def test_a_missing_torque_is_a_lack_of_fit_of_the_right_size():
     result = fitted(seed=0, hidden="step")
     assert result.verdict == "lack_of_fit"

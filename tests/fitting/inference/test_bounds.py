@@ -97,7 +97,7 @@ def test_a_range_that_excludes_the_truth_is_an_active_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 2, 4, 6])
 def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed):
     """With a strong random torque d, f or g is at a bound. Held, f would have a 20 times too small uncertainty."""
     result = fitted(seed=seed, ou=1e-6, ou_time=3.0)
@@ -107,6 +107,7 @@ def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed)
         assert result.estimates["bearing.linear.d"].at_bound
 
 
+@pytest.mark.slow
 def test_nine_parameters_of_one_recording_are_not_determined():
     """The general model fits as well, with uncertainties of d, f and g that are hundreds of times larger."""
     general, reduced = fit(Model.of(GENERAL), [data(seed=0)]), fitted(seed=0)

@@ -60,6 +60,7 @@ def test_the_bias_of_a_gyroscope_changes_no_parameter(bias):
     )
 
 
+@pytest.mark.slow
 def test_a_pendulum_of_large_amplitude_is_fitted():
     t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
     found = fit(Model.of(["casing.gravity", DRAG]), [oscillators.record(t, angle + 0.4, 1e-3, 1)])

@@ -112,6 +112,7 @@ def test_unsupported_robust_fits_are_refused():
         robust_fit(Model.of((*LINEAR, "casing.unbalance")), [make_record(**raw)], "huber")
 
 
+@pytest.mark.slow
 def test_a_robust_fit_of_an_angle_that_oscillates_resists_outliers():
     """An imported angle has no nuisance functions of a camera."""
     t, angle, _ = motion(lambda _, x, v: -4.0 * x - 0.05 * v, (1.0, 0.0), 30.0, rate=20.0)

@@ -26,6 +26,7 @@ def test_a_misfit_is_improbable_and_above_its_limit(rows, limit):
     assert not metrics(0.999 * limit, rows).fails(DEFAULT)
 
 
+@pytest.mark.slow
 def test_short_records_of_the_model_do_not_fail():
     """20 spin-downs with dry and viscous friction, 60 angles each."""
     t = np.linspace(0, 20, 60)

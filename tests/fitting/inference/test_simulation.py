@@ -12,7 +12,18 @@ from fitting.inference._simulation import simulate_path
 _DURATION = 6.0
 
 
-@pytest.mark.parametrize("name", [n for n, e in LIBRARY.items() if e.kind == "physical"])
+# friction with a memory is stiff
+_STIFF = {"casing.friction.gms", "casing.friction.lugre", "casing.friction.presliding"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.slow) if n in _STIFF else n
+        for n, e in LIBRARY.items()
+        if e.kind == "physical"
+    ],
+)
 def test_the_motion_with_each_effect_is_that_of_another_integrator(name):
     model = Model([LIBRARY[n] for n in dict.fromkeys((*REDUCED, name))])
     numbers = typical_of_model(

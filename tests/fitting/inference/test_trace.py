@@ -117,6 +117,7 @@ class TestSearches:
         assert trace.refits[-1].purpose == "nothing"
         assert trace.refits[-1].failure
 
+    @pytest.mark.slow
     def test_a_diagnosis_lists_the_fit_of_each_candidate(self):
         base = public_fit(Model.of(["touchpoint.constant"]), wheel())
         found = diagnose(base)

@@ -80,6 +80,7 @@ def _spin_down(seed, *, speeds):
 
 
 @pytest.mark.parametrize("speeds", [False, True])
+@pytest.mark.slow
 def test_uncertainties_of_ends_mean_and_acceleration_are_those_of_the_errors(speeds):
     pulls = []
     for seed in range(12):

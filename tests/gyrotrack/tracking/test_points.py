@@ -47,9 +47,12 @@ def errors(found, film):
     [
         {"frames": 64},
         {"hub": (80.0, 60.0), "length": 42.0, "speed": 3.0},
-        {"hub": (80.0, 60.0), "length": 42.0, "speed": 45.0, "thread": False, "exposure": 0.05},
-        {"noise": 6.0},
-        {"radius": 4.0},
+        pytest.param(
+            {"hub": (80.0, 60.0), "length": 42.0, "speed": 45.0, "thread": False, "exposure": 0.05},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param({"noise": 6.0}, marks=pytest.mark.slow),
+        pytest.param({"radius": 4.0}, marks=pytest.mark.slow),
     ],
     ids=["pivot outside", "turning", "0.9 rad a frame", "noise", "small"],
 )
@@ -69,6 +72,7 @@ def test_positions_err_by_their_uncertainty_and_the_pivot_is_found(bob, scene):
     assert angle.std() < 5e-3
 
 
+@pytest.mark.slow
 def test_the_bob_is_found_without_a_click_and_not_a_thrown_ball(bob):
     film = bob(frames=80)
     found = follow_point(Rendered(film.pictures()), None)

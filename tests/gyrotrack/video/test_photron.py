@@ -164,6 +164,7 @@ def test_memory_does_not_grow_with_the_film(tmp_path):
     assert peak < 1_000_000 < path.with_suffix(".mraw").stat().st_size
 
 
+@pytest.mark.slow
 def test_spindown_measures_a_film_at_the_rate_of_its_header(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     side, count, fps, omega, alpha = 96, 70, 1000.0, 40.0, -20.0

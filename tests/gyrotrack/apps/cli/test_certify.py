@@ -29,6 +29,7 @@ def wheel(tmp_path_factory):
     return case
 
 
+@pytest.mark.slow
 def test_rates_are_printed_stored_and_shown_in_the_report(gyrotrack, wheel, tmp_path):
     found = gyrotrack("certify", wheel, "-n", "2", "--workers", "1", "--json").json
     assert found["n"] == found["null"]["n"] == 2
@@ -56,6 +57,7 @@ def test_rates_are_printed_stored_and_shown_in_the_report(gyrotrack, wheel, tmp_
     assert "Of 2 simulated recordings" in page.replace("\u00a0", " ")
 
 
+@pytest.mark.slow
 def test_a_run_continues_where_it_was_interrupted(gyrotrack, wheel, monkeypatch):
     gyrotrack("certify", wheel, "-n", "2", "--workers", "1", "-q")
     from fitting.discovery import _certificate
@@ -74,6 +76,7 @@ def test_a_run_continues_where_it_was_interrupted(gyrotrack, wheel, monkeypatch)
     assert simulated[-1] == ("null", "", 0)
 
 
+@pytest.mark.slow
 def test_a_shorter_test_leaves_the_outcomes_of_a_longer_one(gyrotrack, wheel):
     long = gyrotrack("certify", wheel, "-n", "3", "--seed", "2", "--workers", "1", "--json").json
     short = gyrotrack("certify", wheel, "-n", "1", "--seed", "2", "--workers", "1", "--json").json

@@ -144,6 +144,7 @@ def test_a_fit_prints_time_constant_and_gain(capsys, motor):
     assert "calibration of voltage" in parts
 
 
+@pytest.mark.slow
 def test_a_report_shows_the_response_of_a_driven_body(capsys, motor, tmp_path):
     case, _ = imported(capsys, motor)
     assert run(capsys, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")[0] == 0
@@ -224,6 +225,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
+@pytest.mark.slow
 def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, name):
     table, columns, given, delay, start = REAL[name]
     if not (CASES / table).is_file():

@@ -37,6 +37,7 @@ def names(folder):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+@pytest.mark.slow
 def test_an_import_that_was_killed_after_writing_runs_again(gyrotrack, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "t.csv").write_text(ANGLES)
@@ -57,6 +58,7 @@ def test_an_import_that_was_killed_after_writing_runs_again(gyrotrack, tmp_path,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+@pytest.mark.slow
 def test_a_program_that_was_killed_while_it_ends_runs_again(tmp_path):
     (tmp_path / "t.csv").write_text(ANGLES)
     words = ["import", "--body", "t.csv", "--inertia", "1e-5", "-o", "c.h5", "--json"]

@@ -68,6 +68,7 @@ def test_half_of_what_is_needed(gyrotrack, tmp_path, words):
     assert "--body and --inertia" in said.err
 
 
+@pytest.mark.slow
 def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
     """The first half of a run is the prior of the second; it is in the output, the JSON and the ledger."""
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"

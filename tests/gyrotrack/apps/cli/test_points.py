@@ -50,6 +50,7 @@ def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     assert float(found[-1]["time [s]"]) == pytest.approx(59 / 50)
 
 
+@pytest.mark.slow
 def test_a_scale_gives_metres(film, tmp_path, capsys):
     path, drawn = film
     target, table = tmp_path / "bob.h5", tmp_path / "bob.csv"
@@ -76,6 +77,7 @@ def test_a_scale_gives_metres(film, tmp_path, capsys):
     assert "NOT SOUND" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_several_points_have_a_track_each(bob, tmp_path, capsys):
     one, two = (
         bob(hub=(x, -120.0), amplitude=0.1, frames=40, thread=False, texture=0.0) for x in (45.0, 115.0)

@@ -19,6 +19,7 @@ def _mean_difference(path, other, state, misfit):
     return np.array(values)
 
 
+@pytest.mark.slow
 def test_misfit_of_the_base_is_the_true_speed_minus_the_models(story, true_path):
     base = story.rungs[0].fit
     casing, rotor = speed_residuals(base, 0)
@@ -42,6 +43,7 @@ def test_band_is_as_wide_as_the_noise(record_of, story):
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.15
 
 
+@pytest.mark.slow
 def test_floor_is_the_rms_error_that_the_true_model_has(story):
     final = story.rungs[-1].fit
     rmse = final.cases[0].casing.rmse
@@ -49,6 +51,7 @@ def test_floor_is_the_rms_error_that_the_true_model_has(story):
     assert story.rungs[0].fit.cases[0].casing.rmse > 1.5 * final.rmse_noise
 
 
+@pytest.mark.slow
 def test_bic_of_an_adequate_fit_is_that_of_noise_and_a_missing_effect_exceeds_it(story):
     base, final = story.rungs[0].fit, story.rungs[-1].fit
     # chi2 over `rows` has a standard deviation of sqrt(2 rows)
