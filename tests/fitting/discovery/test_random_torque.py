@@ -105,7 +105,6 @@ def slow():
     return fit(model, [record])
 
 
-@pytest.mark.slow
 def test_the_most_likely_random_torque_is_found_between_the_points_of_a_grid(slow):
     """No other level or time near it describes the data better."""
     found = with_random_torque(slow, DEFAULT)
@@ -122,7 +121,6 @@ def test_the_most_likely_random_torque_is_found_between_the_points_of_a_grid(slo
     assert 0.6e-7 < noise.level < 6e-7
 
 
-@pytest.mark.slow
 def test_the_inflation_of_a_fall_is_its_mean_beside_a_free_random_torque(slow, monkeypatch):
     """Of one column the fall at a known random torque is 1; the best of many torques is never worse."""
     monkeypatch.setattr(_random_torque, "_NEAR_TIMES", 3)

@@ -256,7 +256,6 @@ def test_a_recorded_drive_is_needed_where_it_explains_the_motion(share, needed):
     assert needed_drives(base, effects) == ({"casing.input.voltage"} if needed else set())
 
 
-@pytest.mark.slow
 def test_a_quadratic_drag_beside_a_drive_is_found_although_its_score_has_the_wrong_sign():
     """One step, dw/dt = k u - c w - q w^2 with the closed form w = a tanh(...): a score about 40 % too much drag."""
     k, c, q, u, noise = 60.0, 14.0, 0.042, 24.0, 2e-3

@@ -43,7 +43,6 @@ def test_columns_are_waves_times_powers_of_the_speed():
 
 
 @pytest.mark.parametrize("tracked", [True, False])
-@pytest.mark.slow
 def test_only_films_are_blurred_by_5_mrad_at_the_largest_speed(tracked):
     data = CaseData.of(film(tracked=tracked))
     first = data.slices["camera_prior"].start
@@ -52,7 +51,6 @@ def test_only_films_are_blurred_by_5_mrad_at_the_largest_speed(tracked):
     assert data.camera_columns[:, -2:].any() == tracked
 
 
-@pytest.mark.slow
 def test_an_error_by_blur_is_found_as_such():
     speed = largest_speed(CaseData.of(film()).casing.samples)
     blur = {n.effect: n for n in nuisance_parameters(fit(Model.of(BASE), [film(3e-3)]))}["camera.blur"]

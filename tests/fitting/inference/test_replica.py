@@ -84,7 +84,6 @@ def test_white_noise_has_the_level_of_the_recording(speeds):
     assert measured == pytest.approx(scale, rel=0.06)
 
 
-@pytest.mark.slow
 def test_an_analysis_of_replicas_returns_the_values_of_the_fit(speeds):
     pulls = []
     for seed in range(12):
@@ -161,7 +160,6 @@ def test_random_torque_acts_on_the_casing_and_between_the_bodies(gyroscope, monk
     assert first[-1] == pytest.approx(braked, rel=0.2) if body else abs(first[-1]) < 0.2 * abs(braked)
 
 
-@pytest.mark.slow
 def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscope):
     data = gyroscope.problem.data[0]
     shifts = []

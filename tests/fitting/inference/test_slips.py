@@ -52,7 +52,6 @@ def test_noise_of_a_tenth_of_a_turn_hides_a_slip():
     assert slipped_turns(turning(sigma=0.3)) == []
 
 
-@pytest.mark.slow
 def test_the_corrected_record_is_the_one_without_slip():
     plain = data(seed=0).record
     windows = list(plain.rotor)

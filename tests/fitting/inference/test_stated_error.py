@@ -55,7 +55,6 @@ def test_its_rows_have_the_covariance_of_the_process(stated):
     assert rows @ rows.T == pytest.approx(expected, abs=0.02 * expected.max())
 
 
-@pytest.mark.slow
 def test_whitened_rows_have_less_weight_by_this_covariance(stated):
     white = CaseData.of(film(stated=(0.0, 0.0)))
     assert white.angle_noise.is_white

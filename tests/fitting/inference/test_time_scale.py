@@ -27,7 +27,6 @@ def test_a_window_shorter_than_a_quarter_of_the_record_is_one_block(scale, share
     assert blocks_of_window(samples(60.0 * share * scale), samples(60.0 * scale)) == blocks
 
 
-@pytest.mark.slow
 def test_a_slower_and_lighter_gyroscope_has_the_same_deviance():
     record = simulate(Model.of(REDUCED), NUMBERS, RUN, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=1)
     fits = []

@@ -50,7 +50,6 @@ def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     assert float(found[-1]["time [s]"]) == pytest.approx(59 / 50)
 
 
-@pytest.mark.slow
 def test_a_scale_gives_metres(film, tmp_path, capsys):
     path, drawn = film
     target, table = tmp_path / "bob.h5", tmp_path / "bob.csv"

@@ -22,7 +22,6 @@ def _number(text):
     return float(value) * factor, float(sigma or "nan") * factor
 
 
-@pytest.mark.slow
 def test_all_dissipation_is_the_loss_of_kinetic_energy(story):
     fit = story.rungs[-1].fit
     path, record = fit.predictions[0].path, story.record
@@ -32,7 +31,6 @@ def test_all_dissipation_is_the_loss_of_kinetic_energy(story):
     assert total == pytest.approx(kinetic[0] - kinetic[1], rel=1e-2)
 
 
-@pytest.mark.slow
 def test_the_uncertainty_is_that_of_the_amplitude(story):
     fit = story.rungs[-1].fit
     (row,) = [r for r in plausibility_rows(fit) if r.key == ADDED]
@@ -42,7 +40,6 @@ def test_the_uncertainty_is_that_of_the_amplitude(story):
     assert row.judgement == "dissipates"
 
 
-@pytest.mark.slow
 def test_a_negative_friction_is_called_unphysical(story):
     fit = story.rungs[-1].fit
     theta = fit.theta.copy()

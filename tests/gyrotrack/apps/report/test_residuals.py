@@ -19,7 +19,6 @@ def _mean_difference(path, other, state, misfit):
     return np.array(values)
 
 
-@pytest.mark.slow
 def test_misfit_of_the_base_is_the_true_speed_minus_the_models(story, true_path):
     base = story.rungs[0].fit
     casing, rotor = speed_residuals(base, 0)
