@@ -261,7 +261,8 @@ def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_rec
 def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, words):
     from fitting.discovery._verdict import _undecided
 
-    random = SimpleNamespace(words="a random torque of 2e-7 N m", is_raised=raised)
+    noise = SimpleNamespace(level=2e-7)
+    random = SimpleNamespace(words="a random torque of 2e-7 N m", is_raised=raised, noise=noise)
     chosen = SimpleNamespace(effect=LIBRARY["bearing.drift"], screened=None, indistinguishable_from=())
     final = SimpleNamespace(name=lambda e: e.name)
     assert words in _undecided(Selection([], chosen, None, final), random, "", [], DEFAULT)
