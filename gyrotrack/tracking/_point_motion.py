@@ -44,6 +44,9 @@ _CONTRADICTS = 3.0
 # a point that was not selected: share of the frames in which it must be found, largest radial scatter over the extent
 # of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
 _ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
+# step of the angle from frame to frame over its median from which the point jumps (the next throw of a ball): a
+# pendulum passes its middle at 1.4 times the median step
+_JUMP = 5.0
 
 
 @dataclass(frozen=True)
@@ -509,9 +512,17 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
     path, angle = found.path, found.angle
     extent = float(np.hypot(*np.ptp(path.place, axis=0)))
     middle = 0.5 * float(angle.min() + angle.max())
-    side = angle > middle
-    reversals = int(np.count_nonzero(side[1:] != side[:-1]))
-    retraced = reversals > _REVERSALS or np.ptp(angle) > _TURNS * TURN
+    side = (angle > middle).astype(np.int64)
+    step = np.diff(angle)
+    pace = np.abs(step / np.diff(path.frame))
+    steady = pace < _JUMP * np.median(pace)
+    passes = np.diff(side)[steady]
+    both_ways = bool((passes > 0).any() and (passes < 0).any())
+    direction = np.sort(angle % TURN)
+    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    turned = float(np.ptp(np.cumsum(step * steady)))
+    turns = turned > _TURNS * TURN and gap < 0.5 * TURN
+    retraced = turns or (both_ways and np.count_nonzero(passes) > _REVERSALS)
     scatter = math.hypot(found.arc.noise, found.arc.by_place)
     if len(path.frame) < _ALWAYS * path.searched or scatter > _ROUND * extent or not retraced:
         raise TrackingError(
