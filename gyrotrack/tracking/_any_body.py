@@ -44,7 +44,7 @@ from gyrotrack.tracking._film import (
     fresh_frames,
     reduced,
 )
-from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift
+from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -123,8 +123,8 @@ _TILTED = 0.35  # tilt of the axis [rad] from which the result states it
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
 # ... from which it may act on the body that is tracked (real single bodies: up to 0.47; drawn double pendulums of which
-# one link is tracked: 0.86 to 2.1)
-_COUPLED = 0.65
+# one link is tracked: 0.64 to 2.1)
+_COUPLED = 0.55
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
 _STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is always part of the model
 # ... and the share by which it must explain more for smaller ranges, for example a pendulum before a wall
@@ -317,8 +317,8 @@ def _track(
     if hub is None and moved > REFUSED * allowed:
         raise RefusedFilmError(
             f"No body in {film.path.name} turns about a fixed axis: the hub of the best candidate, at "
-            f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px rms; {allowed:.1f} px are "
-            "usual at most.",
+            f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
+            "are usual.",
             f"The body also translates, or several bodies move. {_GIVE_HUB}",
             kind="no rotation",
             evidence={"explained": best.score, "hub_moves_px": moved},
@@ -365,8 +365,14 @@ def _track(
         tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
     if moved > allowed:
         doubts.append(
-            f"The hub moves by {moved:.1f} px rms; that of a body on an axle moves by {allowed:.1f} px at most. The "
+            f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
             "body may also translate, or several bodies may move: look at the picture of the body (.png)."
+        )
+    whole = hub is None and tracked.ring.span >= TURN
+    if whole and (apart := halves_differ(tracked.angle, tracked.halves)) is not None:
+        doubts.append(
+            f"The inner and the outer half of the body do not turn alike: their angles differ by {100 * apart:.2g} % "
+            "of the motion. Two bodies may move, or the hub may be wrong: look at the picture of the body (.png)."
         )
     other_hub = (
         rival_hub(
@@ -504,7 +510,7 @@ def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) 
     """Raise a RefusedFilmError if a second link on the rim of a body moves outside its ring."""
     share = elsewhere(motion.moving, best.ring)
     use = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
-    if share < _COUPLED or not carries_a_link(best.ring, block.at(use), best.angle[use], motion.noise):
+    if share < _ELSEWHERE or not carries_a_link(best.ring, block.at(use), best.angle[use], motion.noise):
         return
     x, y = best.ring.hub
     raise RefusedFilmError(

@@ -35,7 +35,7 @@ _MOST = 0.75  # share of the pairs that must agree
 # share of all features that move with the camera, and of the picture within them
 _WITH_CAMERA, _WHOLE = 0.7, 0.4
 # rms residual of the displacements of the picture from those about one hub, relative to their rms, from which the
-# picture does not turn about a hub, and from which it is no suspended body either, whose hub moves less than its rim
+# picture does not turn about a hub, and from which it is not a suspended body, whose hub moves less than its rim
 # (a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to 0.97)
 _NO_HUB, MOSTLY_TRANSLATES = 0.3, 0.7
 # share of the features that move which the first motion leaves, and share of these that the second one explains

@@ -7,7 +7,6 @@ about the hub then fits better at a place that changes from frame to frame.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -22,19 +21,20 @@ _FRAMES = 40  # frames in which the displacement is fitted
 # largest step of an iteration per axis [px], number of iterations, and the step that ends them: the displacement may
 # exceed the width of the details
 _STEP, _STEPS, _SETTLED = 2.0, 8, 0.05
-# rms displacement of the hub of a body on an axle: in px, and over the mean radius of the ring. Real films: 0.1 to 1.1
-# px; drawn hubs that wobble by 1 to 2 px: 1.2 px; a drawn block on a spring: 3.3 px (2 % of the radius); three drawn
-# bodies of changing size: 5.8 px (9 %)
-_DRIFT, _DRIFT_SHARE = 2.5, 0.015
+# displacement of a body on an axle in four frames of five, in px, and over the mean radius of the ring. Real films: up
+# to 0.7 px; drawn hubs that wobble by 1 to 2 px: 1.8 px; a ball that is thrown again and again: 2.5 px; a block on a
+# spring: 3.1 px (2 % of the radius); three bodies of changing size: more than 6 px (9 %)
+_DRIFT, _DRIFT_SHARE, _MOST_FRAMES = 2.3, 0.015, 0.8
 REFUSED = 2.0  # displacement over this limit from which no body is on an axle
 
 
 def drift(
     ring: Ring, frames: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[float, float]:
-    """Return the rms displacement of a body from its circles about a hub [px], and the largest one on an axle [px].
+    """Return the displacement of a body from its circles about a hub [px], and the largest one on an axle [px].
 
-    It is that of the middle of its details, which is determined best: the rotation of a bob far from its hub is not.
+    Four frames of five have a smaller one: a hand or a shadow may disturb the others. It is that of the middle of the
+    details of the body, which is determined best: the rotation of a bob far from its hub is not.
     `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad].
     """
     use = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))
@@ -44,10 +44,23 @@ def drift(
     found = [displaced(p, template, float(a)) for p, a in zip(pictures, turns, strict=True)]
     middle = _middle_of(template)
     shift = np.array([s + middle(a) - middle(start) for (a, s), start in zip(found, turns, strict=True)])
-    # 1.4826 times the median deviation: frames that a hand or a shadow disturbs do not count
-    off = np.median(np.abs(shift - np.median(shift, axis=0)), axis=0)
+    off = np.hypot(*(shift - np.median(shift, axis=0)).T)
     limit = max(_DRIFT, _DRIFT_SHARE * 0.5 * (ring.inner + ring.outer))
-    return 1.4826 * math.hypot(*off), limit
+    return float(np.quantile(off, _MOST_FRAMES)), limit
+
+
+# scatter of the difference of the angles from the inner and the outer half of a ring over that of the angle, from which
+# both halves do not turn as one body. Rods and bobs that swing by 0.1 to 0.4 rad, real discs: up to 0.008; a double
+# pendulum within one ring: 0.05; a block on a spring: 0.04
+_RIGID = 0.03
+
+
+def halves_differ(angle: Floats, halves: Floats) -> float | None:
+    """Return the scatter of the difference of the angles of both halves (2, n) over that of the angle (n,) if large."""
+    apart = halves[0] - halves[1]
+    scatter = 1.4826 * float(np.median(np.abs(apart - np.median(apart))))
+    share = scatter / max(float(np.std(angle)), 1e-12)
+    return share if share > _RIGID else None
 
 
 def _middle_of(template: Template) -> Callable[[float], Floats]:
