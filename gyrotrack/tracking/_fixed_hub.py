@@ -50,7 +50,7 @@ def drift(
 
 
 # scatter of the difference of the angles from the inner and the outer half of a ring over that of the angle, from which
-# both halves do not turn as one body. Rods and bobs that swing by 0.1 to 0.4 rad, real discs: up to 0.008; a double
+# both halves do not turn as one body. Real discs, drawn rods and bobs: up to 0.008; a double
 # pendulum within one ring: 0.05; a block on a spring: 0.04
 _RIGID = 0.03
 
