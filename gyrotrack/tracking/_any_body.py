@@ -369,10 +369,11 @@ def _track(
             "body may also translate, or several bodies may move: look at the picture of the body (.png)."
         )
     whole = hub is None and tracked.ring.span >= TURN
-    if whole and (apart := halves_differ(tracked.angle, tracked.halves)) is not None:
+    if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
         doubts.append(
-            f"The inner and the outer half of the body do not turn alike: their angles differ by {100 * apart:.2g} % "
-            "of the motion. Two bodies may move, or the hub may be wrong: look at the picture of the body (.png)."
+            "The inner and the outer half of the body do not turn alike: their difference causes an error of "
+            f"{100 * apart:.2g} % of the motion. Two bodies may move, or the hub may be wrong: look at the picture of "
+            "the body (.png)."
         )
     other_hub = (
         rival_hub(

@@ -49,17 +49,15 @@ def drift(
     return float(np.quantile(off, _MOST_FRAMES)), limit
 
 
-# scatter of the difference of the angles from the inner and the outer half of a ring over that of the angle, from which
-# both halves do not turn as one body. Real discs, drawn rods and bobs: up to 0.008; a double
-# pendulum within one ring: 0.05; a block on a spring: 0.04
-_RIGID = 0.03
+# error of the angles by the difference of the inner and the outer half of a ring (see `hub_error`) over their standard
+# deviation, from which both do not turn as one body. Real discs, drawn rods, bobs and wheels: up to 0.007; double
+# pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11
+_RIGID = 0.02
 
 
-def halves_differ(angle: Floats, halves: Floats) -> float | None:
-    """Return the scatter of the difference of the angles of both halves (2, n) over that of the angle (n,) if large."""
-    apart = halves[0] - halves[1]
-    scatter = 1.4826 * float(np.median(np.abs(apart - np.median(apart))))
-    share = scatter / max(float(np.std(angle)), 1e-12)
+def halves_differ(angle: Floats, error: float) -> float | None:
+    """Return the error by the difference of both halves [rad] over the scatter of the angle (n,), if it is large."""
+    share = error / max(float(np.std(angle)), 1e-12)
     return share if share > _RIGID else None
 
 
