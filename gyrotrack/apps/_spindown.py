@@ -444,7 +444,7 @@ def links_recording(
     recording = _recording_of(film, options, first)
     time = recording.time
     bodies = {
-        "casing": _body_of(time[joint.frame], joint.angle, joint.sigma),
+        "casing": _body_of(time[joint.frame], joint.angle, joint.whole_sigma),
         "rotor": replace(_body_of(time[second.frame], second.angle, second.sigma), name="rotor"),
     }
     tracks = {
@@ -453,7 +453,9 @@ def links_recording(
     }
     text = (
         "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
-        "relative to the ground; the angle of the links to each other is rotor minus casing."
+        "relative to the ground; the angle of the links to each other is rotor minus casing. The points may be "
+        f"{1e3 * math.sqrt(2.0) * float(np.median(second.off_axis)):.2g} mrad off the axes of the links: an error of "
+        "the zero of the first angle, and of the second one as the links turn."
     )
     extra = {**recording.extra, "links": ["casing", "rotor"]}
     warnings = (*recording.warnings, *joint.warnings, text)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn
 
@@ -24,6 +25,8 @@ from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
 from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._diagnosis import (
+    FOLLOW_LINKS,
+    MOSTLY_TRANSLATES,
     Pair,
     RefusedFilmError,
     pairs_of,
@@ -41,6 +44,7 @@ from gyrotrack.tracking._film import (
     fresh_frames,
     reduced,
 )
+from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -50,6 +54,7 @@ from gyrotrack.tracking._hub_search import (
     ring_for,
     tilted_outline,
 )
+from gyrotrack.tracking._links import carries_a_link
 from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._moving_hub import may_be_loose, track_by_features, track_free_body
 from gyrotrack.tracking._registration import (
@@ -77,9 +82,9 @@ _TRIAL = 300  # frames on which a candidate for the hub is evaluated
 _EXCERPT = 300  # frames that `read_excerpt` reads
 _LEARNT = 300  # frames from which the template is learnt
 _HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, is measured
-# the path of a body far from its hub: iterations for the displacement of a frame, largest step [px], and iterations for
-# the hub
-_PATH_STEPS, _PATH_STEP, _PATH_ROUNDS = 6, 2.0, 5
+# the path of a body far from its hub: step that ends the iterations for the displacement of a frame [px], and number of
+# iterations for the hub
+_PATH_SETTLED, _PATH_ROUNDS = 0.02, 5
 # effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns
 _FEWEST_STEPS = 4.0
 # distance of a better hub from the given one, in radii of the ring, from which the given one is doubted
@@ -117,6 +122,9 @@ _STEPS, _FRAMES = 6, 60  # iterations of the refinement of a candidate, and fram
 _TILTED = 0.35  # tilt of the axis [rad] from which the result states it
 # moving area outside the best ring, relative to that within it, from which a second body is searched for
 _ELSEWHERE = 0.2
+# ... from which it may act on the body that is tracked (real single bodies: up to 0.47; drawn double pendulums of which
+# one link is tracked: 0.64 to 2.1)
+_COUPLED = 0.55
 _STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
 _STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is always part of the model
 # ... and the share by which it must explain more for smaller ranges, for example a pendulum before a wall
@@ -161,14 +169,52 @@ def track_body(
     shake = camera_shake(sample, film.frames())
     if shake is not None:
         film.stabilise(shake)
-        # raised if the supposed background is the body, before a blank wall
+        still, margin = film.some(chosen), shake.margin(sample[0].shape)
+        # what is raised or not calmer: the supposed background is the body, before a blank wall
         with suppress(NothingMovesError):
-            found = _track(
-                film, usable, film.some(chosen), hub, progress, margin=shake.margin(sample[0].shape)
-            )
-            return _with_shake(found, shake)
+            if calmer(sample, still, margin):
+                return _with_shake(
+                    _track_stabilised(film, usable, still, hub, progress, shake, margin), shake
+                )
         film.stabilise(None)
     return _track(film, usable, sample, hub, progress)
+
+
+def calmer(sample: Sequence[Plane], still: Sequence[Plane], margin: int) -> bool:
+    """Return whether frames change less, in the mean, after the motion of the camera is compensated."""
+    height, width = sample[0].shape
+    inside = slice(margin, height - margin), slice(margin, width - margin)
+    before, after = (
+        sum(float(np.abs(b[inside].astype(np.float32) - a[inside]).sum()) for a, b in pairwise(some))
+        for some in (sample, still)
+    )
+    return after < before
+
+
+def _track_stabilised(
+    film: Film,
+    usable: npt.NDArray[np.int64],
+    sample: Sequence[Plane],
+    hub: tuple[float, float] | None,
+    progress: Progress | None,
+    shake: Shake,
+    margin: int,
+) -> Tracked:
+    """Track the body after the motion of the camera is compensated; a camera that shows no body is said to move."""
+    try:
+        return _track(film, usable, sample, hub, progress, margin=margin)
+    except RefusedFilmError as error:
+        if error.kind != "no rotation" or hub is not None:
+            raise
+        raise RefusedFilmError(
+            f"The camera moves in {film.path.name}, by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad "
+            "rms, and no body that turns about a hub is found after this is compensated.",
+            "Film with the camera on a stand, or give a point to follow with --point X,Y.",
+            kind="moving camera",
+            evidence={**error.evidence, "shake_px": shake.rms},
+            frames=error.frames,
+            hub=error.hub,
+        ) from error
 
 
 def read_excerpt(
@@ -220,6 +266,10 @@ def _track(
     if hub is not None and not all(math.isfinite(v) for v in hub):
         what = "The coordinates of the hub are not finite numbers."
         raise UsageError(what, "Give the hub as --hub X,Y in px.")
+    pairs = cache(lambda: pairs_of(film, usable))
+    seen_whole = hub is None and not margin
+    if seen_whole:
+        refuse_moving_camera(film, usable, pairs(), motion.mean.shape, MOSTLY_TRANSLATES)
     small = _Reduced.of(film, usable, sample, motion, margin)
     loose = None
     if small is None or may_be_loose(small.frames, small.motion):
@@ -227,8 +277,7 @@ def _track(
     # a body without an axle, for example a suspended table, does not turn about a given place on it
     if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
-    pairs = cache(lambda: pairs_of(film, usable))
-    if hub is None and not margin:
+    if seen_whole:
         refuse_moving_camera(film, usable, pairs(), motion.mean.shape)
     where, hint = "about a hub", _GIVE_HUB
     if hub is not None:
@@ -245,6 +294,8 @@ def _track(
     if not candidates.kept:
         _refuse(film, pairs(), block, motion, candidates.best, where, hint, candidates.needed)
     distinct = candidates.kept
+    if hub is None:
+        refuse_link(film.path.name, block, motion, distinct[0])
     refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
     best = max(refined, key=lambda t: t.score * _steadiness(t))
     outside = _off_picture(best.ring, motion, hub)
@@ -262,6 +313,18 @@ def _track(
             frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
             hub=best.ring.hub,
         )
+    moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
+    if hub is None and moved > REFUSED * allowed:
+        raise RefusedFilmError(
+            f"No body in {film.path.name} turns about a fixed axis: the hub of the best candidate, at "
+            f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
+            "are usual.",
+            f"The body also translates, or several bodies move. {_GIVE_HUB}",
+            kind="no rotation",
+            evidence={"explained": best.score, "hub_moves_px": moved},
+            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+            hub=best.ring.hub,
+        )
     left, top, right, bottom = motion.area
     if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
         what = (
@@ -270,6 +333,8 @@ def _track(
         raise TrackingError(
             what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
         )
+    if hub is None:
+        refuse_link(film.path.name, block, motion, best)
     if hub is None and (other := _second_body(block, motion, best)) is not None:
         (x, y), (u, v) = best.ring.hub, other.ring.hub
         raise RefusedFilmError(
@@ -282,19 +347,35 @@ def _track(
             hub=best.ring.hub,
         )
     tracked = _measure(film, usable, first, best, motion, progress)
+    doubts = []
     if (share := elsewhere(motion.moving, best.ring)) > _ELSEWHERE:
         text = (
             f"Other parts of the picture move as well: {100 * share:.0f} % as many pixels as in the ring. If they "
             "belong to another body that acts on this one (a second link, a gear), a torque law of one body does not "
             "describe it."
         )
-        tracked = replace(tracked, warnings=(text, *tracked.warnings))
+        if share > _COUPLED:
+            doubts.append(text)
+        else:
+            tracked = replace(tracked, warnings=(text, *tracked.warnings))
     second = second_rotation(
         block, motion, best.ring.hub, best.angle, stretch=best.ring.stretch, separate=best.separate
     )
     if second is not None:
         tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
-    doubt = (
+    if moved > allowed:
+        doubts.append(
+            f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
+            "body may also translate, or several bodies may move: look at the picture of the body (.png)."
+        )
+    whole = hub is None and tracked.ring.span >= TURN
+    if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
+        doubts.append(
+            "The inner and the outer half of the body do not turn alike: their difference causes an error of "
+            f"{100 * apart:.2g} % of the motion. Two bodies may move, or the hub may be wrong: look at the picture of "
+            "the body (.png)."
+        )
+    other_hub = (
         rival_hub(
             [(t.ring.hub, t.ring.outer, t.angle, t.score * _steadiness(t)) for t in refined],
             refined.index(best),
@@ -302,7 +383,10 @@ def _track(
         if hub is None
         else _doubt_of_hub(distinct[refined.index(best)], best, block, motion)
     )
-    return tracked if doubt is None else replace(tracked, warnings=(*tracked.warnings, doubt), ambiguous=True)
+    doubts += [other_hub] if other_hub else []
+    if not doubts:
+        return tracked
+    return replace(tracked, warnings=(*tracked.warnings, " ".join(doubts)), ambiguous=True)
 
 
 @dataclass(frozen=True)
@@ -420,6 +504,24 @@ def _refuse(
         evidence={"explained": 0.0 if best is None else best.score, "needed": needed},
         frames=some,
         hub=None if best is None else best.ring.hub,
+    )
+
+
+def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) -> None:
+    """Raise a RefusedFilmError if a second link on the rim of a body moves outside its ring."""
+    share = elsewhere(motion.moving, best.ring)
+    use = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
+    if share < _ELSEWHERE or not carries_a_link(best.ring, block.at(use), best.angle[use], motion.noise):
+        return
+    x, y = best.ring.hub
+    raise RefusedFilmError(
+        f"Two linked bodies turn in {name}: one about ({x:.0f}, {y:.0f}) px, and one that is joined to it, extends "
+        f"beyond it and turns differently; outside the first one, {100 * share:.0f} % as many pixels change.",
+        FOLLOW_LINKS,
+        kind="two links",
+        evidence={"explained": best.score, "elsewhere": share},
+        frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+        hub=best.ring.hub,
     )
 
 
@@ -852,13 +954,7 @@ class _BodyPath:
         ring, known = template.ring, template.information()
         poses = []
         for picture, start in zip(pictures, angle, strict=True):
-            shift, about = np.zeros(2), float(start)
-            for _ in range(_PATH_STEPS):  # the displacement may exceed the width of the details
-                pose = register(ring.unwrap(picture, tuple(shift)), template, about, move=True)
-                step = np.clip(pose.shift, -_PATH_STEP, _PATH_STEP)
-                shift, about = shift + step, pose.angle
-                if np.abs(step).max() < 0.02:
-                    break
+            about, shift = displaced(picture, template, float(start), _PATH_SETTLED)
             poses.append((about, *shift))
         turn, x, y = np.array(poses).T
         power = (known[:, None] * np.gradient(template.body, axis=1) ** 2).sum(axis=0)

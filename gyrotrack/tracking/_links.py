@@ -1,17 +1,29 @@
 """Evidence of two links: a point on a circle about a pivot, and another one at a fixed distance from it.
 
-The paths of two compact bodies show it, as do the motions of the features of two bodies: both move the joint alike.
+The paths of two compact bodies show it, as do the motions of the features of two bodies: both move the joint alike. The
+silhouettes of a tracked body show it where something joins it that extends beyond it and does not turn with it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._pivot import fit_arc
-from gyrotrack.tracking._silhouettes import AS_LARGE, Foreground, Spot, differs, spots_in
+from gyrotrack.tracking._registration import Ring
+from gyrotrack.tracking._silhouettes import (
+    AS_LARGE,
+    Foreground,
+    Spot,
+    differs,
+    median_picture,
+    parts_of,
+    spots_in,
+)
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -26,6 +38,11 @@ _REACH = 2.0  # largest distance of a body from where its last step leads, in ra
 _LOST = 2  # frames in a row that may miss a body, which another one occludes
 _FEWEST = 20  # positions that show the motion
 _PARTS = 6  # compact parts of a frame that are considered
+# radii, over that of the rim of a body, where the body itself and a link beyond it are seen
+_RIM, _BEYOND = (0.8, 1.0), (1.3, 1.5)
+# half width of a direction [rad]; share of the frames in which a link is seen at least, and of these in which one
+# direction of the body shows it at most. Links of drawn double pendulums: 0.4 to 0.6; a part of the body: 1
+_DIRECTION, _SHOWN, _TURNS_WITH = 0.14, 0.6, 0.75
 
 
 def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]) -> Floats:
@@ -83,6 +100,45 @@ def share_a_joint(hub: complex, first: Complexes, second: Complexes) -> bool:
     middle = float(np.median(distance))
     # the median deviation of normal noise is 0.67 standard deviations
     return 1.4826 * float(np.median(np.abs(distance - middle))) < _RIGID * middle
+
+
+def carries_a_link(ring: Ring, frames: Sequence[Plane], angle: Floats, noise: float) -> bool:
+    """Return whether something extends beyond a tracked body, is joined to it, and does not turn with it.
+
+    `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad], `noise` is that of single frames.
+    """
+    background = median_picture(frames)
+    body, beyond = (
+        Ring.about(ring.hub, low * ring.outer, high * ring.outer, stretch=ring.stretch)
+        for low, high in (_RIM, _BEYOND)
+    )
+    # a direction of the body, at which a part beyond it would stay if it turned with it
+    width = math.ceil(_DIRECTION / beyond.step)
+    seen, joined = np.zeros(beyond.columns), 0
+    for frame, turn in zip(frames, angle, strict=True):
+        there = _joined(differs(frame, background, noise), body, beyond)
+        if there.any():
+            joined += 1
+            wide = cv2.dilate(np.tile(there, 3)[None].astype(np.uint8), np.ones((1, 2 * width + 1), np.uint8))
+            seen += np.roll(wide[0, len(there) : 2 * len(there)], -round(turn / beyond.step))
+    return joined > _SHOWN * len(frames) and float(seen.max()) < _TURNS_WITH * joined
+
+
+def _joined(region: Plane, body: Ring, beyond: Ring) -> npt.NDArray[np.bool_]:
+    """Return the columns of a ring in which a region shows parts that it joins to a ring farther inside."""
+    closed = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    label, _ = parts_of(np.asarray(closed, dtype=np.uint8))
+    inside, outside = (_labels(label, ring) for ring in (body, beyond))
+    shared = np.intersect1d(inside[inside > 0], outside)
+    return np.asarray(np.isin(outside, shared).any(axis=0))
+
+
+def _labels(label: npt.NDArray[np.int32], ring: Ring) -> npt.NDArray[np.int32]:
+    """Return the labels of the pixels at the samples of a ring, 0 outside the picture."""
+    x, y = (np.rint(v).astype(np.int64) for v in ring.grid())
+    height, width = label.shape
+    within = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return np.where(within, label[y.clip(0, height - 1), x.clip(0, width - 1)], 0)
 
 
 def _constant(distance: Floats) -> bool:

@@ -195,16 +195,17 @@ def track_free_body(
             continue
         apart = tracked.halves[0] - tracked.halves[1]
         correlated = 0.5 * math.sqrt(max(float(np.var(apart)) - white_noise(apart, tracked.frame) ** 2, 0.0))
-        notes = [
-            (
-                f"The body moves across the picture by {np.hypot(*np.ptp(path.place, axis=0)):.0f} px; the centroid of "
-                f"its outline, complete in {len(path.frame)} of {len(film)} frames, is the centre of rotation."
-            )
-        ]
+        notes = []
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
             notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
-        return _completed(film, tracked, correlated, "outline", notes)
+        # the last warning is the doubt
+        notes.append(
+            f"The body does not turn about a fixed axis: it moves across the picture by "
+            f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is that about the centroid of its outline, "
+            f"complete in {len(path.frame)} of {len(film)} frames; what acts on its path may also act on its rotation."
+        )
+        return replace(_completed(film, tracked, correlated, "outline", notes), ambiguous=True)
     where = "" if near is None else f" and passes ({near[0]:.0f}, {near[1]:.0f}) px"
     what = f"No body that turns while it moves across the picture{where} is found in {film.path.name}."
     hint = "--point X,Y follows a point of it."

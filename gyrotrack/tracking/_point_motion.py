@@ -44,6 +44,9 @@ _CONTRADICTS = 3.0
 # a point that was not selected: share of the frames in which it must be found, largest radial scatter over the extent
 # of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
 _ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
+# step of the angle from frame to frame over its median from which the point jumps (the next throw of a ball): a
+# pendulum passes its middle at 1.4 times the median step
+_JUMP = 5.0
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,14 @@ class TrackedPoint:
         return math.hypot(perspective, self.arc.by_place) / float(
             np.median(np.hypot(*(self.place - self.hub).T))
         )
+
+    @property
+    def whole_sigma(self) -> Floats:
+        """Standard uncertainty (m,) of the angles with the errors that they share: pivot and place on the arc [rad]."""
+        shared = math.hypot(
+            self.arc.noise, self.arc.by_place, math.sqrt(0.5 * float(np.trace(self.hub_covariance)))
+        )
+        return np.asarray(np.hypot(self.sigma, shared / np.hypot(*(self.place - self.hub).T)))
 
     def displaced(self) -> list[Floats]:
         """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis.
@@ -173,7 +184,10 @@ class SecondLink:
         Frames in which both are measured.
     angle, sigma : ndarray, shape (m,)
         Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
-        contains that of the distance of both points from the places on the links that they stand for.
+        contains `off_axis`.
+    off_axis : ndarray, shape (n,)
+        Standard uncertainty of the direction [rad] because the points are not exactly on the axis of the joint and at
+        one place of the link.
     path : PointPath
         The path of the point.
     """
@@ -181,12 +195,14 @@ class SecondLink:
     frame: npt.NDArray[np.int64]
     angle: Floats
     sigma: Floats
+    off_axis: Floats
     path: PointPath
 
 
-# relative scatter of the distance of two points of one rigid link; standard uncertainty of the distance of a point that
-# is followed from the axis of a joint, and from its place on a link that turns [px]
-_RIGID, _OFF_AXIS = 0.05, 0.5
+# relative scatter of the distance of two points of one rigid link, at most; standard deviation of the displacement of a
+# point that is followed from the axis of the joint, per axis (markers of drawn links: 0.2 to 1.6 px), and standard
+# uncertainty of its place on a link that turns [px]
+_RIGID, _OFF_AXIS, _ON_LINK = 0.05, 1.0, 0.1
 
 
 def follow_second_link(
@@ -217,7 +233,37 @@ def follow_second_link(
     angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
     sigma = np.sqrt(variance) / length
     sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
-    return SecondLink(frame, angle, np.hypot(sigma, math.sqrt(2.0) * _OFF_AXIS / length), path)
+    shift, off_axis = _beside_joint(length, angle - joint.angle[one])
+    angle = angle + shift / length
+    off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length
+    return SecondLink(frame, angle, np.hypot(sigma, off_axis), off_axis, path)
+
+
+def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats]:
+    """Return what moves a point across the second link because another one is not on the axis of the joint, and its u.
+
+    With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
+    links, the distance is L - Re(d exp(-i phi)), and the end appears moved by -Im(d exp(-i phi)) across [px]. A linear
+    fit of the distances (n,) gives d, with a normal prior of mean 0.
+    """
+    cos, sin = np.cos(between), np.sin(between)
+    rows = np.stack([-cos, -sin, np.ones_like(cos)], axis=1)
+    prior = np.diag([_OFF_AXIS**-2, _OFF_AXIS**-2, 0.0])
+    covariance, found = np.eye(3), np.zeros(3)
+    variance = float(np.var(length)) + 1e-12
+    for _ in range(3):
+        covariance = np.linalg.inv(rows.T @ rows / variance + prior)
+        found = covariance @ (rows.T @ length) / variance
+        rest = length - rows @ found
+        # n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
+        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
+        variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
+    across = np.stack([-sin, cos], axis=1)
+    # a constant displacement is a zero of the angle
+    varying = across - across.mean(axis=0)
+    sigma = np.sqrt(np.einsum("ni,ij,nj->n", varying, covariance[:2, :2], varying))
+    # what is left shows that one of the points does not keep its place: the error across is as large
+    return across @ found[:2], np.hypot(sigma, float(np.std(rest)))
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
@@ -509,9 +555,17 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
     path, angle = found.path, found.angle
     extent = float(np.hypot(*np.ptp(path.place, axis=0)))
     middle = 0.5 * float(angle.min() + angle.max())
-    side = angle > middle
-    reversals = int(np.count_nonzero(side[1:] != side[:-1]))
-    retraced = reversals > _REVERSALS or np.ptp(angle) > _TURNS * TURN
+    side = (angle > middle).astype(np.int64)
+    step = np.diff(angle)
+    pace = np.abs(step / np.diff(path.frame))
+    steady = pace < _JUMP * np.median(pace)
+    passes = np.diff(side)[steady]
+    both_ways = bool((passes > 0).any() and (passes < 0).any())
+    direction = np.sort(angle % TURN)
+    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    turned = float(np.ptp(np.cumsum(step * steady)))
+    turns = turned > _TURNS * TURN and gap < 0.5 * TURN
+    retraced = turns or (both_ways and np.count_nonzero(passes) > _REVERSALS)
     scatter = math.hypot(found.arc.noise, found.arc.by_place)
     if len(path.frame) < _ALWAYS * path.searched or scatter > _ROUND * extent or not retraced:
         raise TrackingError(

@@ -1,4 +1,4 @@
-"""When a film is tested for a moving camera: after free bodies, and without a given hub or a compensated shake."""
+"""When a film is tested for a moving camera: before and after free bodies, without a hub or a compensated shake."""
 
 from types import SimpleNamespace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _any_body
+from gyrotrack.tracking._diagnosis import MOSTLY_TRANSLATES
 
 
 class CameraError(Exception):
@@ -33,10 +34,13 @@ def test_the_camera_is_tested_without_hub_or_compensation(hub, margin, error, mo
         _any_body._track(FILM, np.arange(30), [], hub, None, margin=margin)
 
 
-def test_a_body_without_an_axle_is_found_first(monkeypatch):
-    found = SimpleNamespace()
+def test_a_body_without_an_axle_is_found_before_a_picture_that_turns_about_no_hub_is_refused(monkeypatch):
+    """Before, a camera is refused only if the picture mostly translates."""
+    found, limits = SimpleNamespace(), []
     track(monkeypatch, loose=found)
+    monkeypatch.setattr(_any_body, "refuse_moving_camera", lambda *words: limits.append(words[4:]))
     assert _any_body._track(FILM, np.arange(30), [], None, None) is found
+    assert limits == [(MOSTLY_TRANSLATES,)]
 
 
 FILM = SimpleNamespace(some=lambda frames: [], path=SimpleNamespace(name="film"))

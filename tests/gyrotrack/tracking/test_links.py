@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._links import move_as_links, paths_of, share_a_joint
+from gyrotrack.tracking._links import carries_a_link, move_as_links, paths_of, share_a_joint
+from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import Foreground, differs, median_picture, spots_in
 
 TIME = np.arange(60) / 30
@@ -108,3 +109,32 @@ def test_two_motions_share_a_joint_at_a_fixed_distance_from_the_hub():
         after = hub + turn * (joint - hub)
         second = np.stack([np.full(12, other), after - other * joint], axis=1)
         assert share_a_joint(hub, first, second) == linked
+
+
+def _drawn_links(second, offset=None):
+    """Frames of a rod about the hub, and of a second one at its end or about another place."""
+    rng = np.random.default_rng(0)
+    hub, frames = np.array([80.0, 60.0]), []
+    for one, two in zip(FIRST, second, strict=True):
+        joint = hub + 30.0 * _along(np.array([one]))[0]
+        start = joint if offset is None else hub + offset
+        end = start + 28.0 * _along(np.array([two]))[0]
+        frame = rng.normal(120.0, 2.0, (130, 170)).clip(0, 255).astype(np.uint8)
+        for a, b in ((hub, joint), (start, end)):
+            cv2.line(frame, *(tuple(np.round(p).astype(int).tolist()) for p in (a, b)), 230, 4)
+        frames.append(frame)
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("second", "offset", "linked"),
+    [
+        (2.0 * SECOND, None, True),
+        (FIRST, None, False),
+        (2.0 * SECOND, (60.0, 0.0), False),
+    ],
+    ids=["second link", "one rod", "apart"],
+)
+def test_a_link_extends_beyond_the_body_and_turns_differently(second, offset, linked):
+    ring = Ring.about((80.0, 60.0), 3.0, 32.0, finest=48.0)
+    assert carries_a_link(ring, _drawn_links(second, offset), -FIRST, 2.0) == linked

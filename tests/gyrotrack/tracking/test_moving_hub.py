@@ -112,6 +112,8 @@ def test_the_angle_of_a_puck_is_that_of_the_renderer_within_its_uncertainty(turn
     place = np.array(tracked.ring.hub) + tracked.hub_path
     assert np.abs(place - path[tracked.frame]).max() < 0.5
     assert tracked.way == "outline"
+    assert tracked.ambiguous
+    assert "does not turn about a fixed axis" in tracked.warnings[-1]
 
 
 def test_a_body_that_rests_for_most_of_the_film_is_not_a_background():

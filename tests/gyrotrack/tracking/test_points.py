@@ -226,3 +226,21 @@ def test_an_unselected_point_must_retrace_its_path(count, refused):
             _point_motion._check_unselected(found, "film")
     else:
         _point_motion._check_unselected(found, "film")
+
+
+@pytest.mark.parametrize("thrown", [True, False])
+def test_a_ball_that_is_thrown_repeatedly_does_not_retrace_its_path(thrown):
+    """Each throw passes the same arc in the same sense; a pendulum passes it in both."""
+    phase = np.arange(160) / 30.0
+    phase = phase % 1.0 if thrown else np.abs(phase % 2.0 - 1.0)
+    angle = 2.4 * (phase - 0.5)
+    place = np.array([80.0, 120.0]) + 60.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    place += np.random.default_rng(0).normal(0, 0.05, place.shape)
+    some = drawn()
+    path = PointPath(some.frame, place, some.covariance, 6.0, 160, False, some.picture)
+    found = about_pivot(path, "film")
+    if thrown:
+        with pytest.raises(TrackingError, match="No point that moves about a pivot"):
+            _point_motion._check_unselected(found, "film")
+    else:
+        _point_motion._check_unselected(found, "film")

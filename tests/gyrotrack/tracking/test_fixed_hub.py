@@ -1,0 +1,96 @@
+"""A body on an axle keeps its hub; what translates or consists of several things does not."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _any_body
+from gyrotrack.tracking._any_body import calmer
+from gyrotrack.tracking._fixed_hub import drift, halves_differ
+from gyrotrack.tracking._registration import Ring
+
+SIZE, HUB = 112, np.array([55.0, 55.0])
+ANGLE = np.linspace(0.0, 9.0, 24)
+RING = Ring.about((55.0, 55.0), 6.0, 42.0, finest=48.0)
+
+
+def _frames(wobble):
+    """A textured disc whose hub moves by `wobble` [px] along x and y."""
+    rng = np.random.default_rng(2)
+    smooth = cv2.GaussianBlur(rng.normal(size=(SIZE, SIZE)), (0, 0), 3.0)
+    texture = 120.0 + 40.0 * smooth / smooth.std()
+    frames = []
+    for k, angle in enumerate(ANGLE):
+        move = cv2.getRotationMatrix2D(HUB.tolist(), -np.degrees(angle), 1.0)
+        move[:, 2] += wobble * np.array([np.sin(1.3 * k), np.cos(2.1 * k)])
+        frame = cv2.warpAffine(texture, move, (SIZE, SIZE), borderMode=cv2.BORDER_REFLECT)
+        frames.append(np.clip(frame + rng.normal(0, 1.0, frame.shape), 0, 255).astype(np.uint8))
+    return frames
+
+
+@pytest.mark.parametrize(("wobble", "moves"), [(0.0, False), (1.0, False), (5.0, True)])
+def test_a_hub_that_wobbles_by_a_pixel_is_on_an_axle(wobble, moves):
+    """The limit is 2.3 px; the displacement is up to 1.41 times the amplitude along each axis."""
+    found, limit = drift(RING, _frames(wobble), ANGLE, (0, 0, SIZE, SIZE), separate=False)
+    assert limit == pytest.approx(2.3)
+    assert (found > limit) == moves
+    assert 0.9 * wobble < found < 1.41 * wobble + 0.2
+
+
+def test_a_larger_ring_allows_a_larger_displacement():
+    large = Ring.about((160.0, 160.0), 100.0, 300.0, finest=48.0)
+    frames = [np.random.default_rng(0).integers(0, 255, (320, 320)).astype(np.uint8)] * 4
+    assert drift(large, frames, np.zeros(4), (0, 0, 320, 320), separate=False)[1] == pytest.approx(3.0)
+
+
+def test_the_middle_of_a_body_far_from_its_hub_counts():
+    """A round bob on an arc may turn about itself: the angle of a small bob is not precise, its place is."""
+    hub = (80.0, -160.0)
+    turns = 0.12 * np.sin(np.linspace(0.0, 9.0, 24))
+    rng = np.random.default_rng(1)
+    v, u = np.mgrid[0:100, 0:160]
+
+    def frame(angle, radius):
+        x, y = hub[0] - radius * np.sin(angle), hub[1] + radius * np.cos(angle)
+        disc = np.clip(10.5 - np.hypot(u - x, v - y), 0.0, 1.0)
+        return np.clip(60.0 + 140.0 * disc + rng.normal(0, 2.0, u.shape), 0, 255).astype(np.uint8)
+
+    arc = Ring.about(hub, 190.0, 230.0, finest=48.0, start=0.5 * np.pi - 0.3, span=0.6)
+    steady = [frame(a, 210.0) for a in turns]
+    moving = [frame(a, 210.0 + 6.0 * np.sin(1.7 * k)) for k, a in enumerate(turns)]
+    found = [drift(arc, f, turns, (0, 0, 160, 100), separate=False) for f in (steady, moving)]
+    assert found[0][0] < 0.5
+    assert found[1][0] > found[1][1]
+
+
+def test_a_compensation_that_does_not_calm_the_picture_is_discarded():
+    rng = np.random.default_rng(0)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (60, 80)).astype(np.float32), (0, 0), 2.0)
+    still = [picture.astype(np.uint8)] * 3
+    moved = [np.roll(picture, k, axis=1).astype(np.uint8) for k in (0, 2, 4)]
+    assert calmer(moved, still, 5)
+    assert not calmer(still, moved, 5)
+    assert not calmer(moved, still, 30)  # nothing is left of the picture
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.15, False), (0.25, True)])
+def test_a_second_link_moves_outside_of_the_ring(share, refused, monkeypatch):
+    """Below 20 % of the pixels of the ring, what moves elsewhere is no second link, whatever its silhouette."""
+    monkeypatch.setattr(_any_body, "elsewhere", lambda *_: share)
+    monkeypatch.setattr(_any_body, "carries_a_link", lambda *_: True)
+    frames = _any_body.StoredPictures.of(24, iter(_frames(0.0)))
+    trial = _any_body._Trial(RING, "features", "low", True, ANGLE, 0.9, False)
+    motion = _any_body.Motion.of(_frames(0.0))
+    if refused:
+        with pytest.raises(_any_body.RefusedFilmError, match="Two linked bodies turn") as error:
+            _any_body.refuse_link("film", frames, motion, trial)
+        assert "extract --links" in error.value.hint
+    else:
+        _any_body.refuse_link("film", frames, motion, trial)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.015, False), (0.025, True)])
+def test_both_halves_of_a_rigid_body_turn_alike(share, told):
+    """The limit is 2 % of the standard deviation of the angle."""
+    angle = 0.4 * np.sin(np.linspace(0.0, 40.0, 400))
+    assert (halves_differ(angle, share * float(np.std(angle))) is not None) == told
