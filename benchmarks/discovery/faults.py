@@ -5,8 +5,8 @@
 
 Each run is a gyroscope of experiment.py with other speeds, spans, windows and noise, and one fault. Its angles are
 written as tables, and the steps are those of a user: `import`, `diagnose`. Right is the fault itself, corrected or
-named, or an answer that claims no physical effect. Each line of faults.jsonl is one run; a run with a line is not
-repeated.
+named, or an answer that claims no physical effect. Each line of faults.jsonl is one run; a run that has its answer is
+not repeated.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ TURN = 2 * np.pi
 # what a right answer says of each fault: an effect that it names, or words on the screen; "" where nothing need be said
 SAID = {
     "inertia of the casing wrong by 1 to 3 %": "setup.inertia",
-    "starts wrong by 1 to 10 ms, not stated": "camera.start",
-    "starts wrong by 1 to 10 ms, stated": "",
+    "starts wrong by 1 to 10 ms rms, not stated": "camera.start",
+    "starts wrong by 1 to 10 ms rms, stated": "",
     "a turn slipped in the casing": "slipped",
     "a turn slipped in a window": "slipped",
     "the clock of the casing steps by 10 to 100 ms": "the clock steps",
@@ -125,7 +125,7 @@ def answer(fault: str, number: int, folder: Path) -> dict[str, Any]:
     first = said["candidates"][0] if said["candidates"] and said["verdict"] == "missing_effect" else None
     named = None if first is None else first["effect"]
     physical = first is not None and first["kind"] == "physical"
-    line |= {"named": named, "physical": physical, "warnings": imported.stderr[-300:]}
+    line |= {"named": named, "physical": physical, "warnings": imported.stderr}
     return line | {"seconds": time.monotonic() - began, "commit": commit()}
 
 
@@ -168,7 +168,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             try:
                 line = answer(fault, number, Path(folder))
-            except RuntimeError as problem:
+            except (RuntimeError, ValueError) as problem:
                 line = {"error": str(problem)}
         append(options.output, {"key": key, "fault": fault, **line})
         print(

@@ -106,14 +106,13 @@ class StartErrors:
     def evidence_of(self, refitted: Fit) -> float:
         """Return the evidence by a fit with starts of the uncertainty `u`, whose noise is that of its own residuals.
 
-        The noise of a base that errors of the starts have bent is too large, and the linear fall too small. What the
-        mean over s takes from the largest fall is that of the linear fall.
+        The noise of a base that errors of the starts have bent is too large, and the linear fall too small. The loss by
+        averaging over s is taken from the linear fall.
         """
-        parts = (p for d in refitted.problem.data for p in d.start_time_noise.parts)
-        log_determinant = sum(2 * math.log(math.hypot(1.0, size)) for *_, size in parts)
-        old = (p for d in self.base.problem.data for p in d.start_time_noise.parts)
-        log_determinant -= sum(2 * math.log(math.hypot(1.0, size)) for *_, size in old)
-        fall = self.base.deviance - refitted.deviance - log_determinant
+        more, base = (
+            sum(d.start_time_noise.log_determinant for d in f.problem.data) for f in (refitted, self.base)
+        )
+        fall = self.base.deviance - refitted.deviance - (more - base)
         return max(self.evidence, fall + self.evidence - self.fall)
 
     def refit(self) -> Fit | None:

@@ -760,6 +760,11 @@ def _improved(
                 "errors of the starts of the rotor windows explain it; state them with `import --start-u`"
             )
             break
+        if _may_be_random(history, chosen, chosen.fit, criteria):
+            history.stopped = (
+                f"a random torque describes what is left as well as {chosen.effect.name}, which is not added"
+            )
+            break
         try:
             known_steps = len(history)
             for following in _steps(history, chosen, chosen.fit, extra, criteria, workers):
@@ -790,8 +795,6 @@ def _steps(
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
-    if _may_be_random(history, chosen, found, criteria):
-        return
     newest = Step(f"+{chosen.effect.name}", found, ())
     last = _backward([*history, newest], criteria)
     try:
@@ -811,10 +814,12 @@ def _steps(
 def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, criteria: Criteria) -> bool:
     """Return whether a random torque explains what a further effect explains, about a fit without a lack of fit.
 
-    The diagnosis tests the first effect; a fit that fails lacks more than a random torque.
+    The diagnosis tests the first effect; a fit that fails lacks more than a random torque. A random torque is no
+    alternative to a law of an oscillation.
     """
     before = history[-1].fit
-    if len(history) < 2 or before.fails(criteria):
+    first = before.model.names == history[0].fit.model.names
+    if first or before.fails(criteria) or any(d.oscillation is not None for d in before.problem.data):
         return False
     random = with_random_torque(before, criteria)
     tests = len(history[-1].candidates)

@@ -512,7 +512,7 @@ def _undecided(
             )
             parts.append(f"{words} describes the data{rivals}; {level}.")
         else:
-            other = "chance"
+            other = "a chance agreement"
             parts.append(f"The noise of the angles alone describes the data{rivals}.")
         if chosen is not None:
             parts.append(f"Repeat the recording: a law returns with the same strength, {other} does not.")

@@ -88,6 +88,11 @@ class StartTimeNoise:
                 parts.append((rows, c / size, s * size))
         return cls(tuple(parts))
 
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the covariance of the rows."""
+        return sum(math.log1p(size**2) for *_, size in self.parts)
+
     def whitened(self, rows: Array) -> Array:
         """Return A rows."""
         return self._scaled(rows, [1 / np.hypot(1.0, size) for *_, size in self.parts])
@@ -111,13 +116,14 @@ def start_response(window: Compressed, *, angle: bool) -> Array:
 
     An angle changes by the speed, and a speed by the acceleration.
     """
-    rate = rate_of_change(window.samples, window.node_times, parts=4 if angle else 3)
+    rate = rate_of_change(window.samples, window.node_times, degree=4 if angle else 3)
     return window.at_nodes(rate - rate.mean() if angle else rate)
 
 
-def rate_of_change(samples: Samples, times: Array, *, parts: int) -> Array:
-    """Return the derivative at times of a polynomial of degree `parts` through samples, or of as many as they allow."""
-    degree = min(parts, len(samples) - 1)
+def rate_of_change(samples: Samples, times: Array, *, degree: int) -> Array:
+    """Return the derivative at times of a polynomial fitted to samples; its degree is lower where there are few."""
+    # a polynomial through all samples would follow their noise
+    degree = min(degree, (len(samples) - 1) // 2)
     if degree < 1:
         return np.zeros(len(times))
     curve = Polynomial.fit(samples.time, samples.value, degree)

@@ -235,6 +235,11 @@ class CaseMetrics:
     chi2_per_row: float
     rows: int
 
+    @property
+    def misfit(self) -> float:
+        """Rms residual of the rows over that of the noise."""
+        return math.sqrt(self.chi2_per_row)
+
     def fails(self, criteria: Criteria) -> bool:
         """Return whether `chi2_per_row` exceeds its limit, and is improbable for its number of rows.
 

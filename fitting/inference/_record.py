@@ -173,8 +173,8 @@ class Record:
 
     @property
     def driving(self) -> tuple[Input, ...]:
-        """The inputs that vary, and so may make the body change its speed or reverse."""
-        return tuple(i for i in self.inputs if i.varies)
+        """The inputs that vary, and so may make the body change its speed or reverse; a temperature does not."""
+        return tuple(i for i in self.inputs if i.varies and i.unit != "K")
 
     @property
     def span(self) -> tuple[float, float]:

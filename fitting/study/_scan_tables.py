@@ -164,7 +164,7 @@ def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
     ahead = f"{predicted:.4g}" if joint and not math.isnan(predicted) else ""
     return (
         f"{case.rotor.r2:>10.6f}{case.casing.r2:>11.6f}{case.casing.rmse:>9.3g}"
-        f"{math.sqrt(case.chi2_per_row):>10.4g}{case.casing.held_out:>10.4g}{ahead:>11}{case.energy_drift:>10.1e}"
+        f"{case.misfit:>10.4g}{case.casing.held_out:>10.4g}{ahead:>11}{case.energy_drift:>10.1e}"
     )
 
 

@@ -31,11 +31,22 @@ from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._hdf5 import read_case, read_recording, write_case
-from gyrotrack.io._records import BodyTrack, Case, Inertia, Placement, Recording, Series, doubts_of, series_of
+from gyrotrack.io._records import (
+    BodyTrack,
+    Case,
+    Inertia,
+    Input,
+    Placement,
+    Recording,
+    Series,
+    doubts_of,
+    series_of,
+)
 from gyrotrack.io.readers._import_case import case_of_body, no_series
-from gyrotrack.io.readers._inputs import read_input_options
+from gyrotrack.io.readers._inputs import UNITS, Unit, read_input_options
 from gyrotrack.io.readers._motion_table import Driver, MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_numbers, usable_numbers
+from gyrotrack.io.readers._raw_table import clean
 from gyrotrack.io.readers._registry import read_motion, read_passages
 from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
@@ -46,6 +57,7 @@ from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
 from gyrotrack.tracking._first_look import FirstLook, first_look, follow_long_body
 from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import (
+    OFF_AXIS,
     TrackedPoint,
     follow_path,
     follow_point,
@@ -128,7 +140,7 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
         raise UsageError(what, "Give the centre of rotation in a film by --hub X,Y.")
     tabulated = not filmed and source.suffix.lower() not in (".h5", ".hdf5")
     if options.inputs and not tabulated:
-        what = "--input applies to a table, whose clock is that of the input."
+        what = "--input names a column of a table; a film or a recording has none."
         raise UsageError(what, "Write the angles with `gyrotrack export`, and the input beside them.")
     if not filmed and (options.point or options.colour or options.scale or options.tilt):
         what = "--point, --colour, --scale and --tilt apply to films."
@@ -190,6 +202,9 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
         found = read_passages(source, _reading(options))
     if found is None:
         return None
+    if options.inputs:
+        what = "Light gates measure period and decay of a pendulum; no input enters them."
+        raise UsageError(what, "Repeat the command without --input.")
     keep = within(found.time, options.limits)
     found = replace(found, time=found.time[keep], duration=found.duration[keep])
     motion = motion_of_passages(found)
@@ -451,11 +466,12 @@ def links_recording(
         name: point_track(name, path, time[path.frame], recording.frame_index, film, options.scale)
         for name, path in (("joint", joint), ("second_link", second.path))
     }
+    beside = OFF_AXIS / float(np.median(np.hypot(*(joint.place - joint.hub).T)))
     text = (
         "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
         "relative to the ground; the angle of the links to each other is rotor minus casing. The points may be "
-        f"{1e3 * math.sqrt(2.0) * float(np.median(second.off_axis)):.2g} mrad off the axes of the links: an error of "
-        "the zero of the first angle, and of the second one as the links turn."
+        f"{1e3 * beside:.2g} mrad off the axes of the links: an error of "
+        "the zero of the first angle."
     )
     extra = {**recording.extra, "links": ["casing", "rotor"]}
     warnings = (*recording.warnings, *joint.warnings, text)
@@ -644,17 +660,19 @@ def _analysed(
         motion = motion_of_speeds(series.time, series.omega, series.omega_sigma, series.angle)
     else:
         motion = motion_of(series.time, series.angle, series.sigma)
-    drive = None if motion.kind == "oscillation" and not case.inputs else _drive(read)
-    if drive is not None and motion.kind == "fluctuating" and not case.inputs:
+    drives = drives_of(case)
+    drive = None if motion.kind == "oscillation" and not drives else _drive(read)
+    if drive is not None and motion.kind == "fluctuating" and not drives:
         drive = replace(drive, response=None)
     elif drive is not None:
         motion = replace(
             motion,
             kind="driven",
+            period=None,
             omega=drive.omega or motion.omega,
             omega_u=drive.omega_u or motion.omega_u,
         )
-    elif case.inputs:
+    elif drives:
         motion = replace(motion, kind="driven", period=None)
     if body is not None:
         recording = case.recordings["casing"]
@@ -707,16 +725,16 @@ def _analysed(
         "case": target,
         "picture": picture,
         "motion": motion,
-        "response": None if drive is None or case.inputs else drive.response,
+        "response": None if drive is None or drives else drive.response,
         "reading": case.extra.get("reading", []),
         "ambiguous": ambiguous,
     }
-    if not case.inputs and (drive is not None or motion.kind == "fluctuating"):
+    if not drives and (drive is not None or motion.kind == "fluctuating"):
         reason = "its speed rises and falls repeatedly"
         if drive is not None and motion.kind == "driven":
             reason = drive.reason
         text = f"No torque law: the body is driven ({reason}), so its friction is not determined."
-        if body is None:
+        if read.table is not None:
             text += " If a column is the drive, repeat with --input NAME=COLUMN."
         warnings.append(text)
         nothing = dict.fromkeys(("report", "oscillator", "diagnosis"))
@@ -727,8 +745,8 @@ def _analysed(
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case; an oscillation has no solution without a
             # restoring torque, and while one law is missing the next one imitates it
-            if case.inputs:
-                base = _first_order_fit(study.data)
+            if drives:
+                base = _first_order_fit(study.data, [i.name for i in drives])
             elif laws is None:
                 base = fit(study.model(REDUCED), study.data)
             else:
@@ -794,25 +812,30 @@ def _analysed(
     }
 
 
-def _first_order_fit(data: Sequence[CaseData]) -> Fit:
-    """Return the fit of a driven body of the first order: viscous friction, and a torque in proportion to each input.
+def drives_of(case: Case) -> tuple[Input, ...]:
+    """Return the recorded inputs that drive the body: all but temperatures, on which laws may depend."""
+    return tuple(i for i in case.inputs if i.unit != "K")
 
-    Dead times of the inputs are part of it if they lower BIC: without them, laws of friction would imitate them. A
-    recorded temperature drives nothing; laws may depend on it.
+
+def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
+    """Return the fit of a driven body of the first order: viscous friction, and a torque in proportion to each drive.
+
+    A dead time of a drive is part of it if there is evidence for it: without it, laws of friction would imitate it.
     """
     from fitting._errors import FittingError
     from fitting.dynamics._model import Model
     from fitting.inference._fit import fit
 
     inputs = data[0].record.inputs
-    drives = [i.name for i in inputs if i.unit != "K"]
     model = changed(
         Model.of(["casing.air.linear"]), [f"casing.input.{name}" for name in drives], (), (), inputs
     )
     found = fit(model, data)
-    with suppress(FittingError):
-        late = fit(changed(model, [f"input.{name}.delay" for name in drives], (), (), inputs), data)
-        found = min(found, late, key=lambda f: f.bic)
+    for name in drives:
+        with suppress(FittingError):
+            late = fit(changed(found.model, [f"input.{name}.delay"], (), (), inputs), data)
+            if late.converged and late.bic < found.bic - found.criteria.evidence:
+                found = late
     return found
 
 
@@ -827,7 +850,11 @@ def _drive(read: Source) -> Drive | None:
     inputs: tuple[Driver, ...] = ()
     if table is not None:
         rows = np.searchsorted(table.time, series.time, side="right") - 1
-        inputs = tuple(replace(i, value=i.value[np.clip(rows, 0, None)]) for i in table.drivers)
+        inputs = tuple(
+            replace(i, value=i.value[np.clip(rows, 0, None)])
+            for i in table.drivers
+            if UNITS.get(clean(i.unit), Unit("1")).si != "K"  # a temperature drives nothing
+        )
     pulses = table is not None and table.counted
     return drive_of(series, read.case.quantity, inputs, pulses=pulses)
 

@@ -170,7 +170,7 @@ def track_body(
     if shake is not None:
         film.stabilise(shake)
         still, margin = film.some(chosen), shake.margin(sample[0].shape)
-        # what is raised or not calmer: the supposed background is the body, before a blank wall
+        # where this fails, or the picture is not calmer, the supposed background is the body, before a blank wall
         with suppress(NothingMovesError):
             if calmer(sample, still, margin):
                 return _with_shake(
@@ -313,8 +313,18 @@ def _track(
             frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
             hub=best.ring.hub,
         )
-    moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
-    if hub is None and moved > REFUSED * allowed:
+    left, top, right, bottom = motion.area
+    if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
+        what = (
+            f"All of the picture moves in {film.path.name}: the camera moves, or the body fills the picture."
+        )
+        raise TrackingError(
+            what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
+        )
+    moved, allowed = 0.0, math.inf
+    if hub is None:  # about a given hub that is wrong, the displacement is that of the hub
+        moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
+    if moved > REFUSED * allowed:
         raise RefusedFilmError(
             f"No body in {film.path.name} turns about a fixed axis: the hub of the best candidate, at "
             f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
@@ -324,14 +334,6 @@ def _track(
             evidence={"explained": best.score, "hub_moves_px": moved},
             frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
             hub=best.ring.hub,
-        )
-    left, top, right, bottom = motion.area
-    if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
-        what = (
-            f"All of the picture moves in {film.path.name}: the camera moves, or the body fills the picture."
-        )
-        raise TrackingError(
-            what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
         )
     if hub is None:
         refuse_link(film.path.name, block, motion, best)
@@ -354,7 +356,7 @@ def _track(
             "belong to another body that acts on this one (a second link, a gear), a torque law of one body does not "
             "describe it."
         )
-        if share > _COUPLED:
+        if share > _COUPLED and hub is None:
             doubts.append(text)
         else:
             tracked = replace(tracked, warnings=(text, *tracked.warnings))
@@ -368,12 +370,12 @@ def _track(
             f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
             "body may also translate, or several bodies may move: look at the picture of the body (.png)."
         )
-    whole = hub is None and tracked.ring.span >= TURN
+    whole = hub is None and tracked.ring.span >= TURN and tracked.correlated > float(np.median(tracked.sigma))
     if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
         doubts.append(
             "The inner and the outer half of the body do not turn alike: their difference causes an error of "
-            f"{100 * apart:.2g} % of the motion. Two bodies may move, or the hub may be wrong: look at the picture of "
-            "the body (.png)."
+            f"{100 * apart:.2g} % of the standard deviation of the angle. Two bodies may move, or the hub may be "
+            "wrong: look at the picture of the body (.png)."
         )
     other_hub = (
         rival_hub(
@@ -386,6 +388,9 @@ def _track(
     doubts += [other_hub] if other_hub else []
     if not doubts:
         return tracked
+    if tracked.ambiguous:  # the last warning is the doubt that the file keeps
+        *others, last = tracked.warnings
+        tracked, doubts = replace(tracked, warnings=tuple(others)), [last, *doubts]
     return replace(tracked, warnings=(*tracked.warnings, " ".join(doubts)), ambiguous=True)
 
 

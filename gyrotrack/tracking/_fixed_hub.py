@@ -56,7 +56,10 @@ _RIGID = 0.02
 
 
 def halves_differ(angle: Floats, error: float) -> float | None:
-    """Return the error by the difference of both halves [rad] over the scatter of the angle (n,), if it is large."""
+    """Return the error by the difference of both halves [rad] over the standard deviation of the angle (n,), if large.
+
+    Over more than three turns the difference of the halves is a harmonic of the angle, and no error of the motion.
+    """
     share = error / max(float(np.std(angle)), 1e-12)
     return share if share > _RIGID else None
 

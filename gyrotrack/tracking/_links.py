@@ -1,7 +1,7 @@
 """Evidence of two links: a point on a circle about a pivot, and another one at a fixed distance from it.
 
 The paths of two compact bodies show it, as do the motions of the features of two bodies: both move the joint alike. The
-silhouettes of a tracked body show it where something joins it that extends beyond it and does not turn with it.
+silhouettes of a tracked body show it where a part that extends beyond it does not turn with it.
 """
 
 from __future__ import annotations

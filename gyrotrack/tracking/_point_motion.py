@@ -202,7 +202,7 @@ class SecondLink:
 # relative scatter of the distance of two points of one rigid link, at most; standard deviation of the displacement of a
 # point that is followed from the axis of the joint, per axis (markers of drawn links: 0.2 to 1.6 px), and standard
 # uncertainty of its place on a link that turns [px]
-_RIGID, _OFF_AXIS, _ON_LINK = 0.05, 1.0, 0.1
+_RIGID, OFF_AXIS, _ON_LINK = 0.05, 1.0, 0.1
 
 
 def follow_second_link(
@@ -235,12 +235,12 @@ def follow_second_link(
     sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
     shift, off_axis = _beside_joint(length, angle - joint.angle[one])
     angle = angle + shift / length
-    off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length
+    off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length  # of both ends
     return SecondLink(frame, angle, np.hypot(sigma, off_axis), off_axis, path)
 
 
 def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats]:
-    """Return what moves a point across the second link because another one is not on the axis of the joint, and its u.
+    """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
     links, the distance is L - Re(d exp(-i phi)), and the end appears moved by -Im(d exp(-i phi)) across [px]. A linear
@@ -248,7 +248,7 @@ def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats]:
     """
     cos, sin = np.cos(between), np.sin(between)
     rows = np.stack([-cos, -sin, np.ones_like(cos)], axis=1)
-    prior = np.diag([_OFF_AXIS**-2, _OFF_AXIS**-2, 0.0])
+    prior = np.diag([OFF_AXIS**-2, OFF_AXIS**-2, 0.0])
     covariance, found = np.eye(3), np.zeros(3)
     variance = float(np.var(length)) + 1e-12
     for _ in range(3):
@@ -558,7 +558,9 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
     side = (angle > middle).astype(np.int64)
     step = np.diff(angle)
     pace = np.abs(step / np.diff(path.frame))
-    steady = pace < _JUMP * np.median(pace)
+    # a point at rest does not say how fast it moves
+    moves = pace > 0.1 * np.quantile(pace, 0.9)
+    steady = pace < _JUMP * np.median(pace[moves])
     passes = np.diff(side)[steady]
     both_ways = bool((passes > 0).any() and (passes < 0).any())
     direction = np.sort(angle % TURN)

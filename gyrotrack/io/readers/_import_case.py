@@ -120,7 +120,7 @@ def _refuse_jumps(table: MotionTable) -> None:
         )
     interval, step = np.diff(table.time), np.diff(table.value)
     step[interval > 1.5 * np.median(interval)] = 0.0
-    padded = np.pad(step, 2, mode="edge")
+    padded = np.pad(step, 2, mode="reflect")
     around = np.stack([padded[k : len(step) + k] for k in (0, 1, 3, 4)])
     off = np.abs(step - np.median(around, axis=0))
     noise = max(1.4826 * float(np.median(off)), resolution(table.value))
@@ -352,8 +352,9 @@ def case_of_body(
     if not inertia > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     limits = limits or Limits()
-    if table.inputs:
-        # an input describes drive and brake
+    driven = any(i.unit != "K" for i in table.inputs)
+    if driven:
+        # an input describes drive and brake; a temperature does not
         limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
@@ -363,7 +364,7 @@ def case_of_body(
     parts = pieces_of(read, value, notes)
     sense = 1
     # the sign of an input belongs to that of the motion
-    if not read.inputs and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
+    if not driven and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))

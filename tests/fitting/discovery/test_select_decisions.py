@@ -781,7 +781,45 @@ class TestImprove:
     def always(self, history, chosen, found, *_):
         yield Step(f"+{chosen.effect.name}", found, (candidate(DRAG),))
 
+    @pytest.mark.parametrize(
+        ("first", "wrong", "oscillation", "describes", "established", "random"),
+        [
+            (False, False, None, True, False, True),
+            (False, False, None, True, True, False),  # better than any random torque
+            (False, False, None, False, False, False),  # which does not describe the residuals
+            (False, True, None, True, False, False),  # a lack of fit
+            (False, False, object(), True, False, False),
+            (True, False, None, True, False, False),  # the first effect is tested by the diagnosis
+        ],
+    )
+    def test_a_further_effect_is_better_than_a_random_torque(
+        self, monkeypatch, first, wrong, oscillation, describes, established, random
+    ):
+        asked = []
+        monkeypatch.setattr(module, "with_random_torque", lambda found, criteria: ("random", found.bic))
+        monkeypatch.setattr(module, "describes", lambda *_: describes)
+        monkeypatch.setattr(module, "is_established", lambda *args: asked.append(args) or established)
+        problem = SimpleNamespace(data=[SimpleNamespace(oscillation=oscillation)])
+        before = Found(60.0, wrong=wrong, problem=problem, model=Model(() if first else (LAMINAR,)))
+        # a value for each recording is a step that adds no effect
+        history = [Step("", Found(100.0), ()), Step("+a", before, (candidate(), candidate(STEP)))]
+        chosen, found = candidate(DRAG), Found(50.0, model=Model((DRAG,)))
+        assert module._may_be_random(history, chosen, found, DEFAULT) is random
+        if random or established:
+            assert asked == [(("random", 60.0), chosen.screened, found, 2, DEFAULT)]
+
+    def test_a_random_torque_that_describes_what_is_left_ends_the_search_with_a_reason(self, monkeypatch):
+        monkeypatch.setattr(module, "_may_be_random", lambda history, *_: len(history) > 1)
+        found, counted = self.improved(monkeypatch, [[candidate()]], self.always)
+        assert [s.change for s in found] == ["", f"+{DRAG.name}"]
+        assert (
+            found.stopped
+            == f"a random torque describes what is left as well as {DRAG.name}, which is not added"
+        )
+        assert counted == [(1, None)]
+
     def test_effects_are_added_up_to_the_most(self, monkeypatch):
+        monkeypatch.setattr(module, "_may_be_random", lambda *_: False)
         found, counted = self.improved(monkeypatch, [[candidate()]], self.always)
         assert len(found) == 1 + DEFAULT.max_steps
         assert counted == [(i + 1, None) for i in range(DEFAULT.max_steps)]
@@ -850,36 +888,6 @@ class TestSteps:
     @pytest.mark.parametrize(("base", "count"), [(52.1, 1), (51.9, 0)])
     def test_a_step_needs_evidence(self, monkeypatch, base, count):
         assert len(list(self.steps(monkeypatch, refined=50.0, base=base))) == count
-
-    @pytest.mark.parametrize(
-        ("steps", "wrong", "describes", "established", "added"),
-        [
-            (2, False, True, False, False),
-            (2, False, True, True, True),  # better than any random torque
-            (2, False, False, False, True),  # which does not describe the residuals
-            (2, True, True, False, True),  # a lack of fit
-            (1, False, True, False, True),  # the first effect is tested by the diagnosis
-        ],
-    )
-    def test_a_further_effect_is_better_than_a_random_torque(
-        self, monkeypatch, steps, wrong, describes, established, added
-    ):
-        asked = []
-        monkeypatch.setattr(module, "with_random_torque", lambda found, criteria: ("random", found.bic))
-        monkeypatch.setattr(module, "describes", lambda *_: describes)
-        monkeypatch.setattr(module, "is_established", lambda *args: asked.append(args) or established)
-        monkeypatch.setattr(module, "refined", lambda found, criteria: found)
-        monkeypatch.setattr(module, "rank", lambda *_, **__: [candidate()])
-        monkeypatch.setattr(module, "with_free_shape", lambda *_: None)
-        before = Found(60.0, wrong=wrong)
-        history = [Step("", Found(100.0), ()), Step("+a", before, (candidate(), candidate(STEP)))][-steps:]
-        chosen, found = candidate(DRAG), Found(50.0, model=Model((DRAG,)))
-        made = list(module._steps(history, chosen, found, (), DEFAULT, None))
-        assert bool(made) is added
-        if (steps, wrong, describes) == (2, False, True):
-            assert asked == [(("random", 60.0), chosen.screened, found, 2, DEFAULT)]
-        else:
-            assert asked == []
 
     def test_a_free_shape_is_a_separate_step(self, monkeypatch):
         law = module.with_free_shape.__globals__["with_shape_parameter"](DRAG)

@@ -33,16 +33,32 @@ def test_the_rate_of_change_is_that_of_the_motion():
     angle = 7 + 400 * t - 0.5 * 6.5 * t**2 + 0.3 * t**3 - 0.02 * t**4
     speed = 400 - 6.5 * t + 0.9 * t**2 - 0.08 * t**3
     nodes = np.array([3.1, 4.0, 4.7])
-    found = rate_of_change(Samples(t, angle, sigma), nodes, parts=4)
+    found = rate_of_change(Samples(t, angle, sigma), nodes, degree=4)
     np.testing.assert_allclose(found, 400 - 6.5 * nodes + 0.9 * nodes**2 - 0.08 * nodes**3, rtol=1e-7)
-    found = rate_of_change(Samples(t, speed, sigma), nodes, parts=3)
+    found = rate_of_change(Samples(t, speed, sigma), nodes, degree=3)
     np.testing.assert_allclose(found, -6.5 + 1.8 * nodes - 0.24 * nodes**2, rtol=1e-7)
 
 
-def test_few_samples_have_a_rate_of_change_of_a_lower_degree():
-    t = np.array([1.0, 1.5])
-    np.testing.assert_allclose(rate_of_change(Samples(t, 4 * t, t), np.zeros(1), parts=4), 4.0)
-    assert rate_of_change(Samples(t[:1], t[:1], t[:1]), np.zeros(3), parts=4).tolist() == [0.0] * 3
+@pytest.mark.parametrize(
+    ("count", "degree"), [(1, 0), (2, 0), (3, 1), (4, 1), (5, 2), (8, 3), (9, 4), (12, 4)]
+)
+def test_the_rate_of_change_of_few_samples_does_not_follow_their_noise(count, degree):
+    t = np.arange(count) / 10
+    value = 30 * t + np.random.default_rng(0).normal(0, 1e-2, count)
+    found = rate_of_change(Samples(t, value, np.full(count, 1e-2)), t, degree=4)
+    expected = Polynomial.fit(t, value, degree).deriv()(t) if degree else np.zeros(count)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_the_determinant_is_that_of_the_covariance_of_the_rows():
+    u, size = np.array([0.6, 0.8]), 3.0
+    noise = StartTimeNoise(((slice(1, 3), u, size), (slice(3, 4), np.ones(1), 0.5)))
+    covariance = np.eye(4)
+    covariance[1:3, 1:3] += size**2 * np.outer(u, u)
+    covariance[3, 3] += 0.25
+    assert noise.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
+    white = noise.whitened(noise.whitened(np.eye(4)).T)
+    np.testing.assert_allclose(np.linalg.inv(covariance), white, atol=1e-12)
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])

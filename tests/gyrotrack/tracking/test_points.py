@@ -228,6 +228,18 @@ def test_an_unselected_point_must_retrace_its_path(count, refused):
         _point_motion._check_unselected(found, "film")
 
 
+@pytest.mark.parametrize("rest", [0.0, 0.6, 0.75])
+def test_a_pendulum_that_rests_for_most_of_a_film_retraces_its_path(rest):
+    """The noise of a bob at rest is no measure of its pace."""
+    swing = np.clip((np.arange(160) - 160 * rest) / 40.0, 0.0, None)
+    angle = 0.6 * np.sin(2 * np.pi * swing)
+    place = np.array([80.0, 120.0]) + 60.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    place += np.random.default_rng(0).normal(0, 0.02, place.shape)
+    some = drawn()
+    path = PointPath(some.frame, place, some.covariance, 6.0, 160, False, some.picture)
+    _point_motion._check_unselected(about_pivot(path, "film"), "film")
+
+
 @pytest.mark.parametrize("thrown", [True, False])
 def test_a_ball_that_is_thrown_repeatedly_does_not_retrace_its_path(thrown):
     """Each throw passes the same arc in the same sense; a pendulum passes it in both."""

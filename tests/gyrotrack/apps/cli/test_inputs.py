@@ -288,7 +288,7 @@ def test_an_input_of_spindown_needs_a_table(capsys, motor, tmp_path):
     case, _ = imported(capsys, motor)
     code, _, err = run(capsys, "spindown", case, "--input", "voltage=3", "-o", tmp_path / "b.h5")
     assert code == 2
-    assert "--input applies to a table" in err
+    assert "--input names a column of a table" in err
 
 
 def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
@@ -302,5 +302,9 @@ def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
     code, out, err = run(capsys, "spindown", path, "--input", "room=3", "-o", tmp_path / "m.h5", "--json")
     assert code == 0, err
     found = json.loads(out)
+    assert found["motion"]["kind"] == "spin-down"
     assert found["first_order"] == []
-    assert {law["parameter"].rpartition(".")[0] for law in found["laws"]} == {"casing.air.linear"}
+    assert {law["parameter"].rpartition(".")[0] for law in found["laws"]} == {
+        "touchpoint.constant",
+        "casing.air.linear",
+    }

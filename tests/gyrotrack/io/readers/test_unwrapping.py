@@ -114,3 +114,14 @@ def test_a_slip_by_whole_turns_in_either_sense_is_kept_for_the_fit(tmp_path, spe
     else:
         with pytest.raises(DatasetError, match="the angle jumps by"):
             import_body(path, 1.0)
+
+
+@pytest.mark.parametrize("row", [1, 2, 1998, 1999])
+@pytest.mark.parametrize("turns", [1, -1])
+def test_a_slip_at_an_end_of_a_record_is_kept_as_well(tmp_path, row, turns):
+    time = np.arange(2000) / 50
+    angle = 20 * time + np.random.default_rng(0).normal(0, 5e-3, 2000)
+    path = tmp_path / "a.csv"
+    rows = zip(time, angle + turns * TURN * (np.arange(2000) >= row), strict=True)
+    path.write_text("t [s],angle [rad]\n" + "".join(f"{t},{a}\n" for t, a in rows))
+    assert import_body(path, 1.0).casing.angle.size > 1900
