@@ -762,7 +762,7 @@ def _improved(
             break
         if _may_be_random(history, chosen, chosen.fit, criteria):
             history.stopped = (
-                f"a random torque describes what is left as well as {chosen.effect.name}, which is not added"
+                f"a random torque describes the remainder as well as {chosen.effect.name}, which is not added"
             )
             break
         try:
@@ -814,8 +814,8 @@ def _steps(
 def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, criteria: Criteria) -> bool:
     """Return whether a random torque explains what a further effect explains, about a fit without a lack of fit.
 
-    The diagnosis tests the first effect; a fit that fails lacks more than a random torque. A random torque is no
-    alternative to a law of an oscillation.
+    The diagnosis tests the first effect; a fit that fails lacks more than a random torque. Laws of an
+    oscillation are excepted.
     """
     before = history[-1].fit
     first = before.model.names == history[0].fit.model.names

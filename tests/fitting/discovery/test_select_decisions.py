@@ -808,13 +808,13 @@ class TestImprove:
         if random or established:
             assert asked == [(("random", 60.0), chosen.screened, found, 2, DEFAULT)]
 
-    def test_a_random_torque_that_describes_what_is_left_ends_the_search_with_a_reason(self, monkeypatch):
+    def test_a_random_torque_that_describes_the_remainder_ends_the_search_with_a_reason(self, monkeypatch):
         monkeypatch.setattr(module, "_may_be_random", lambda history, *_: len(history) > 1)
         found, counted = self.improved(monkeypatch, [[candidate()]], self.always)
         assert [s.change for s in found] == ["", f"+{DRAG.name}"]
         assert (
             found.stopped
-            == f"a random torque describes what is left as well as {DRAG.name}, which is not added"
+            == f"a random torque describes the remainder as well as {DRAG.name}, which is not added"
         )
         assert counted == [(1, None)]
 

@@ -16,7 +16,7 @@ PROGRAM = f"{sys.executable} -P -m gyrotrack"
 
 
 def shell(command):
-    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=240)
 
 
 def test_an_error_after_the_result_is_the_only_document(gyrotrack, monkeypatch):
@@ -91,7 +91,7 @@ def test_a_closed_terminal_ends_a_command_and_leaves_nothing(tmp_path, ignored):
         time.sleep(0.5)
         assert process.poll() is None
         process.terminate()
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=240)
     assert process.returncode == (143 if ignored else 129)
     assert json.loads(out)["error"]["code"] == "interrupted"
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == []

@@ -9,7 +9,7 @@ import tifffile
 
 NUMBERED = Path(__file__).parents[5] / "shared" / "cases" / "films" / "sequence"
 SIZE, HUB, RATE = 112, (55.0, 57.0), 50.0
-TIME = np.arange(22) / RATE
+TIME = np.arange(30) / RATE
 SPEED, SLOWING = 6.0, 4.0
 ANGLE = SPEED * TIME - 0.5 * SLOWING * TIME**2
 
