@@ -132,8 +132,8 @@ USES = (
     ),
     Use(
         "a motor with its voltage, current or PWM",
-        "add `--input 'voltage=3 [V]'`, so that laws may depend on it; `gyrotrack spindown` takes the same option and fits "
-        "the first-order response",
+        "add `--input 'voltage=3 [V]'`, so that laws may depend on it; `gyrotrack spindown` takes the same option and "
+        "fits the first-order response",
         (TEXT,),
     ),
     Use(
