@@ -2,13 +2,17 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fitting import Input
+from fitting._criteria import DEFAULT
 from gyrotrack import Series
 from gyrotrack.apps._drive import _end_of_rest, drive_of
 from gyrotrack.apps._motion import motion_of_speeds
+from gyrotrack.apps._spindown import _first_order_fit
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers._motion_table import Driver
 
@@ -164,3 +168,24 @@ def test_a_rowing_flywheel_is_not_a_coast_down(capsys, tmp_path, name):
     assert found["motion"]["kind"] == "driven"
     assert found["diagnosis"] is None
     assert found["reading"][0]["columns"][0]["quantity"] == "intervals between pulses"
+
+
+@pytest.mark.parametrize(
+    ("gain", "converged", "late"), [(0.1, True, True), (-0.1, True, False), (50.0, False, False)]
+)
+def test_a_dead_time_needs_evidence_and_a_fit_that_converged(monkeypatch, gain, converged, late):
+    """Beside viscous friction and the drive, the only laws of the first-order fit."""
+    asked = []
+
+    def fit(model, data):
+        asked.append(model.names)
+        first = len(asked) == 1
+        bic = 100.0 if first else 100.0 - DEFAULT.evidence - gain
+        return SimpleNamespace(model=model, bic=bic, converged=first or converged, criteria=DEFAULT)
+
+    monkeypatch.setattr("fitting.inference._fit.fit", fit)
+    pwm = Input("pwm", np.arange(3.0), np.arange(3.0), "V", interpolation="hold")
+    found = _first_order_fit([SimpleNamespace(record=SimpleNamespace(inputs=(pwm,)))], ["pwm"])
+    assert asked[0] == ("casing.air.linear", "casing.input.pwm")
+    assert asked[1] == (*asked[0], "input.pwm.delay")
+    assert ("input.pwm.delay" in found.model.names) is late

@@ -1,6 +1,7 @@
 """A point about a pivot in rendered films: error and uncertainty, pivots, occlusion, refusals."""
 
 import itertools
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -213,6 +214,12 @@ def test_a_body_that_hides_its_own_background_is_doubted(extent, doubt):
     assert about_pivot(path, "film").ambiguous == doubt
 
 
+def _refusal(*, expected):
+    return (
+        pytest.raises(TrackingError, match="No point that moves about a pivot") if expected else nullcontext()
+    )
+
+
 @pytest.mark.parametrize(("count", "refused"), [(22, True), (60, False)])
 def test_an_unselected_point_must_retrace_its_path(count, refused):
     """sin(x) over 40 rad in 160 samples: 22 samples turn back once, 60 four times."""
@@ -221,10 +228,7 @@ def test_an_unselected_point_must_retrace_its_path(count, refused):
         path.frame[:count], path.place[:count], path.covariance[:count], 9.0, count, False, path.picture
     )
     found = about_pivot(some, "film")
-    if refused:
-        with pytest.raises(TrackingError, match="No point that moves about a pivot"):
-            _point_motion._check_unselected(found, "film")
-    else:
+    with _refusal(expected=refused):
         _point_motion._check_unselected(found, "film")
 
 
@@ -251,8 +255,5 @@ def test_a_ball_that_is_thrown_repeatedly_does_not_retrace_its_path(thrown):
     some = drawn()
     path = PointPath(some.frame, place, some.covariance, 6.0, 160, False, some.picture)
     found = about_pivot(path, "film")
-    if thrown:
-        with pytest.raises(TrackingError, match="No point that moves about a pivot"):
-            _point_motion._check_unselected(found, "film")
-    else:
+    with _refusal(expected=thrown):
         _point_motion._check_unselected(found, "film")
