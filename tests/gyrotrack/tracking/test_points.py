@@ -257,3 +257,18 @@ def test_a_ball_that_is_thrown_repeatedly_does_not_retrace_its_path(thrown):
     found = about_pivot(path, "film")
     with _refusal(expected=thrown):
         _point_motion._check_unselected(found, "film")
+
+
+@pytest.mark.parametrize("beside", [1.0 + 0.5j, -0.8 + 1.0j])
+def test_a_point_beside_the_joint_is_corrected_by_the_distances(beside):
+    """Two links in the complex plane; the point of the joint is displaced by a constant of the first link."""
+    t = np.linspace(0.0, 6.0, 200)
+    first, second = 0.8 * np.sin(2.0 * t), 2.5 * np.sin(3.1 * t + 0.4)
+    away = 60.0 * np.exp(1j * second) - beside * np.exp(1j * first)
+    length = np.abs(away) + np.random.default_rng(0).normal(0, 0.02, len(t))
+    measured = np.unwrap(np.angle(away))
+    shift, u = _point_motion._beside_joint(length, measured - first)
+    before, after = measured - second, measured + shift / length - second
+    assert np.std(after) < 0.1 * np.std(before)
+    assert np.abs(after).max() < 1e-3
+    assert 0.01 < np.median(u) < 0.06
