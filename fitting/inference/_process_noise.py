@@ -292,6 +292,9 @@ class Stretch:
         x = 2 * (self._nodes - self._nodes.min()) / np.ptp(self._nodes) - 1
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
+        if nuisance.shape[1] > len(nuisance):
+            # as many orthogonal combinations as rows: the others are not observed in this stretch
+            nuisance = np.linalg.qr(nuisance.T, mode="r").T
         # the last rows are those of the prior of the nuisance functions, whose measured value is zero
         free = np.block(
             [

@@ -247,6 +247,22 @@ class TestProcessNoise:
         assert len(mean) <= 60
         assert (np.diff(mean) > 0).all()
 
+    @pytest.mark.parametrize("columns", [2, 300])
+    def test_nuisance_functions_are_marginalised_with_their_prior(self, columns):
+        """Few or more than the rows, by the textbook formula of generalised least squares."""
+        data = run(0.5)
+        nuisance = np.random.default_rng(5).standard_normal((len(data.z), columns)) * 0.3
+        stretch = process.Stretch(data, np.arange(2), nuisance, 3)
+        nodes = data.node_times.reshape(-1, data.lift.shape[1])[:2]
+        x = 2 * (nodes - nodes.min()) / np.ptp(nodes) - 1
+        powers = np.polynomial.legendre.legvander(x.ravel(), 3).reshape(*x.shape, -1)
+        polynomial = (data.lift[:2] @ powers).reshape(len(stretch.rows), -1)
+        seen = nuisance[stretch.rows]
+        weight = np.linalg.inv(np.eye(len(seen)) + seen @ seen.T)
+        fitted = np.linalg.solve(polynomial.T @ weight @ polynomial, polynomial.T @ weight)
+        expected = weight - weight @ polynomial @ fitted
+        assert stretch._complement @ stretch._complement.T == pytest.approx(expected, abs=1e-8)
+
     def test_the_likelihood_of_a_stretch(self):
         data = run(0.5)
         stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
