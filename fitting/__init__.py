@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from fitting.inference._budget import budget
     from fitting.inference._case import Case
     from fitting.inference._case_data import CaseData
+    from fitting.inference._error_modes import ErrorMode
     from fitting.inference._first_order import FirstOrder, first_order
     from fitting.inference._params import Estimate, Params
     from fitting.inference._profile import profile as profile_interval
@@ -64,6 +65,7 @@ __all__ = [
     "Effect",
     "EffectError",
     "EffectName",
+    "ErrorMode",
     "Estimate",
     "EstimationError",
     "Experiment",
@@ -119,6 +121,7 @@ _MODULES = {
     "fitting.effects._words": ("EffectName", "effect_name"),
     "fitting.inference._budget": ("budget",),
     "fitting.inference._case": ("Case",),
+    "fitting.inference._error_modes": ("ErrorMode",),
     "fitting.inference._first_order": ("FirstOrder", "first_order"),
     "fitting.inference._params": ("Estimate", "Params"),
     "fitting.inference._profile": ("profile_interval",),

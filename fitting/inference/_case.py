@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from fitting.dynamics._inputs import Input
 from fitting.dynamics._model import NAMED, Model
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import resolve
+from fitting.inference._error_modes import ErrorMode
 from fitting.inference._record import Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 # prefixes of names in the library, and what follows the name of a body in their place
 _PLACES = (("touchpoint.", "support."), ("external.", "external."), ("casing.", ""))
 _GYROSCOPE = ("casing", "rotor")
-_KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u")
+_KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u", "modes")
 _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
 
 
@@ -126,7 +127,9 @@ class Case:
             [rad/s] or ``angle`` [rad], their standard uncertainty ``u`` (array or number; estimated without it), and
             ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia torques of a body alone are per
             unit of inertia [rad/s2]; a gyroscope needs both. The rotor may have several such mappings, one for each
-            window in which it was measured.
+            window in which it was measured. ``modes`` are errors that samples share, by name:
+            ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample (see `fitting.ErrorMode`), and
+            optionally the name of a ``group`` whose amplitudes several series share, and an ``origin``.
 
         Returns
         -------
@@ -182,6 +185,12 @@ class Case:
             per_inertia=inertia is None,
             inputs=_inputs(inputs),
             name="" if gyroscope or main == "casing" else main,
+            modes=[
+                mode
+                for name, several in series.items()
+                for i, s in enumerate(several)
+                for mode in _modes(name, "rotor" if name == "rotor" and gyroscope else "casing", i, s)
+            ],
         )
         return cls(record)
 
@@ -256,6 +265,20 @@ class _Series:
     arrays: tuple[Array, Array, Array]
     quantity: str
     inertia: tuple[float | None, float]
+    modes: Mapping[str, Any]
+
+
+def _modes(name: str, body: str, window: int, series: _Series) -> Iterator[ErrorMode]:
+    """Yield the error modes of a series; without a group the amplitudes are those of one window."""
+    for mode, entries in series.modes.items():
+        known = {"basis", "covariance", "group", "origin"}
+        if not isinstance(entries, Mapping) or not {"basis", "covariance"} <= set(entries) <= known:
+            raise RecordError(
+                f"the error mode {str(mode)[:40]} of {name} needs a basis and a covariance",
+                f'write modes={{"{str(mode)[:40]}": dict(basis=b, covariance=c)}}; also group and origin',
+            )
+        own = {"group": f"{name}/{mode}/{window}"}
+        yield ErrorMode(name=str(mode), time=series.arrays[0], body=body, **(own | dict(entries)))
 
 
 def _series(name: str, given: Any, *, several: bool) -> list[_Series]:
@@ -294,7 +317,13 @@ def _one_series(name: str, given: Any) -> _Series:
         )
     if u is not None and not (sigma > 0).all():
         raise RecordError(f"an uncertainty of {name} is not positive", "give u > 0, or leave it out")
-    return _Series((t, value, sigma), measured[0], _inertia(name, given))
+    modes = given.get("modes") or {}
+    if not isinstance(modes, Mapping):
+        raise RecordError(
+            f"modes of {name} is a {type(modes).__name__}, not a mapping",
+            'write modes={"tilt": dict(basis=b, covariance=c)}',
+        )
+    return _Series((t, value, sigma), measured[0], _inertia(name, given), modes)
 
 
 def _array(name: str, key: str, values: Any) -> Array:

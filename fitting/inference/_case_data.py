@@ -48,6 +48,7 @@ from fitting.inference._compression import (
     responses_to_harmonics,
     responses_to_inputs,
 )
+from fitting.inference._error_modes import mode_columns
 from fitting.inference._linear_algebra import orthonormal
 from fitting.inference._oscillation import Oscillation, find_oscillation
 from fitting.inference._prior import Prior
@@ -417,7 +418,7 @@ class CaseData:
 
     def _tail(self, harmonic: Array) -> Array:
         """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the priors."""
-        count = self.prior_rows + len(self._camera_prior)
+        count = self.prior_rows + len(self._nuisance_prior)
         return np.concatenate([harmonic, np.zeros((count, *harmonic.shape[1:]))]) if count else harmonic
 
     @cached_property
@@ -432,6 +433,17 @@ class CaseData:
         samples = self.casing.samples
         frame = float(np.median(np.diff(samples.time)))
         return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples), _BLUR], 2)
+
+    @cached_property
+    def _nuisance_prior(self) -> Array:
+        """Standard deviations of the priors of nuisance parameters: of error modes, then of the camera."""
+        return np.concatenate([np.ones(self.mode_columns[0].shape[1]), self._camera_prior])
+
+    @cached_property
+    def mode_columns(self) -> tuple[Array, list[Array]]:
+        """The error modes at the samples of the casing and of each window, at one standard deviation."""
+        times = [w.samples.time for w in self.rotor]
+        return mode_columns(self.record.modes, self.casing.samples.time, times)
 
     @property
     def has_camera_prior(self) -> bool:
@@ -503,7 +515,10 @@ class CaseData:
         # of two equal random torques on the casing and between the bodies, one acts on the rotor
         share = record.I_casing / record.I_rotor / math.sqrt(2)
         process = self.process_noise
-        nuisance = [camera_columns(w.samples) for w in self.rotor]
+        nuisance = [
+            np.concatenate([camera_columns(w.samples), modes[:, np.any(modes, axis=0)]], axis=1)
+            for w, modes in zip(self.rotor, self.mode_columns[1], strict=True)
+        ]
         return estimate_window_noise(self.rotor, nuisance, share * process.level, process.time)
 
     @cached_property
@@ -576,12 +591,13 @@ class CaseData:
 
     @cached_property
     def _camera_rows(self) -> Array:
-        """Polynomial rows of the camera's nuisance functions, at one standard deviation of their prior."""
+        """Polynomial rows of error modes and camera, at one standard deviation of their prior."""
+        rows = [self.casing.at_samples(self.mode_columns[0])[0]]
         if len(self._camera_prior):
-            return self.casing.at_samples(self.camera_columns)[0] * self._camera_prior
-        if self.record.gradients:
-            return FLAT_PRIOR_SIGMA * self.casing.at_samples(_gradients(self.casing.samples))[0]
-        return np.zeros((len(self.casing.z), 0))
+            rows.append(self.casing.at_samples(self.camera_columns)[0] * self._camera_prior)
+        elif self.record.gradients:
+            rows.append(FLAT_PRIOR_SIGMA * self.casing.at_samples(_gradients(self.casing.samples))[0])
+        return np.concatenate(rows, axis=1)
 
     def whitened(self, rows: Array) -> Array:
         """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
@@ -625,15 +641,15 @@ class CaseData:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """The rows of the casing, the rotor, the harmonics and the camera's priors."""
+        """The rows of the casing, the rotor, the harmonics and the priors of nuisance parameters."""
         a = len(self.casing.z)
         b = a + sum(len(w.z) for w in self.rotor)
         return {
             "casing": slice(0, a),
             "rotor": slice(a, b),
             "harmonic": slice(b, b + len(self.casing.harmonic)),
-            "camera_prior": slice(
-                b + len(self.casing.harmonic), b + len(self.casing.harmonic) + len(self._camera_prior)
+            "nuisance_prior": slice(
+                b + len(self.casing.harmonic), b + len(self.casing.harmonic) + len(self._nuisance_prior)
             ),
             "smooth": slice(0, b),
         }
@@ -693,17 +709,26 @@ class CaseData:
 
     @cached_property
     def nuisance(self) -> Array:
-        """Columns of the nuisance parameters, which are fitted always, (rows, columns)."""
+        """Columns of the nuisance parameters, which are fitted always, (rows, columns).
+
+        These are the initial angles of casing and windows, the error modes, and the camera.
+        """
         columns = []
+        prior = self.slices["nuisance_prior"].start
+        modes = self.sample_rows(*self.mode_columns)
+        k = modes.shape[1]
+        modes[prior : prior + k] = np.eye(k)
         if self.is_angle:
             nodes = len(self.casing.node_times)
             columns.append(self.rows(np.ones(nodes), [np.zeros(len(w.node_times)) for w in self.rotor]))
             for i in range(len(self.rotor)):
                 ones = [np.full(len(w.node_times), float(i == j)) for j, w in enumerate(self.rotor)]
                 columns.append(self.rows(np.zeros(nodes), ones))
+        columns += list(modes.T)
+        if self.is_angle:
             if len(self._camera_prior):
                 camera = self.casing_rows(self.camera_columns)
-                first = self.slices["camera_prior"].start
+                first = prior + k
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)
         elif self.record.gradients:
@@ -791,7 +816,7 @@ class CaseData:
 # what is computed from the samples alone
 _OF_THE_SAMPLES = frozenset({
     "_correlated_noise", "_correlated_rotor_noise", "angle_noise", "rotor_angle_noise", "findings", "process_noise",
-    "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds", "speeds",
+    "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds", "speeds",
 })  # fmt: skip
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import RecordError
 from fitting.dynamics._inputs import Input
+from fitting.inference._error_modes import ErrorMode
 from fitting.inference._record import Quantity, Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
@@ -29,28 +32,41 @@ def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Arr
 
 def column(path: Path, file: Any, group: str, name: str) -> Array:
     """Return a column; refuse links, columns of another length than `time`, and decompression bombs."""
+    values = _numbers(path, file, f"{group}/{name}", 1)
+    if values.size != file[f"{group}/time"].size:
+        raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
+    return values
+
+
+def _numbers(path: Path, file: Any, place: str, dimensions: int) -> Array:
+    """Return a dataset of real numbers that the file itself holds."""
     import h5py
 
-    for place in (group, f"{group}/{name}"):
-        # a link could point to another file
-        if not isinstance(file.get(place, getlink=True), h5py.HardLink):
-            raise RecordError(f"{path} has no {place}", "`gyrotrack info` shows its contents")
-    data = file[f"{group}/{name}"]
-    if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.is_virtual or data.external:
-        raise RecordError(f"{path}: {group}/{name} is not a plain column")
+    data = _own(path, file, place)
+    if not isinstance(data, h5py.Dataset) or data.ndim != dimensions or data.is_virtual or data.external:
+        raise RecordError(f"{path}: {place} is not a plain {'column' if dimensions == 1 else 'matrix'}")
     if data.dtype.kind not in "fiu":
-        raise RecordError(f"{path}: {group}/{name} holds no real numbers")
-    if data.size != file[f"{group}/time"].size:
-        raise RecordError(f"{path}: {group}/{name} and {group}/time have different lengths")
+        raise RecordError(f"{path}: {place} holds no real numbers")
     chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
     stored = data.id.get_storage_size()
     if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > stored * _INFLATION + _SLACK:
-        raise RecordError(f"{path}: {group}/{name} claims {data.size} samples")
+        raise RecordError(f"{path}: {place} claims {data.size} samples")
     plist = data.id.get_create_plist()
     filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
     if not filters <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
-        raise RecordError(f"{path}: {group}/{name} is packed in an unknown way", "write it with gzip")
+        raise RecordError(f"{path}: {place} is packed in an unknown way", "write it with gzip")
     return np.asarray(data[()], dtype=float)
+
+
+def _own(path: Path, file: Any, place: str) -> Any:
+    """Return a group or dataset; refuse links, which could point to another file."""
+    import h5py
+
+    parts = place.split("/")
+    for i in range(len(parts)):
+        if not isinstance(file.get("/".join(parts[: i + 1]), getlink=True), h5py.HardLink):
+            raise RecordError(f"{path} has no {place}", "`gyrotrack info` shows its contents")
+    return file[place]
 
 
 def number(file: Any, group: str, name: str) -> float:
@@ -122,11 +138,11 @@ def _is_endless(content: bytes, place: int) -> bool:
 
 
 FORMAT = "gyrotrack"
-MAJOR = 1  # major version of the layout
+MAJOR = 2  # major version of the layout
 
 
 def read_record(path: str | Path) -> Record:
-    """Read an HDF5 file of kind "case", layout version 1, or say why it cannot be read."""
+    """Read an HDF5 file of kind "case", layout version 1 or 2, or say why it cannot be read."""
     import h5py
 
     path = Path(path)
@@ -167,60 +183,182 @@ def _read(path: Path, file: Any) -> Record:
             f"{path} holds a {text(attributes.get('kind'))[:20] or 'file'}, not a case",
             "make a case with `gyrotrack sync`",
         )
-    quantity: Quantity = "omega" if text(attributes.get("quantity", "angle")) == "omega" else "angle"
-    key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
-    casing = series(path, file, "casing", key)
-    single = text(attributes.get("bodies")) == "one"
-    window = np.zeros(0) if single else column(path, file, "rotor", "window")
-    rotor = [] if single else _windows(series(path, file, "rotor", key), window)
-    inertias = [float(np.asarray(attributes[k])) for k in ("I_rotor", "I_casing")]
-    if not all(np.isfinite(i) and i > 0 for i in inertias):
-        raise RecordError(f"{path}: the moments of inertia {inertias} are not positive")
+    # `/casing` and `/rotor` are what older programs read and change
+    bodies = _bodies(path, file) if "casing" not in file and "body" in file else _of_casing(path, file)
+    main, rotor = bodies[0], bodies[1] if len(bodies) > 1 else None
+    per_inertia = math.isnan(main.inertia)
+    if rotor is not None and math.isnan(main.inertia + rotor.inertia):
+        raise RecordError(
+            f"{path}: a gyroscope needs the inertia of both bodies", "make the case again with both inertias"
+        )
+    inertias = [1.0 if rotor is None else rotor.inertia, 1.0 if per_inertia else main.inertia]
     return make_record(
         label=text(attributes.get("label")) or path.stem,
         surface=text(attributes.get("surface")),
         I_rotor=inertias[0],
         I_casing=inertias[1],
-        I_rotor_u=float(np.asarray(attributes.get("I_rotor_u", np.nan))),
-        I_casing_u=float(np.asarray(attributes.get("I_casing_u", np.nan))),
-        per_inertia=bool(attributes.get("per_inertia", False)),
-        casing=casing,
-        rotor=rotor,
-        single=single,
-        name=_body_name(attributes) if single else "",
-        start_sigma=_start_sigma(file, window, float(np.asarray(attributes.get("start_u", np.nan)))),
-        quantity=quantity,
+        I_rotor_u=math.nan if rotor is None else rotor.inertia_u,
+        I_casing_u=main.inertia_u,
+        per_inertia=per_inertia,
+        casing=main.series,
+        rotor=[] if rotor is None else _windows(rotor.series, rotor.segment),
+        single=rotor is None,
+        name=main.name if rotor is None and is_body_name(main.name) else "",
+        start_sigma=_start_sigma(
+            path, file, np.zeros(0) if rotor is None else rotor.segment, _scalar(attributes, "start_u")
+        ),
+        quantity=main.quantity,
         source=str(path),
-        tracked=text(file["casing"].attrs.get("sigma_source")) == "measured",
-        correlated=_correlated(file),
+        tracked=text(_own(path, file, main.place).attrs.get("sigma_source")) == "measured",
+        correlated=_correlated(file, main.place),
         inputs=_inputs(path, file),
+        modes=[m for b in bodies for m in _modes(path, file, b)],
     )
 
 
-def _body_name(attributes: dict[str, Any]) -> str:
-    """Return the name of a single body; empty if there is none that keys of laws may begin with."""
-    name = text(attributes.get("body_name"))
-    return name if is_body_name(name) else ""
+@dataclass(frozen=True)
+class _Body:
+    """A body of a file: its name, role, moment of inertia [kg m2] (NaN without one), and series."""
+
+    name: str
+    role: str
+    inertia: float
+    inertia_u: float
+    place: str
+    quantity: Quantity
+    series: tuple[Array, Array, Array]
+    segment: Array
 
 
-# largest number of inputs that are read
-_MOST_INPUTS = 64
+def _scalar(attributes: Any, name: str) -> float:
+    return float(np.asarray(attributes.get(name, np.nan)))
+
+
+def _of_casing(path: Path, file: Any) -> list[_Body]:
+    """Return the casing, or the single body, then the rotor, from `/casing` and `/rotor`."""
+    attributes = file.attrs
+    quantity: Quantity = "omega" if text(attributes.get("quantity", "angle")) == "omega" else "angle"
+    key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
+    single = text(attributes.get("bodies")) == "one"
+    found = []
+    for name in ("casing",) if single else ("casing", "rotor"):
+        segment = column(path, file, name, "window") if name == "rotor" else np.zeros(0)
+        unknown = single and bool(attributes.get("per_inertia", False))
+        inertia = float(np.asarray(attributes[f"I_{name}"]))
+        if not 0 < inertia < math.inf:
+            raise RecordError(f"{path}: the moment of inertia of the {name} is {inertia}, not positive")
+        inertia = math.nan if unknown else inertia
+        shown = text(attributes.get("body_name")) if single else name
+        role = "body" if single else name
+        u = _scalar(attributes, f"I_{name}_u")
+        found.append(_Body(shown, role, inertia, u, name, quantity, series(path, file, name, key), segment))
+    return found
+
+
+# quantities of a series that can be fitted
+_QUANTITIES: dict[str, Quantity] = {"angle": "angle", "speed": "omega"}
+# the series of a body that is fitted, where it has several
+_FITTED = "fused"
+
+
+def _bodies(path: Path, file: Any) -> list[_Body]:
+    """Return the casing, or the single body, then the rotor, from `/body`."""
+    found = {b.role: b for b in (_body(path, file, name) for name in _members(path, file, "body"))}
+    known = found.keys() in ({"body"}, {"casing"}, {"casing", "rotor"})
+    if not known or len(found) < len(_members(path, file, "body")):
+        raise RecordError(
+            f"{path} has bodies of the roles {', '.join(sorted(found)) or '(none)'}",
+            "a case has one body, or one casing and one rotor",
+        )
+    if len({b.quantity for b in found.values()}) > 1:
+        raise RecordError(
+            f"{path} has speeds of one body and angles of the other", "store the same quantity of both"
+        )
+    return [found[role] for role in ("body", "casing", "rotor") if role in found]
+
+
+def _body(path: Path, file: Any, name: str) -> _Body:
+    attributes = _own(path, file, f"body/{name}").attrs
+    place = _fitted(path, file, name)
+    group = _own(path, file, place)
+    quantity = text(group.attrs.get("quantity", "angle"))
+    if quantity not in _QUANTITIES:
+        raise RecordError(
+            f"{path}: {place} holds {quantity[:20]}, which cannot be fitted",
+            "`gyrotrack import` makes angles or speeds of pulses and counts",
+        )
+    values = series(path, file, place, ("value", "u"))
+    segment = column(path, file, place, "segment") if "segment" in group else np.zeros(len(values[0]))
+    role = text(attributes.get("role", "body"))
+    inertia, u = (_scalar(attributes, k) for k in ("inertia", "inertia_u"))
+    if "inertia" in attributes and not 0 < inertia < math.inf:
+        raise RecordError(f"{path}: the moment of inertia of the {name} is {inertia}, not positive")
+    return _Body(name, role, inertia, u, place, _QUANTITIES[quantity], values, segment)
+
+
+def _fitted(path: Path, file: Any, name: str) -> str:
+    """Return the place of the series of a body that is fitted."""
+    several = _members(path, file, f"body/{name}/series")
+    if _FITTED not in several and len(several) != 1:
+        raise RecordError(
+            f"{path}: the body {name} has {len(several)} series and none is named {_FITTED}",
+            f"name the one to be fitted {_FITTED}",
+        )
+    return f"body/{name}/series/{_FITTED if _FITTED in several else several[0]}"
+
+
+def _places(path: Path, file: Any) -> list[str]:
+    return [_fitted(path, file, name) for name in _members(path, file, "body")] if "body" in file else []
+
+
+def _members(path: Path, file: Any, place: str) -> list[str]:
+    """Return the names in a group, which has at most `_MOST_MEMBERS`."""
+    import h5py
+
+    group = _own(path, file, place)
+    if not isinstance(group, h5py.Group) or len(group) > _MOST_MEMBERS:
+        raise RecordError(
+            f"{path}: {place} is not a group of at most {_MOST_MEMBERS} members", "write it again"
+        )
+    return list(group)
+
+
+def _modes(path: Path, file: Any, body: _Body) -> Iterator[ErrorMode]:
+    """Yield the error modes of the series of a body."""
+    where = body.place
+    if not where.startswith("body/"):
+        where = next(
+            (p for p in _places(path, file) if (body.role == "rotor") == p.startswith("body/rotor/")), ""
+        )
+    if not where or "error" not in _members(path, file, where):
+        return
+    for name in _members(path, file, f"{where}/error"):
+        place = f"{where}/error/{name}"
+        attributes = _own(path, file, place).attrs
+        yield ErrorMode(
+            name=name,
+            time=body.series[0],
+            basis=_numbers(path, file, f"{place}/basis", 2),
+            covariance=_numbers(path, file, f"{place}/covariance", 2),
+            body="rotor" if body.role == "rotor" else "casing",
+            group=text(attributes.get("group")),
+            origin=text(attributes.get("origin")),
+        )
+
+
+# largest number of inputs, bodies, series or error modes that are read
+_MOST_MEMBERS = 64
 
 
 def _inputs(path: Path, file: Any) -> tuple[Input, ...]:
     """Return the recorded inputs of a case; groups of other kinds are refused."""
-    import h5py
-
     if "input" not in file.keys():  # noqa: SIM118 - `in file` follows links
         return ()
-    group = file["input"] if isinstance(file.get("input", getlink=True), h5py.HardLink) else None
-    if not isinstance(group, h5py.Group) or len(group) > _MOST_INPUTS:
-        raise RecordError(f"{path}: /input is not a group of at most {_MOST_INPUTS} inputs", "write it again")
     found = []
-    for name in group:
+    for name in _members(path, file, "input"):
         place = f"input/{name}"
         time, value, u = series(path, file, place, ("value", "u"))
-        attributes = group[name].attrs
+        attributes = _own(path, file, place).attrs
         kind: Any = text(attributes.get("interpolation", "linear"))
         known = np.isfinite(u)
         if known.any() and not known.all():
@@ -244,20 +382,28 @@ def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Arr
     return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
 
 
-def _correlated(file: Any) -> tuple[float, float, float, float]:
-    """Return the stated errors of the casing's angle (see `Record.correlated`), zeros if they are absent."""
+def _correlated(file: Any, place: str) -> tuple[float, float, float, float]:
+    """Return the stated errors of the angle of a series (see `Record.correlated`), zeros if they are absent."""
     names = ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
-    sigma, time, periodic, harmonic = (number(file, "casing", name) for name in names)
+    sigma, time, periodic, harmonic = (number(file, place, name) for name in names)
     slow = (sigma, time) if math.isfinite(sigma) and math.isfinite(time) else (0.0, 0.0)
     return (*slow, *(x if math.isfinite(x) else 0.0 for x in (periodic, harmonic)))  # type: ignore[return-value]
 
 
-def _start_sigma(file: Any, window: Array, stated: float) -> list[float]:
+def _start_sigma(path: Path, file: Any, window: Array, stated: float) -> list[float]:
     """Return the uncertainty of each window's start on the casing's clock [s], of its camera or as stated; NaN if none.
 
     `stated` is that of the case; it has no camera if it was imported.
     """
-    sigma = [number(file, f"recording/rotor_{int(w)}", "clock_offset_sigma") for w in np.unique(window)]
+    sigma = [_clock_sigma(path, file, f"rotor_{int(w)}") for w in np.unique(window)]
     if not np.isfinite(sigma).any():
         return [stated if np.isfinite(stated) and stated >= 0 else float("nan")] * len(sigma)
     return [s if np.isfinite(s) and s > 0 else 0.0 for s in sigma]
+
+
+def _clock_sigma(path: Path, file: Any, name: str) -> float:
+    """Return the standard uncertainty of the offset of a clock [s], of layout 1 or 2; NaN without one."""
+    found = number(file, f"recording/{name}", "clock_offset_sigma")
+    if math.isfinite(found) or "clock" not in file or name not in _members(path, file, "clock"):
+        return found
+    return float(np.sqrt(max(_numbers(path, file, f"clock/{name}/covariance", 2)[0, 0], 0.0)))

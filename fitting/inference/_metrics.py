@@ -68,7 +68,9 @@ def as_velocities(record: Record) -> Record:
     if record.quantity == "omega":
         return record
     runs = [_velocities(record.casing, SPEED_BLOCKS), *(_velocities(s, 1) for s in record.rotor)]
-    return replace(record, casing=runs[0], rotor=tuple(runs[1:]), quantity="omega", gradients=True, digest="")
+    return replace(
+        record, casing=runs[0], rotor=tuple(runs[1:]), quantity="omega", gradients=True, modes=(), digest=""
+    )
 
 
 def _velocities(samples: Samples, blocks: int) -> Samples:

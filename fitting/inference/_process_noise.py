@@ -294,7 +294,7 @@ class Stretch:
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
             # as many orthogonal combinations as rows: the others are not observed in this stretch
-            nuisance = np.linalg.qr(nuisance.T, mode="r").T
+            nuisance = np.asarray(np.linalg.qr(nuisance.T, mode="r")).T
         # the last rows are those of the prior of the nuisance functions, whose measured value is zero
         free = np.block(
             [

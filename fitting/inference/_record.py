@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fitting._errors import RecordError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, span_of
 from fitting.dynamics._inputs import Input
+from fitting.inference._error_modes import ErrorMode, refuse_contradictions
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
@@ -103,6 +104,8 @@ class Record:
         Recorded inputs on which torques may depend.
     name : str
         Name of a body alone; empty for a gyroscope, and where it has none.
+    modes : tuple of ErrorMode
+        Errors that samples share.
     """
 
     label: str
@@ -126,6 +129,7 @@ class Record:
     prior: Prior | None = None
     inputs: tuple[Input, ...] = ()
     name: str = ""
+    modes: tuple[ErrorMode, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.digest:
@@ -147,6 +151,8 @@ class Record:
             *([f"  ... {len(self.rotor) - _SHOWN} more windows"] if len(self.rotor) > _SHOWN else []),
             *(f"  {i!r}" for i in self.inputs[:_SHOWN]),
             *([f"  ... {len(self.inputs) - _SHOWN} more inputs"] if len(self.inputs) > _SHOWN else []),
+            *(f"  {m!r}" for m in self.modes[:_SHOWN]),
+            *([f"  ... {len(self.modes) - _SHOWN} more error modes"] if len(self.modes) > _SHOWN else []),
             f"  {'torques are per unit of inertia' if self.per_inertia else words}",
         ]
         return "\n".join(lines)
@@ -223,6 +229,7 @@ def make_record(
     correlated: Sequence[float] = (),
     inputs: Sequence[Input] = (),
     name: str = "",
+    modes: Sequence[ErrorMode] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
 
@@ -257,6 +264,8 @@ def make_record(
         Recorded inputs on which torques may depend, on the same clock.
     name : str
         Name of a single body.
+    modes : sequence of ErrorMode
+        Errors that samples share.
 
     Raises
     ------
@@ -282,7 +291,7 @@ def make_record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         per_inertia=per_inertia, correlated=_stated(*correlated), inputs=_covering(inputs, runs[0], windows),
-        name=name if single else "",
+        name=name if single else "", modes=refuse_contradictions(modes),
     )  # fmt: skip
 
 
@@ -374,6 +383,10 @@ def _digest(record: Record) -> str:
     for i in record.inputs:
         hasher.update(f"{i.name} {i.unit} {i.interpolation} {i.delay!r}".encode())
         for a in (i.time, i.value, *(() if i.u is None else (i.u,))):
+            hasher.update(np.ascontiguousarray(a).tobytes())
+    for m in record.modes:
+        hasher.update(f"{m.key} {m.body}".encode())
+        for a in (m.time, m.basis, m.covariance):
             hasher.update(np.ascontiguousarray(a).tobytes())
     return hasher.hexdigest()
 

@@ -198,6 +198,9 @@ def _recording(motion: _Motion, random: Random) -> Record:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
     if data.is_angle and data.oscillation is None:
         values[0] += _stated_error(data, random)
+    amplitudes = random.standard_normal(data.mode_columns[0].shape[1])
+    for value, columns in zip(values, (data.mode_columns[0], *data.mode_columns[1]), strict=True):
+        value += columns @ amplitudes
     casing, *rotor = (Samples(r.time, v, r.sigma) for r, v in zip(runs, values, strict=True))
     return replace(record, casing=casing, rotor=tuple(rotor), digest="")
 

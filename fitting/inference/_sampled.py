@@ -44,15 +44,19 @@ def predicted_samples(data: CaseData, case: int, found: Solved) -> Iterator[Arra
     record, fitted = data.record, found.problem.data[case]
     path = found.predictions[case].path
     coefficients = _nuisance(case, found)
+    # initial angles come first, then the amplitudes of error modes
+    angles = 1 + len(record.rotor) if data.is_angle else 0
+    columns = (fitted.mode_columns[0], *fitted.mode_columns[1])
     for i, samples in enumerate((record.casing, *record.rotor)):
         state = "omega_r" if i else "omega_c"
         sampler = Sampler(path.mesh, samples.time)
+        modes = columns[i] @ coefficients[angles : angles + columns[i].shape[1]]
         if not data.is_angle:
-            yield sampler.value(path.y[..., path.states.index(state)])
+            yield sampler.value(path.y[..., path.states.index(state)]) + modes
             continue
-        angle = sampler.integral(*path.angle(state)) + coefficients[i]
+        angle = sampler.integral(*path.angle(state)) + coefficients[i] + modes
         if i == 0 and fitted.has_camera_prior:
-            angle = angle + fitted.camera_columns @ coefficients[1 + len(record.rotor) :]
+            angle = angle + fitted.camera_columns @ coefficients[-fitted.camera_columns.shape[1] :]
         yield angle
 
 

@@ -45,7 +45,11 @@ def with_generated_rotor(record: Record) -> Record:
         for w, c in ((w, _calibrated(w)) for w in record.rotor)
     )
     curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
-    return replace(record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), digest="")
+    # the curve is beyond the windows, too, where errors of the rotor are unknown
+    modes = tuple(m for m in record.modes if m.body != "rotor")
+    return replace(
+        record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), modes=modes, digest=""
+    )
 
 
 @dataclass(frozen=True)

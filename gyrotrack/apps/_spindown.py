@@ -40,9 +40,10 @@ from gyrotrack.io._records import (
     Recording,
     Series,
     doubts_of,
+    no_series,
     series_of,
 )
-from gyrotrack.io.readers._import_case import case_of_body, no_series
+from gyrotrack.io.readers._import_case import case_of_body
 from gyrotrack.io.readers._inputs import UNITS, Unit, read_input_options
 from gyrotrack.io.readers._motion_table import Driver, MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_numbers, usable_numbers

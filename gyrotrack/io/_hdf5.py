@@ -22,6 +22,7 @@ from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file, refuse_special
+from gyrotrack.io._bodies import load_bodies, load_modes, write_bodies
 from gyrotrack.io._records import (
     BodyTrack,
     Case,
@@ -291,22 +292,24 @@ def write_case(
             _write_recording_group(group, recording)
             if name in case.placements:
                 write_attributes(group, layout.PLACEMENT_ATTRIBUTES, case.placements[name])
+        write_bodies(file, case)
     return Path(path)
 
 
 def load_case(file: Any) -> Case:
     """Read a case from its root group."""
-    recordings = dict(members(file, "recording"))
+    # `in file` follows links
+    names = set(file.keys())
+    recordings = dict(members(file, "recording")) if "recording" in names else {}
     generated = None
-    if "rotor_generated" in file.keys():  # noqa: SIM118 - `in file` follows links
+    if "rotor_generated" in names:
         generated = GeneratedCurve(**_load_table(file, "rotor_generated", layout.GENERATED))
     inputs: tuple[Input, ...] = ()
-    if "input" in file.keys():  # noqa: SIM118 - `in file` follows links
+    if "input" in names:
         inputs = tuple(_load_input(file, name) for name, _ in members(file, "input"))
+    fields = load_bodies(file) if "casing" not in names and "body" in names else _load_series(file)
     return Case(
-        **read_attributes(file, layout.CASE_ATTRIBUTES),
-        casing=Series(**_load_table(file, "casing", layout.SERIES)),
-        rotor=Series(**_load_table(file, "rotor", layout.WINDOWED)),
+        **fields,
         recordings={n: load_recording(g) for n, g in recordings.items()},
         placements={n: _load_placement(g, n) for n, g in recordings.items() if "clock_offset" in g.attrs},
         rotor_generated=generated,
@@ -314,6 +317,16 @@ def load_case(file: Any) -> Case:
         warnings=tuple(load_json(file, "warnings", [])),
         extra=dict(load_json(file, "extra", {})),
     )
+
+
+def _load_series(file: Any) -> dict[str, Any]:
+    """Return the fields of a case from `/casing` and `/rotor`."""
+    tables = {"casing": layout.SERIES, "rotor": layout.WINDOWED}
+    series = {
+        name: Series(**_load_table(file, name, table), modes=load_modes(file, name))
+        for name, table in tables.items()
+    }
+    return {**read_attributes(file, layout.CASE_ATTRIBUTES), **series}
 
 
 def _load_table(file: Any, name: str, table: layout.Table) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import UsageError
+from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.io._schema import BODY, FRAME, INPUT, MARKER, POINT, SERIES, STATUS, Table
 
 Floats = npt.NDArray[np.float64]
@@ -33,8 +34,9 @@ class _Tabular:
 
         Parameters
         ----------
-        table : {"motion", "markers", "frames", "inputs", "points"}
-            Motion of the bodies, every marker, every frame, recorded inputs, or the points that were followed.
+        table : {"motion", "markers", "frames", "inputs", "points", "errors"}
+            Motion of the bodies, every marker, every frame, recorded inputs, the points that were followed, or the
+            errors that samples share.
 
         Raises
         ------
@@ -209,6 +211,32 @@ class Recording(_Tabular):
 
 
 @dataclass(frozen=True)
+class ErrorMode:
+    """An error that the samples of a series share: basis @ a, with amplitudes a of mean zero.
+
+    Attributes
+    ----------
+    name : str
+        Its name, for example "tilt".
+    basis : ndarray, shape (n, m)
+        Error of each sample for unit amplitudes.
+    covariance : ndarray, shape (m, m)
+        Covariance of the amplitudes.
+    group : str
+        Name of the amplitudes, if several series share them.
+    origin, long_name : str
+        Where it comes from ("axis", "tilt", "start" ...), and its meaning.
+    """
+
+    name: str
+    basis: Floats
+    covariance: Floats
+    group: str = ""
+    origin: str = ""
+    long_name: str = ""
+
+
+@dataclass(frozen=True)
 class Series:
     """One body of a case on the common clock; all arrays have shape (n,).
 
@@ -232,6 +260,8 @@ class Series:
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     harmonic_sigma : float
         Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
+    modes : tuple of ErrorMode
+        Errors that samples share.
     """
 
     time: Floats
@@ -246,6 +276,7 @@ class Series:
     correlated_time: float = 0.0
     periodic_sigma: float = 0.0
     harmonic_sigma: float = 0.0
+    modes: tuple[ErrorMode, ...] = ()
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
@@ -260,6 +291,39 @@ def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measure
         for name in ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
     }
     return Series(**joined, turn=turn, window=window, sigma_source=sigma_source, **stated)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A motion without gaps; all arrays have shape (n,), in s, rad and rad/s."""
+
+    time: Floats
+    angle: Floats
+    sigma: Floats
+    omega: Floats
+    omega_sigma: Floats
+    smoothing_width: int = 1
+
+
+def from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
+    """Return a motion from unwrapped angles [rad], with smoothed angular velocities."""
+    width = smoothing_width(angle, sigma)
+    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
+    return Piece(time, angle, sigma, omega, omega_sigma, width)
+
+
+def from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
+    """Return a motion from angular velocities [rad/s], integrated by the trapezoidal rule; their errors accumulate."""
+    step = np.diff(time)
+    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
+    share = np.concatenate([[step[0]], step]) * sigma
+    return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
+
+
+def no_series() -> Series:
+    """Return an empty series."""
+    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
 
 
 def windows_of(series: Series) -> Integers:
@@ -443,18 +507,19 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
 
     Lengths are in px, those of points with a scale in m. The table is "motion" (angles and speeds of the bodies),
     "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case, each in its
-    unit) or "points" (paths of points). Several bodies, markers, points or clips are concatenated and identified by the
-    first columns; NaN where not measured. A UsageError says that the table is unknown or empty.
+    unit), "points" (paths of points) or "errors" (standard uncertainty of each sample of a case by each of the errors
+    that samples share, in rad or rad s-1). Several bodies, markers, points or clips are concatenated and identified by
+    the first columns; NaN where not measured. A UsageError says that the table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
     parts = TABLES[table](content)
     if not parts:
-        hint = (
-            "`import --input` records them."
-            if table == "inputs"
-            else "Only recordings of films contain them."
-        )
+        hints = {
+            "inputs": "`import --input` records them.",
+            "errors": "A case has them if its source states errors that samples share.",
+        }
+        hint = hints.get(table, "Only recordings of films contain them.")
         raise UsageError(f"The file contains no {table}.", hint)
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
@@ -499,6 +564,22 @@ def _inputs(content: Recording | Case) -> list[list[Column]]:
     return made
 
 
+def _errors(content: Recording | Case) -> list[list[Column]]:
+    if isinstance(content, Recording):
+        return []
+    parts = []
+    unit = "rad" if content.quantity == "angle" else "rad s-1"
+    for name, series in ((content.main_body, content.casing), ("rotor", content.rotor)):
+        for mode in series.modes:
+            words = {"body": name, "mode": mode.name, "group": mode.group, "origin": mode.origin}
+            constant = [
+                Column(key, "", np.full(len(series.time), word, dtype=object)) for key, word in words.items()
+            ]
+            u = np.sqrt(np.maximum(np.sum((mode.basis @ mode.covariance) * mode.basis, axis=1), 0.0))
+            parts.append([*constant, Column("time", "s", series.time), Column("u", unit, u)])
+    return parts
+
+
 def _points(content: Recording | Case) -> list[list[Column]]:
     return [
         [_scaled(c, p.m_per_px) for c in _part({"clip": clip, "point": name}, POINT, vars(p))]
@@ -520,6 +601,7 @@ TABLES: dict[str, Callable[[Recording | Case], list[list[Column]]]] = {
     "frames": _frames,
     "inputs": _inputs,
     "points": _points,
+    "errors": _errors,
 }
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 FORMAT = "gyrotrack"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "2.0"
 RECORDING = "recording"
 CASE = "case"
 
@@ -105,7 +105,7 @@ MARKER = Table(
 )
 
 # an error of the angle with the covariance s^2 exp(-|t - t'| / T) of two samples, beside the sigma of each
-_CORRELATED = (
+CORRELATED = (
     Attribute("correlated_sigma", float, "rad", "standard uncertainty of a slowly varying error", 0.0),
     Attribute("correlated_time", float, "s", "correlation time of this error", 0.0),
     Attribute(
@@ -133,7 +133,7 @@ BODY = Table(
     signal="omega",
     attributes=(
         Attribute("smoothing_width", int, "", "points of the median that gave omega"),
-        *_CORRELATED,
+        *CORRELATED,
     ),
 )
 
@@ -171,13 +171,13 @@ SERIES = Table(
         Field("turn", _T, "1", "whole turns in the angle", "i8"),
     ),
     signal="omega",
-    attributes=(_SIGMA_SOURCE, *_CORRELATED),
+    attributes=(_SIGMA_SOURCE, *CORRELATED),
 )
 
 WINDOWED = Table(
     (*SERIES.fields, Field("window", _T, "1", "rotor clip that the sample came from", "i8")),
     signal="omega",
-    attributes=(_SIGMA_SOURCE, *_CORRELATED),
+    attributes=(_SIGMA_SOURCE, *CORRELATED),
 )
 
 GENERATED = Table(
@@ -257,6 +257,42 @@ PLACEMENT_ATTRIBUTES = (
     Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
 )
 
+# `/body/<name>` of a case: the same numbers under names that do not depend on the body and the quantity
+FUSED = Table(
+    (
+        Field("time", _T, "s", "time on the clock of the case"),
+        Field("value", _T, "rad", "angle, or angular velocity [rad s-1]"),
+        Field("u", _T, "rad", "white standard uncertainty of the value"),
+        Field("segment", _T, "1", "clip that the sample came from; only of a rotor", "i8"),
+    ),
+    signal="value",
+    attributes=(
+        Attribute("quantity", str, "", "what was measured: angle or speed", "angle"),
+        Attribute("clock", str, "", "clock of the times"),
+        *SERIES.attributes,
+    ),
+)
+ERROR_MODE = Table(
+    (
+        Field("basis", ("time", "mode"), "1", "error of each sample for unit amplitudes"),
+        Field("covariance", ("mode", "other_mode"), "1", "covariance of the amplitudes"),
+    ),
+    signal="basis",
+    attributes=(
+        Attribute("group", str, "", "name of the amplitudes, if several series share them", ""),
+        Attribute("origin", str, "", "where the error comes from: axis, tilt, start, rate ...", ""),
+    ),
+)
+CASE_BODY_ATTRIBUTES = (
+    Attribute("role", str, "", "casing, rotor, or body (a single one)"),
+    Attribute("inertia", float, "kg m2", "moment of inertia; absent: torques are per unit of inertia", math.nan),
+    Attribute("inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan),
+)
+CLOCK_ATTRIBUTES = (
+    Attribute("offset", float, "s", "start of the clip on the clock of the case"),
+    Attribute("rate", float, "1", "rate of the clip's clock on that of the case"),
+)
+
 # all tables of a file with their paths, for docs/reference/format.md
 GROUPS = (
     ("`/frame`: the clip, frame by frame", FRAME),
@@ -267,6 +303,8 @@ GROUPS = (
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
     ("`/input/<name>` of a case: a recorded input of the motion", INPUT),
+    ("`/body/<name>/series/fused` of a case: the series of a body that is fitted", FUSED),
+    ("`/body/<name>/series/fused/error/<mode>`: an error that its samples share", ERROR_MODE),
 )
 
 # all attributes of groups that are not tables, for docs/reference/format.md
@@ -274,4 +312,6 @@ ATTRIBUTES = (
     ("Attributes of a recording", RECORDING_ATTRIBUTES),
     ("Attributes of a case", CASE_ATTRIBUTES),
     ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),
+    ("Attributes of `/body/<name>` in a case", CASE_BODY_ATTRIBUTES),
+    ("Attributes of `/clock/<name>` in a case, beside the dataset `covariance` of both", CLOCK_ATTRIBUTES),
 )

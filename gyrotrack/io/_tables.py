@@ -194,7 +194,7 @@ def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -
         for f in table.fields
     }
     for f in table.fields:
-        dataset = _create(group, f.name, arrays[f.name])
+        dataset = create_dataset(group, f.name, arrays[f.name])
         dataset.attrs["units"] = f.units
         dataset.attrs["long_name"] = f.long_name
         for key, value in f.attributes.items():
@@ -208,7 +208,8 @@ def write_table(group: Any, table: Table, record: Any, **extra: npt.ArrayLike) -
     write_attributes(group, table.attributes, record)
 
 
-def _create(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
+def create_dataset(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
+    """Create a compressed dataset with checksums."""
     chunks = (min(max(array.shape[0], 1), CHUNK), *array.shape[1:])
     return group.create_dataset(
         name,

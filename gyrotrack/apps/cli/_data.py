@@ -265,6 +265,7 @@ class Table(StrEnum):
     frames = "frames"
     inputs = "inputs"
     points = "points"
+    errors = "errors"
 
 
 def export_command(
@@ -276,7 +277,7 @@ def export_command(
         option(
             "--table",
             "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs; "
-            "points: paths of points (CSV, Parquet, JSON).",
+            "points: paths of points; errors: errors that samples share (CSV, Parquet, JSON).",
         ),
     ] = Table.motion,
     force: shared.Force = False,

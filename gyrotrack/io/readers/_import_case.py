@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -12,9 +12,19 @@ from typing import Any
 import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack._smoothing import angular_velocity, median_smooth, smoothing_width
+from gyrotrack._smoothing import median_smooth
 from gyrotrack.io._contents import describe_motion
-from gyrotrack.io._records import Case, Floats, Series, series_of, speed_warnings, windows_of
+from gyrotrack.io._records import (
+    Case,
+    Floats,
+    Piece,
+    from_angles,
+    from_speeds,
+    no_series,
+    series_of,
+    speed_warnings,
+    windows_of,
+)
 from gyrotrack.io.readers._motion_table import (
     MotionTable,
     ReadOptions,
@@ -65,18 +75,6 @@ _MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow
 _SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
 # times above this limit [s] (three years) are seconds since 1970, not since the start of a record
 _DATES = 1e8
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A part of a table without gaps; all arrays have shape (n,), in s, rad and rad/s."""
-
-    time: Floats
-    angle: Floats
-    sigma: Floats
-    omega: Floats
-    omega_sigma: Floats
-    smoothing_width: int = 1
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
@@ -174,33 +172,13 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
                 f"{table.path.name}: the values are quantised; sigma is at least step / sqrt(12) = "
                 f"{table.least_sigma:.2g}"
             )
-    make = _from_angles if table.quantity == "angle" else _from_speeds
+    make = from_angles if table.quantity == "angle" else from_speeds
     made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
     for piece in made:
         if not np.isfinite(piece.omega).any():
             start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
             notes.append(f"{start} is too short for a smoothed speed ({len(piece.time)} samples)")
     return made
-
-
-def _from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
-    width = smoothing_width(angle, sigma)
-    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
-    return Piece(time, angle, sigma, omega, omega_sigma, width)
-
-
-def _from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
-    """Integrate by the trapezoidal rule; the errors of the speeds accumulate."""
-    step = np.diff(time)
-    angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
-    share = np.concatenate([[step[0]], step]) * sigma
-    return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
-
-
-def no_series() -> Series:
-    """Return an empty series."""
-    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-    return Series(none, none, none, none, none, whole, window=whole, sigma_source="given")
 
 
 def summary(case: Case) -> dict[str, Any]:

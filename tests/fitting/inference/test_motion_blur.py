@@ -45,7 +45,7 @@ def test_columns_are_waves_times_powers_of_the_speed():
 @pytest.mark.parametrize("tracked", [True, False])
 def test_only_films_are_blurred_by_5_mrad_at_the_largest_speed(tracked):
     data = CaseData.of(film(tracked=tracked))
-    first = data.slices["camera_prior"].start
+    first = data.slices["nuisance_prior"].start
     inverse = np.diag(data.nuisance[first : first + 8, -8:])
     assert 1 / inverse[-2:] == pytest.approx(5e-3)
     assert data.camera_columns[:, -2:].any() == tracked

@@ -101,7 +101,7 @@ def test_laws_of_an_angle_and_camera_effects_are_in_the_values(gyroscope):
     size = np.linalg.norm(data.nuisance, axis=0)
     free, deviation = data.nuisance[:, size > 0] / size[size > 0], rows - p.rows
     left = deviation - free @ np.linalg.lstsq(free, deviation, rcond=1e-9)[0]
-    kept = slice(0, data.slices["camera_prior"].start)
+    kept = slice(0, data.slices["nuisance_prior"].start)
     assert (
         np.abs(left[kept]).max() < 0.1
     )  # of the noise of a row; without the unbalance or the clock it is above 300

@@ -102,13 +102,13 @@ def test_it_is_a_part_of_the_digest():
 def test_it_is_read_from_the_casing_of_a_case(tmp_path):
     with h5py.File(tmp_path / "case.h5", "w") as file:
         group = file.create_group("casing")
-        assert _correlated(file) == (0.0, 0.0, 0.0, 0.0)
+        assert _correlated(file, "casing") == (0.0, 0.0, 0.0, 0.0)
         group.attrs["correlated_sigma"] = SIGMA
-        assert _correlated(file) == (0.0, 0.0, 0.0, 0.0)
+        assert _correlated(file, "casing") == (0.0, 0.0, 0.0, 0.0)
         group.attrs["correlated_time"] = TIME
-        assert _correlated(file) == (SIGMA, TIME, 0.0, 0.0)
+        assert _correlated(file, "casing") == (SIGMA, TIME, 0.0, 0.0)
         group.attrs["periodic_sigma"] = 3 * SIGMA
-        assert _correlated(file) == (SIGMA, TIME, 3 * SIGMA, 0.0)
+        assert _correlated(file, "casing") == (SIGMA, TIME, 3 * SIGMA, 0.0)
 
 
 def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):

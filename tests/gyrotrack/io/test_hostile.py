@@ -103,7 +103,7 @@ def test_a_loop_of_hard_links_ends(path):
     ("version", "words"),
     [
         ("0.9", "oldest supported"),
-        ("2.0", "newest supported"),
+        ("3.0", "newest supported"),
         ("99", "newest supported"),
         ("-1", "no valid"),
         ("1.9", None),

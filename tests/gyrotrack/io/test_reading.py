@@ -56,7 +56,7 @@ def test_other_hdf5(tmp_path):
     ("attribute", "value", "match"),
     [
         ("format", "other", "was not written by gyrotrack"),
-        ("format_version", "2.0", "newest supported"),
+        ("format_version", "3.0", "newest supported"),
         ("format_version", "one", "no valid format version"),
         ("kind", "photo", "is a photo"),
         ("format_version", 1, "not a text"),

@@ -119,7 +119,7 @@ def test_root_tells_where_the_file_comes_from(tmp_path, recording):
     )
     with h5py.File(path) as file:
         assert file.attrs["format"] == "gyrotrack"
-        assert file.attrs["format_version"] == "1.0"
+        assert file.attrs["format_version"] == "2.0"
         assert file.attrs["command"] == "gyrotrack extract a.mp4"
         assert json.loads(file.attrs["settings"]) == {"k": 0.5}
         assert file.attrs["created"].endswith("+00:00")

@@ -1,0 +1,178 @@
+"""Errors that samples of a series share: functions of time whose amplitudes have a known covariance.
+
+Whatever was estimated and subtracted from a measurement, for example the axis of a body, the tilt of a camera or the
+start of a film, has an error that all its samples have in common,
+
+    e(t) = sum_j b_j(t) a_j,    E a = 0,    E a a' = C.
+
+The amplitudes a are nuisance parameters of every fit with the prior C, so that estimates and tests include their
+uncertainty. Series with modes of the same group have the same amplitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting._errors import RecordError
+
+Array = NDArray[np.float64]
+
+# largest number of amplitudes of a record: each is a parameter of every fit
+MOST_AMPLITUDES = 400
+# asymmetry and negative eigenvalues of a covariance, relative to its largest, that are rounding
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, repr=False)
+class ErrorMode:
+    """An error of one body's series with amplitudes of a known covariance.
+
+    Parameters
+    ----------
+    name : str
+        Its name, for example tilt.
+    time : ndarray, shape (n,)
+        Times of its samples on the clock of the record [s].
+    basis : ndarray, shape (n, m)
+        Error of the samples for unit amplitudes, in units of the series over those of the amplitudes.
+    covariance : ndarray, shape (m, m)
+        Covariance of the amplitudes, symmetric and not negative.
+    body : {"casing", "rotor"}
+        Body of the series; "casing" for a single body.
+    group : str
+        Name of the amplitudes: modes of the same group share them. Empty: its own.
+    origin : str
+        Where the error comes from: "axis", "tilt", "start", "rate", "hub" ...
+    """
+
+    name: str
+    time: Array
+    basis: Array
+    covariance: Array
+    body: str = "casing"
+    group: str = ""
+    origin: str = ""
+
+    def __post_init__(self) -> None:
+        what = f"error mode {str(self.name)[:40]}"
+        arrays: dict[str, Array] = {}
+        for key in ("time", "basis", "covariance"):
+            try:
+                arrays[key] = np.array(getattr(self, key), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise RecordError(f"{what}: {key} holds no numbers", "use a NumPy array") from None
+            if not np.isfinite(arrays[key]).all():
+                raise RecordError(f"{what}: {key} has values that are not finite", "leave the mode out")
+        time, basis, covariance = arrays.values()
+        basis = basis[:, None] if basis.ndim == 1 else basis
+        covariance = covariance.reshape(1, 1) if covariance.size == 1 else covariance
+        if time.ndim != 1 or basis.ndim != 2 or len(basis) != len(time) or not basis.size:
+            raise RecordError(
+                f"{what}: its basis has the shape {basis.shape} for {time.size} samples",
+                "give one row for each sample and one column for each amplitude",
+            )
+        if covariance.shape != (basis.shape[1], basis.shape[1]):
+            raise RecordError(
+                f"{what}: its covariance has the shape {covariance.shape} for {basis.shape[1]} amplitudes",
+                "give a symmetric matrix with one row for each column of the basis",
+            )
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        correlation = covariance / np.outer(scale, scale)
+        negative = np.linalg.eigvalsh((correlation + correlation.T) / 2)[0] < -_ROUNDING
+        if negative or np.abs(correlation - correlation.T).max() > _ROUNDING:
+            raise RecordError(
+                f"{what}: its covariance is not symmetric or has a negative variance",
+                "give a covariance matrix",
+            )
+        if self.body not in ("casing", "rotor"):
+            raise RecordError(f"{what}: no body is named {str(self.body)[:20]!r}", "use casing or rotor")
+        for key, values in (("time", time), ("basis", basis), ("covariance", covariance)):
+            values.flags.writeable = False
+            object.__setattr__(self, key, values)
+
+    def __repr__(self) -> str:
+        u = self.standard_uncertainty()
+        return (
+            f"ErrorMode {self.name!r} of the {self.body}: {self.basis.shape[1]} amplitude(s), standard uncertainty "
+            f"{u.min():.3g} to {u.max():.3g}" + (f", from {self.origin}" if self.origin else "")
+        )
+
+    @property
+    def key(self) -> str:
+        """Name of its amplitudes: the group; without one, body and name."""
+        return self.group or f"{self.body}/{self.name}"
+
+    def at(self, times: Array) -> Array:
+        """Return the basis at some times, (times, m): linear between its samples, zero beyond the first and last."""
+        return np.stack([np.interp(times, self.time, b, left=0.0, right=0.0) for b in self.basis.T], axis=1)
+
+    def standard_uncertainty(self) -> Array:
+        """Return the standard uncertainty of each sample by this error, the root of the diagonal of B C B'."""
+        return np.asarray(
+            np.sqrt(np.maximum(np.sum((self.basis @ self.covariance) * self.basis, axis=1), 0.0))
+        )
+
+
+def refuse_contradictions(modes: object) -> tuple[ErrorMode, ...]:
+    """Return the error modes of a record; a RecordError if a group has two covariances, or there are too many."""
+    if not isinstance(modes, Sequence) or not all(isinstance(m, ErrorMode) for m in modes):
+        raise RecordError(
+            "an error mode is not an ErrorMode", "use fitting.ErrorMode(name, time, basis, covariance)"
+        )
+    known: dict[str, Array] = {}
+    for mode in modes:
+        other = known.setdefault(mode.key, mode.covariance)
+        if other.shape != mode.covariance.shape or not np.allclose(
+            other, mode.covariance, rtol=1e-9, atol=0.0
+        ):
+            raise RecordError(
+                f"error modes of the group {mode.key[:40]} have different covariances",
+                "modes of one group share their amplitudes: give them the same covariance, or other groups",
+            )
+    count = sum(len(c) for c in known.values())
+    if count > MOST_AMPLITUDES:
+        raise RecordError(
+            f"the error modes have {count} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
+            "combine the smallest ones into the uncertainty of the samples",
+        )
+    return tuple(modes)
+
+
+def mode_columns(
+    modes: Sequence[ErrorMode], casing: Array, windows: Sequence[Array]
+) -> tuple[Array, list[Array]]:
+    """Return the errors of the casing and of each window at one standard deviation of independent amplitudes.
+
+    With C = R R' the columns are B R; those of a group stand in the same place for all series.
+
+    Parameters
+    ----------
+    modes : sequence of ErrorMode
+        Error modes of a record.
+    casing : ndarray, shape (n,)
+        Times of the casing [s].
+    windows : sequence of ndarray
+        Times of each window of the rotor [s].
+
+    Returns
+    -------
+    tuple of ndarray, shape (n, k), and list of ndarray, shape (window, k)
+    """
+    roots: dict[str, Array] = {}
+    for mode in modes:
+        if mode.key not in roots:
+            scale = np.sqrt(np.maximum(np.diag(mode.covariance), 1e-300))
+            values, vectors = np.linalg.eigh(mode.covariance / np.outer(scale, scale))
+            roots[mode.key] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    ends = np.cumsum([0, *(len(r) for r in roots.values())])
+    places = {key: slice(a, b) for key, a, b in zip(roots, ends, ends[1:], strict=False)}
+    found = [np.zeros((len(t), int(ends[-1]))) for t in (casing, *windows)]
+    for mode in modes:
+        for i, times in enumerate((casing, *windows)):
+            if (i > 0) == (mode.body == "rotor"):
+                found[i][:, places[mode.key]] += mode.at(times) @ roots[mode.key]
+    return found[0], found[1:]

@@ -1,0 +1,187 @@
+"""Bodies, error modes, clocks and joints of a case in its file (layout 2)."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+from gyrotrack import DatasetError, ErrorMode, read_case, write_case
+from gyrotrack._errors import UsageError
+from gyrotrack.io._records import Input, columns, no_series
+
+COVARIANCE = np.array([[4e-6, 1e-6], [1e-6, 9e-6]])
+
+
+@pytest.fixture
+def stated(case):
+    """A case whose bodies share the tilt of the camera."""
+    basis = np.stack([np.cos(case.casing.angle), np.sin(case.casing.angle)], axis=1)
+    tilt = ErrorMode("tilt", basis, COVARIANCE, group="tilt", origin="tilt", long_name="tilt of the camera")
+    own = ErrorMode("rate", case.rotor.time[:, None], np.array([[1e-8]]), origin="rate")
+    extra = {"sync_covariance": {"rotor_0": [[4e-10, 1e-11, 0.0], [1e-11, 1e-12, 0.0], [0.0, 0.0, 1e-6]]}}
+    return replace(
+        case,
+        casing=replace(case.casing, modes=(tilt,)),
+        rotor=replace(case.rotor, modes=(tilt, own)),
+        extra=extra,
+        I_casing_u=1e-7,
+    )
+
+
+@pytest.fixture
+def file(stated, tmp_path):
+    return write_case(tmp_path / "case.h5", stated, command="", settings={})
+
+
+def alone(case, **changes):
+    """A wheel without a moment of inertia."""
+    return replace(
+        case, bodies="one", body_name="wheel", per_inertia=1, rotor=no_series(), rotor_generated=None, placements={},
+        **changes,
+    )  # fmt: skip
+
+
+def without_old_groups(path, *, roles=("casing", "rotor")):
+    """Leave what layout 2 alone has."""
+    with h5py.File(path, "r+") as f:
+        for name in ("casing", "rotor", "rotor_generated", "recording"):
+            if name in f:
+                del f[name]
+        for name in ("I_rotor", "I_casing", "I_casing_u", "bodies", "body_name", "per_inertia", "quantity"):
+            if name in f.attrs:
+                del f.attrs[name]
+    return path
+
+
+def test_series_are_those_of_casing_and_rotor(file, stated):
+    with h5py.File(file) as f:
+        for name, series in (("casing", stated.casing), ("rotor", stated.rotor)):
+            fused = f[f"body/{name}/series/fused"]
+            assert f["casing/time"] != f["rotor/time"]
+            for column, old in (("time", "time"), ("value", "angle"), ("u", "sigma")):
+                assert fused[column] == f[f"{name}/{old}"]
+            assert fused.attrs["quantity"] == "angle"
+            assert f[f"body/{name}"].attrs["role"] == name
+            np.testing.assert_array_equal(fused["value"], series.angle)
+        assert f["body/rotor/series/fused/segment"] == f["rotor/window"]
+        assert "segment" not in f["body/casing/series/fused"]
+        assert f["body/casing"].attrs["inertia"] == 2.06e-5
+        assert f["body/casing"].attrs["inertia_u"] == 1e-7
+        assert f["body/rotor"].attrs["inertia"] == 5.54e-5
+        assert "inertia_u" not in f["body/rotor"].attrs
+
+
+def test_joints_connect_the_bodies(file):
+    with h5py.File(file) as f:
+        joints = {n: (list(g.attrs["bodies"]), g.attrs["kind"]) for n, g in f["joint"].items()}
+    assert joints == {
+        "bearing": (["rotor", "casing"], "bearing"),
+        "touchpoint": (["casing", "ground"], "contact"),
+    }
+
+
+def test_a_clock_has_the_covariance_of_offset_and_rate(file):
+    """The variances are those of the placement, the correlation that of the synchronisation."""
+    with h5py.File(file) as f:
+        clock = f["clock/rotor_0"]
+        assert clock.attrs["offset"] == 3.5
+        assert clock.attrs["rate"] == 1.00002
+        assert clock["covariance"][()] == pytest.approx(
+            np.array([[1e-10, 0.5e-11], [0.5e-11, 1e-12]]), rel=1e-9
+        )
+
+
+def test_error_modes_come_back(file, stated):
+    found = read_case(file)
+    for a, b in ((found.casing, stated.casing), (found.rotor, stated.rotor)):
+        assert {m.name for m in a.modes} == {m.name for m in b.modes}
+        for mode in b.modes:
+            back = next(m for m in a.modes if m.name == mode.name)
+            np.testing.assert_array_equal(back.basis, mode.basis)
+            np.testing.assert_array_equal(back.covariance, mode.covariance)
+            assert (back.group, back.origin, back.long_name) == (mode.group, mode.origin, mode.long_name)
+
+
+def test_a_file_of_bodies_alone_is_read(file, stated):
+    found = read_case(without_old_groups(file))
+    np.testing.assert_array_equal(found.casing.angle, stated.casing.angle)
+    np.testing.assert_array_equal(found.rotor.window, stated.rotor.window)
+    assert (found.I_rotor, found.I_casing, found.I_casing_u) == (5.54e-5, 2.06e-5, 1e-7)
+    assert (found.bodies, found.quantity, found.per_inertia) == ("two", "angle", 0)
+    assert [m.name for m in found.casing.modes] == ["tilt"]
+    # speeds follow from the angles: 20 rad/s
+    assert np.nanmedian(found.casing.omega) == pytest.approx(20.0)
+    assert found.recordings == {}
+
+
+@pytest.mark.parametrize("quantity", ["angle", "omega"])
+def test_a_single_body_has_its_name(case, tmp_path, quantity):
+    path = write_case(tmp_path / "case.h5", alone(case, quantity=quantity), command="", settings={})
+    with h5py.File(path) as f:
+        assert list(f["body"]) == ["wheel"]
+        assert f["body/wheel"].attrs["role"] == "body"
+        assert "inertia" not in f["body/wheel"].attrs
+        fused = f["body/wheel/series/fused"]
+        assert fused.attrs["quantity"] == {"angle": "angle", "omega": "speed"}[quantity]
+        assert fused["value"] == f["casing/angle" if quantity == "angle" else "casing/omega"]
+        assert list(f["joint"]) == ["support"]
+    found = read_case(without_old_groups(path))
+    assert (found.bodies, found.body_name, found.per_inertia, found.quantity) == ("one", "wheel", 1, quantity)
+    assert found.casing.omega[60] == pytest.approx(20.0)
+    assert found.casing.angle[-1] - found.casing.angle[0] == pytest.approx(20 * 399 / 260)
+    assert len(found.rotor.time) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda f: f["body"].move("rotor", "third") or f["body/third"].attrs.modify("role", "body"),
+            "of the roles",
+        ),
+        (
+            lambda f: (
+                f["body/casing/series"].copy("fused", "left")
+                or f["body/casing/series"].move("fused", "right")
+            ),
+            "2 series",
+        ),
+        (
+            lambda f: f["body/casing/series/fused"].attrs.modify("quantity", "counts"),
+            "of the quantity 'counts'",
+        ),
+        (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "lacks the inertia of a body"),
+        (lambda f: f["body/casing/series/fused/error/tilt"].__delitem__("covariance"), "lacks 'covariance'"),
+    ],
+)
+def test_bodies_that_do_not_fit_are_refused(file, change, words):
+    with h5py.File(without_old_groups(file), "r+") as f:
+        change(f)
+    with pytest.raises(DatasetError) as caught:
+        read_case(file)
+    assert words in str(caught.value)
+
+
+def test_errors_are_exported_with_their_uncertainty(stated):
+    table = {c.name: c for c in columns(stated, "errors")}
+    n = len(stated.casing.time)
+    assert table["mode"].values.tolist() == ["tilt"] * 2 * n + ["rate"] * n
+    assert table["u"].unit == "rad"
+    basis = stated.casing.modes[0].basis
+    expected = [np.sqrt(b @ COVARIANCE @ b) for b in basis]
+    assert table["u"].values[:n] == pytest.approx(np.array(expected))
+    assert table["u"].values[2 * n :] == pytest.approx(1e-4 * stated.rotor.time)
+    speeds = {c.name: c for c in columns(replace(stated, quantity="omega"), "errors")}
+    assert speeds["u"].unit == "rad s-1"
+
+
+def test_a_case_without_errors_has_no_such_table(case):
+    with pytest.raises(UsageError, match="no errors"):
+        columns(case, "errors")
+
+
+def test_inputs_stay(case, tmp_path):
+    current = Input("current", case.casing.time, case.casing.time, np.full(400, np.nan), "A")
+    path = write_case(tmp_path / "c.h5", alone(case, inputs=(current,)), command="", settings={})
+    assert read_case(without_old_groups(path)).inputs[0].unit == "A"
