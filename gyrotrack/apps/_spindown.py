@@ -228,7 +228,8 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
 
 def _rows(series: Series, rows: slice | npt.NDArray[np.bool_]) -> Series:
     names = ("time", "angle", "sigma", "omega", "omega_sigma", "turn")
-    return replace(series, **{name: getattr(series, name)[rows] for name in names})
+    modes = tuple(replace(mode, basis=mode.basis[rows]) for mode in series.modes)
+    return replace(series, modes=modes, **{name: getattr(series, name)[rows] for name in names})
 
 
 def _within(series: Series, limits: Limits, warnings: list[str]) -> Series:
