@@ -55,11 +55,9 @@ from fitting.discovery._power import UpperLimit, largest_hidden
 from fitting.discovery._random_torque import RandomTorque, describes, is_established, with_random_torque
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
-    AngleHarmonics,
     Failure,
     ResidualTorque,
     Whiteness,
-    angle_harmonics,
     find_failures,
     format_torque,
     residual_torques,
@@ -78,6 +76,7 @@ from fitting.discovery._select import (
 from fitting.effects._effect import Effect
 from fitting.effects._library import SLIP, START
 from fitting.effects._words import effect_name
+from fitting.inference._angle_harmonics import AngleHarmonics, angle_harmonics
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
 from fitting.inference._params import Estimate

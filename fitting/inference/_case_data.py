@@ -816,7 +816,8 @@ class CaseData:
 # what is computed from the samples alone
 _OF_THE_SAMPLES = frozenset({
     "_correlated_noise", "_correlated_rotor_noise", "angle_noise", "rotor_angle_noise", "findings", "process_noise",
-    "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds", "speeds",
+    "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
+    "speeds",
 })  # fmt: skip
 
 

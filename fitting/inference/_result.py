@@ -34,6 +34,7 @@ from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, speed, speed_u
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._words import EffectName, effect_name
+from fitting.inference._angle_harmonics import AngleHarmonics, angle_harmonics
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._angle_residuals import AngleResidual, angle_residuals
 from fitting.inference._case import outward
@@ -498,7 +499,7 @@ class Fit(FitSummary):
             return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not_converged"
-        if self.fails() or self.needs_random_torque():
+        if self.fails() or self.needs_random_torque() or self.has_torque_of_the_angle():
             return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
 
@@ -533,6 +534,22 @@ class Fit(FitSummary):
         return self.converged and (
             self.lack_of_fit.p_value < criteria.lack_of_fit or any(c.fails(criteria) for c in self.cases)
         )
+
+    @cached_property
+    def angle_harmonics(self) -> tuple[AngleHarmonics, ...]:
+        """Harmonics of the unmodelled torque in the angle of the casing, of each case with enough turns."""
+        return tuple(angle_harmonics(self))
+
+    def has_torque_of_the_angle(self, criteria: Criteria | None = None) -> bool:
+        """Return whether an unmodelled torque repeats once or twice a turn of the casing.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default those of the fit.
+        """
+        least = (criteria or self.criteria).harmonic_sigma
+        return any(found.size(n)[1] >= least for found in self.angle_harmonics for n in (1, 2))
 
     def has_excess_noise(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit needs more process noise than the recording shows against the most flexible motion.

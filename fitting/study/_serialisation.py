@@ -68,10 +68,8 @@ from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import (
-    AngleHarmonics,
     Failure,
     ResidualTorque,
-    angle_harmonics,
     residual_torques,
     whiteness,
 )
@@ -83,6 +81,7 @@ from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
 from fitting.effects._words import change_name, effect_name
+from fitting.inference._angle_harmonics import AngleHarmonics
 from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
@@ -698,7 +697,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),
-        tuple(angle_harmonics(fit)),
+        fit.angle_harmonics,
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
         stored.form_limit,

@@ -285,8 +285,12 @@ ERROR_MODE = Table(
 )
 CASE_BODY_ATTRIBUTES = (
     Attribute("role", str, "", "casing, rotor, or body (a single one)"),
-    Attribute("inertia", float, "kg m2", "moment of inertia; absent: torques are per unit of inertia", math.nan),
-    Attribute("inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan),
+    Attribute(
+        "inertia", float, "kg m2", "moment of inertia; absent: torques are per unit of inertia", math.nan
+    ),
+    Attribute(
+        "inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan
+    ),
 )
 CLOCK_ATTRIBUTES = (
     Attribute("offset", float, "s", "start of the clip on the clock of the case"),

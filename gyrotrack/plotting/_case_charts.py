@@ -33,7 +33,7 @@ from gyrotrack.plotting._study_data import CaseView, Curve, Residual
 from gyrotrack.plotting._tracking import Tracks, centre_finding, sigma_finding
 
 if TYPE_CHECKING:
-    from fitting.discovery._residuals import AngleHarmonics
+    from fitting.inference._angle_harmonics import AngleHarmonics
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from gyrotrack._errors import GyrotrackError
 from gyrotrack.plotting._charts import Interval, dashboard_document, interval_document
 
 if TYPE_CHECKING:
-    from fitting.discovery._residuals import AngleHarmonics, ResidualTorque
+    from fitting.discovery._residuals import ResidualTorque
     from fitting.dynamics._model import Model
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
@@ -45,7 +45,6 @@ class Step:
     fit_id: str = ""
     sharp: bool = True
     torques: tuple[ResidualTorque, ...] | None = None
-    harmonics: tuple[AngleHarmonics, ...] | None = None
     prediction: Prediction | None = None
     name: str = ""
     note: str = ""
@@ -391,7 +390,7 @@ class Session:
         from fitting.discovery._refine import refined
 
         if not step.sharp:
-            step.found, step.sharp, step.torques, step.harmonics = refined(step.fit), True, None, None
+            step.found, step.sharp, step.torques = refined(step.fit), True, None
             step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
@@ -586,7 +585,7 @@ class Session:
         names = (f"fit {compared + 1}", f"fit {self.current + 1}") if before is not None else ("fit 1",)
         dashboard = case_dashboard(view, tracks, names, names=names)
         charts = list(dashboard.charts)
-        harmonics, body = [self._harmonics(s) for s in steps], self._data.record.body
+        harmonics, body = [s.fit.angle_harmonics for s in steps], self._data.record.body
         charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
@@ -606,13 +605,6 @@ class Session:
         if step.torques is None:
             step.torques = tuple(residual_torques(step.fit))
         return step.torques
-
-    def _harmonics(self, step: Step) -> tuple[AngleHarmonics, ...]:
-        from fitting.discovery._residuals import angle_harmonics
-
-        if step.harmonics is None:
-            step.harmonics = tuple(angle_harmonics(step.fit))
-        return step.harmonics
 
 
 def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:

@@ -5,7 +5,8 @@ import pytest
 import twobody
 
 from fitting import REDUCED, Experiment, Model, fit, make_record, simulate
-from fitting.discovery._residuals import angle_harmonics, find_failures, residual_torques
+from fitting.discovery._residuals import find_failures, residual_torques
+from fitting.inference._angle_harmonics import angle_harmonics
 from fitting.inference._case_data import CaseData
 
 AMPLITUDE, PHASE = 4e-6, 0.9

@@ -25,9 +25,9 @@ from fitting.discovery._lack_of_fit import (
     smooth_test,
 )
 from fitting.discovery._refine import refit
-from fitting.discovery._residuals import angle_harmonics
 from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import separate_values
+from fitting.inference._angle_harmonics import angle_harmonics
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 

@@ -1,0 +1,42 @@
+"""The verdict of a fit on a torque that repeats with the angle, on either side of its criterion."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting import Case, fit
+from fitting._criteria import DEFAULT
+from fitting.inference._angle_harmonics import AngleHarmonics
+
+T = np.linspace(0.0, 20.0, 4001)
+
+
+def fitted(amplitude):
+    """A wheel of 1 kg m2 with a torque once a turn: angles by their analytic response to first order."""
+    phase = 60.0 * T - 0.5 * T**2
+    change = -amplitude * np.sin(phase) / (60.0 - T) ** 2
+    angle = phase + change + 1e-4 * np.random.default_rng(1).standard_normal(len(T))
+    return fit("support.constant", Case.from_arrays(wheel={"t": T, "angle": angle, "u": 1e-4}))
+
+
+@pytest.mark.parametrize(("amplitude", "verdict"), [(0.0, "no_lack_of_fit"), (3.0, "lack_of_fit")])
+def test_a_torque_once_a_turn_is_a_lack_of_fit(amplitude, verdict):
+    found = fitted(amplitude)
+    assert found.verdict == verdict
+    assert found.has_torque_of_the_angle() == (amplitude > 0)
+    # slow torques do not contain it
+    assert not found.fails()
+
+
+@pytest.mark.parametrize(
+    ("order", "share", "expected"), [(1, 0.99, False), (1, 1.01, True), (2, 0.99, False), (2, 1.01, True)]
+)
+def test_the_amplitude_that_counts(order, share, expected):
+    gamma = np.zeros(4)
+    gamma[2 * order - 2] = share * DEFAULT.harmonic_sigma * 2e-6
+    harmonics = (AngleHarmonics("case", gamma, np.eye(4) * 4e-12),)
+    solved = SimpleNamespace(angle_harmonics=harmonics, criteria=DEFAULT)
+    from fitting import Fit
+
+    assert Fit.has_torque_of_the_angle(solved) == expected
