@@ -412,6 +412,12 @@ class CaseData:
         return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
 
     @cached_property
+    def _times_of_bodies(self) -> tuple[Array, Array]:
+        """The same of the casing and of all windows."""
+        count = len(self.casing.node_times)
+        return self.node_times[:count], self.node_times[count:]
+
+    @cached_property
     def z(self) -> Array:
         """Return the measured rows."""
         return self.whitened(
@@ -752,13 +758,10 @@ class CaseData:
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
-        a = len(self.casing.node_times)
-        values = []
-        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[
-            : 1 if self.record.single else 2
-        ]:
-            sampler = Sampler(path.mesh, times)
-            values.append(self._observed(sampler, path, state, nodes))
+        casing, rotor = self._times_of_bodies
+        values = [self._observed(path.mesh.sampler(casing), path, 1, nodes)]
+        if not self.record.single:
+            values.append(self._observed(path.mesh.sampler(rotor), path, 0, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
         rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
         return self.whitened(self._projected_by_samples(path, nodes, rows))

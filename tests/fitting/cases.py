@@ -4,6 +4,7 @@ import hashlib
 import os
 import pickle
 from functools import lru_cache, wraps
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,19 @@ def shared(function):
     """Compute the results of a function of numbers and names once for all processes of pytest-xdist."""
 
     @lru_cache(maxsize=64)
-    @wraps(function)
-    def result(*args, **settings):
-        key = repr((function.__module__, function.__name__, args, sorted(settings.items())))
+    def of(settings):
+        key = repr((function.__module__, function.__name__, settings))
         path = Path(os.environ["GYROTRACK_TEST_SHARED"], hashlib.sha256(key.encode()).hexdigest())
         with FileLock(f"{path}.lock"):
             if not path.exists():
-                path.write_bytes(pickle.dumps(function(*args, **settings)))
+                path.write_bytes(pickle.dumps(function(**dict(settings))))
         return pickle.loads(path.read_bytes())  # noqa: S301 - the tests' own file
+
+    @wraps(function)
+    def result(*args, **settings):
+        given = signature(function).bind(*args, **settings)
+        given.apply_defaults()
+        return of(tuple(given.arguments.items()))
 
     return result
 

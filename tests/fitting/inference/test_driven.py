@@ -277,7 +277,9 @@ def quadratic():
     return fit(model(data.inputs), data)
 
 
-def test_a_quadratic_drag_beside_a_drive_is_fitted_from_scratch_because_its_score_has_the_wrong_sign(quadratic):
+def test_a_quadratic_drag_beside_a_drive_is_fitted_from_scratch_because_its_score_has_the_wrong_sign(
+    quadratic,
+):
     assert scores_mislead(quadratic, DEFAULT)
     (screened,) = score(quadratic, [LIBRARY["casing.air.quadratic"]], [CaseColumns(quadratic, 0)], DEFAULT)
     assert screened.score == 0

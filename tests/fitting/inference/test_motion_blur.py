@@ -17,7 +17,9 @@ def film(blur=0.0, *, tracked=True):
     """Return a recording whose casing errs by `blur` sin(psi) at the largest speed [rad]."""
     motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=40.0, seed=0)
     found = twobody.film(
-        motion, seed=0, cameras=twobody.Cameras(
+        motion,
+        seed=0,
+        cameras=twobody.Cameras(
             span=40.0, windows=(2.0, 18.0, 34.0), casing_rate=50.0, rotor_rate=200.0, sigma=4e-4
         ),
     )
