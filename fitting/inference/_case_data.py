@@ -413,7 +413,7 @@ class CaseData:
 
     @cached_property
     def _times_of_bodies(self) -> tuple[Array, Array]:
-        """The same of the casing and of all windows."""
+        """Times of the nodes of the casing, and of those of all windows."""
         count = len(self.casing.node_times)
         return self.node_times[:count], self.node_times[count:]
 

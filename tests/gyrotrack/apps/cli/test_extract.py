@@ -24,7 +24,7 @@ def test_a_film_becomes_a_recording(film, tmp_path, capsys):
     assert run(["extract", str(film), "-o", str(target), "--json"]) == 0
     document, _ = _json(capsys)
     assert document["output"] == str(target)
-    assert document["frames"] == 170
+    assert document["frames"] == 130
     assert document["markers"]["red"]["ok"] > 155
     assert set(document["markers"]["red"]) == {"ok", "blurred", "occluded", "out_of_frame", "lost"}
     assert document["body"]["casing"]["samples"] > 160
