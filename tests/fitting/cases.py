@@ -12,7 +12,8 @@ import twobody
 from filelock import FileLock
 from scipy.integrate import solve_ivp
 
-from fitting import REDUCED, Model, fit, make_record
+from fitting import REDUCED, Model, diagnose, fit, make_record
+from fitting.discovery._select import rank
 from fitting.inference._case_data import CaseData
 
 HIDDEN = {
@@ -70,6 +71,14 @@ def wheel(drag=4e-7):
     samples = (time, angle, np.full(len(time), 1e-3))
     record = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=inertia, single=True)
     return fit(Model.of(["touchpoint.constant", "casing.air.linear"]), [CaseData.of(record)])
+
+
+@shared
+def searched(drag=4e-7):
+    """Return the fit of `wheel`, its candidates and its diagnosis."""
+    base = wheel(drag)
+    candidates = rank(base)
+    return base, candidates, diagnose(base, candidates=candidates)
 
 
 def pulls(result, true):

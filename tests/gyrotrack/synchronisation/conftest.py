@@ -63,7 +63,7 @@ class Run:
         offsets = offsets or [offset] * len(starts)
         found = []
         for start, turned in zip(starts, offsets, strict=True):
-            time = np.arange(0, duration, 1e-3)
+            time = np.arange(0, duration, 2e-3)
             angle = self.motion(start + rate * time)[2] - turned
             found.append(camera.curve(time, angle - TURN * np.floor(angle[0] / TURN)))
         return found
