@@ -170,7 +170,8 @@ class TestLimits:
 @pytest.mark.slow
 def test_an_effect_that_shifts_a_parameter_to_its_bound_has_a_smaller_detection_limit(described):
     """Drift of the bearing shifts the exponent g; held at its bound of 1.4, g no longer absorbs the drift."""
-    recordings = read_planned(described())
+    few, usual = "casing_fps = 60.0\nrotor_fps = 250.0", "casing_fps = 260.0\nrotor_fps = 1000.0"
+    recordings = read_planned(described(few, usual))
     found = recordings.fit()
     looked = Search(found, truth=recordings.numbers)
     drift = LIBRARY["bearing.drift"]
