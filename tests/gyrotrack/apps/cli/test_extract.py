@@ -107,5 +107,5 @@ def test_an_overlay_shows_what_was_found(film, tmp_path, capsys, name):
     assert document["overlay"] == str(picture)
     with av.open(str(picture)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(frames) == (1 if name.endswith("png") else 170)
+    assert len(frames) == (1 if name.endswith("png") else 130)
     assert (frames[0].reshape(-1, 3).max(axis=0) == 255).any() or frames[0].max() > 240
