@@ -56,6 +56,15 @@ def pytest_unconfigure():
         shutil.rmtree(os.environ["GYROTRACK_TEST_SHARED"], ignore_errors=True)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_core():
+    """One core for each process of pytest-xdist: workers of a command in it would only repeat its imports."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            patch.setattr("fitting._workers.available_cores", lambda: 1)
+        yield
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory):
     """Make a folder once for all processes of pytest-xdist: made_once(name, make) calls make(folder) at most once."""

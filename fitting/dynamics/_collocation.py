@@ -95,6 +95,21 @@ class Mesh:
 
     edges: Array
 
+    def __getstate__(self) -> dict[str, Array]:
+        """Return the edges: a worker computes the rest again."""
+        return {"edges": self.edges}
+
+    @cached_property
+    def _samplers(self) -> dict[int, tuple[Array, Sampler]]:
+        return {}
+
+    def sampler(self, times: Array) -> Sampler:
+        """Return the sampler at these times, the same for the same array, which must not change."""
+        known = self._samplers.get(id(times))
+        if known is None:
+            known = self._samplers[id(times)] = times, Sampler(self, times)
+        return known[1]
+
     @cached_property
     def half(self) -> Array:
         """Half the length of each interval, shaped to broadcast over nodes."""
@@ -155,7 +170,11 @@ class Path:
     @property
     def scale(self) -> Array:
         """Values to which errors of the states are relative, (states,)."""
-        largest = 1e-300 + np.abs(self.y).max(axis=(0, 1))
+        return self.scale_of(self.y)
+
+    def scale_of(self, y: Array) -> Array:
+        """Return the same for other states at the nodes."""
+        largest = 1e-300 + np.abs(y).max(axis=(0, 1))
         largest[:2] = np.maximum(largest[:2], self.least_scale)
         return np.asarray(largest)
 
@@ -176,7 +195,7 @@ class Path:
         ends, breaks = [0, *sorted(self.jumps), len(self.y)], self.breaks
         return [
             Path(
-                Mesh(self.mesh.edges[a : b + 1]),
+                Mesh(self.mesh.edges[a : b + 1]) if self.jumps else self.mesh,
                 self.y[a:b],
                 self.edges[a : b + 1],
                 self.states,
@@ -244,9 +263,9 @@ def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
 class Propagator:
     """The linearised equations d(dy)/dt = A dy + b on a mesh, with A of shape (intervals, nodes, n, n) at its nodes.
 
-    `jumps` are saltation matrices at edges where the torque jumps. With a right-hand side `defect` (intervals, nodes,
-    n) `response` is the same as its `nodes`, at less cost. `constraint` (2, 2) turns accelerations of free bodies
-    into those of bodies in contact.
+    `jumps` are saltation matrices at edges where the torque jumps. With right-hand sides `defect` (intervals, nodes,
+    n, columns) `response` is the same as its `nodes`, at less cost. `constraint` (2, 2) turns accelerations of free
+    bodies into those of bodies in contact.
     """
 
     def __init__(
@@ -265,12 +284,12 @@ class Propagator:
         g = (rule().s[:, None, :, None] * scaled[:, None]).reshape(intervals, k * n, k * n)
         g.reshape(intervals, -1)[:, :: k * n + 1] += 1.0
         self._system = g
-        right = np.empty((intervals, k * n, n + (defect is not None)))
-        right[..., :n] = np.tile(np.eye(n), (k, 1))
+        right = np.empty((intervals, k, n, n + (0 if defect is None else defect.shape[3])))
+        right[..., :n] = np.eye(n)
         if defect is not None:
-            right[..., n] = defect.reshape(intervals, k * n)
+            right[..., n:] = defect
         try:
-            solved = np.linalg.solve(g, right)
+            solved = np.linalg.solve(g, right.reshape(intervals, k * n, -1))
         except np.linalg.LinAlgError:
             raise SimulationError(UNBOUNDED) from None
         self.transfer: Array = np.asarray(solved[..., :n].reshape(intervals, k, n, n))
@@ -411,13 +430,12 @@ def newton(
             half = mesh.half
             node_defect = edges[:-1, None] + half[..., None] * (gauss.s @ f) - y
             edge_defect = edges[:-1] + half * (gauss.w @ f) - edges[1:]
-            shape = Propagator(mesh, a, defect=node_defect)
+            shape = Propagator(mesh, a, defect=node_defect[..., None])
             steps = shape.chain(shape.response, edge_defect[..., None])
             move = (shape.response + shape.carried(steps))[..., 0]
             y += move
             edges += steps[..., 0]
-            scale = replace(first, y=y).scale
-            size = float((np.abs(move).max(axis=(0, 1)) / scale).max())
+            size = float((np.abs(move).max(axis=(0, 1)) / first.scale_of(y)).max())
             if pivot is not None:
                 mesh, change = _stretched(mesh, y, edges, f, pivot)
                 size = max(size, change)

@@ -267,7 +267,9 @@ class Segments:
                 jumps = np.tile(np.eye(y.shape[-1]), (len(at), 1, 1))
                 jumps[:, :, _CASING] -= step
                 offsets = -step * edges[at, _CASING, None]
-                shape = Propagator(mesh, a, dict(zip(at.tolist(), jumps, strict=True)), defect=node_defect)
+                shape = Propagator(
+                    mesh, a, dict(zip(at.tolist(), jumps, strict=True)), defect=node_defect[..., None]
+                )
                 moves = shape.chain(
                     shape.response,
                     edge_defect[..., None],

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -361,7 +361,7 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
         )
         if _ratio_has_prior(fit):
             casing = r.I_casing * rotor / r.I_rotor
-        data.append(replace(d, record=replace(r, I_rotor=rotor, I_casing=casing)))
+        data.append(d.with_inertia(rotor, casing))
     share, per_case = layout.choices
     start = {n: float(x) for n, x in zip(layout.names, fit.theta, strict=True)}
     again = refit(fit.model, data, share=share, per_case=per_case, start=start, ranges=layout.ranges)

@@ -19,7 +19,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -258,9 +258,7 @@ class CaseData:
     def with_criteria(self, criteria: Criteria) -> CaseData:
         """Return the same measured data with other criteria of the noise."""
         if self.has_noise_of(criteria):
-            changed = replace(self, criteria=criteria)
-            changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in _OF_THE_SAMPLES})
-            return changed
+            return self._of_same_samples(criteria=criteria)
         made = CaseData.of(as_measured(self.record, self.slips), criteria)
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
@@ -271,9 +269,23 @@ class CaseData:
     def with_start_u(self, u: float) -> CaseData:
         """Return the same data with this standard uncertainty of every start that is not stated [s]."""
         start_sigma = tuple(u if math.isnan(s) else s for s in self.record.start_sigma)
-        changed = replace(self, record=replace(self.record, start_sigma=start_sigma))
-        # the noise is that of the same samples
-        changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in _OF_THE_SAMPLES})
+        return self._of_same_samples(record=replace(self.record, start_sigma=start_sigma))
+
+    def with_inertia(self, rotor: float, casing: float) -> CaseData:
+        """Return the same data with other moments of inertia [kg m2]."""
+        return self._of_same_samples(record=replace(self.record, I_rotor=rotor, I_casing=casing))
+
+    def with_free_inertia(self, *, free: bool) -> CaseData:
+        """Return the same data for a model with a free ratio of the moments of inertia, or a fixed one."""
+        return self if self.free_inertia == free else self._of_same_samples(free_inertia=free)
+
+    def _of_same_samples(self, **changes: Any) -> CaseData:
+        """Return the data with other fields, and with the noise and motion that are known of the same samples."""
+        changed = replace(self, **changes)
+        kept = _OF_THE_SAMPLES
+        if changed.record.I_casing * self.record.I_rotor != self.record.I_casing * changed.record.I_rotor:
+            kept = kept - _OF_THE_INERTIA_RATIO
+        changed.__dict__.update({k: v for k, v in self.__dict__.items() if k in kept})
         return changed
 
     def start_columns(self) -> Iterator[tuple[int, Array]]:
@@ -289,7 +301,9 @@ class CaseData:
 
     def with_prior(self, prior: Prior | None) -> CaseData:
         """Return the same data with this prior."""
-        return self if prior == self.record.prior else replace(self, record=replace(self.record, prior=prior))
+        if prior == self.record.prior:
+            return self
+        return self._of_same_samples(record=replace(self.record, prior=prior))
 
     @cached_property
     def prior(self) -> Prior | None:
@@ -397,6 +411,12 @@ class CaseData:
     def node_times(self) -> Array:
         """Times at which a smooth model is needed [s], casing first, then each window."""
         return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
+
+    @cached_property
+    def _times_of_bodies(self) -> tuple[Array, Array]:
+        """Times of the nodes of the casing, and of those of all windows."""
+        count = len(self.casing.node_times)
+        return self.node_times[:count], self.node_times[count:]
 
     @cached_property
     def z(self) -> Array:
@@ -763,13 +783,10 @@ class CaseData:
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
-        a = len(self.casing.node_times)
-        values = []
-        for state, times in ((1, self.node_times[:a]), (0, self.node_times[a:]))[
-            : 1 if self.record.single else 2
-        ]:
-            sampler = Sampler(path.mesh, times)
-            values.append(self._observed(sampler, path, state, nodes))
+        casing, rotor = self._times_of_bodies
+        values = [self._observed(path.mesh.sampler(casing), path, 1, nodes)]
+        if not self.record.single:
+            values.append(self._observed(path.mesh.sampler(rotor), path, 0, nodes))
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
         rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
         return self.whitened(self._projected_by_samples(path, nodes, rows))
@@ -819,6 +836,8 @@ _OF_THE_SAMPLES = frozenset({
     "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
     "speeds",
 })  # fmt: skip
+# of these, what depends on the share of the random torque that acts on the rotor
+_OF_THE_INERTIA_RATIO = frozenset({"_correlated_rotor_noise", "rotor_angle_noise", "findings"})
 
 
 def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData, ...]:
@@ -829,7 +848,7 @@ def with_prior(data: Sequence[CaseData], prior: Prior | None) -> tuple[CaseData,
 def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[CaseData]:
     """Return the cases for a model with effects of these names, with the prior of a free ratio of inertia."""
     free = INERTIA_RATIO.rpartition(".")[0] in names
-    return [d if d.free_inertia == free else replace(d, free_inertia=free) for d in data]
+    return [d.with_free_inertia(free=free) for d in data]
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:

@@ -4,6 +4,7 @@ import hashlib
 import os
 import pickle
 from functools import lru_cache, wraps
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import twobody
 from filelock import FileLock
 from scipy.integrate import solve_ivp
 
-from fitting import REDUCED, Model, fit, make_record
+from fitting import REDUCED, Model, diagnose, fit, make_record
+from fitting.discovery._select import rank
 from fitting.inference._case_data import CaseData
 
 HIDDEN = {
@@ -25,14 +27,19 @@ def shared(function):
     """Compute the results of a function of numbers and names once for all processes of pytest-xdist."""
 
     @lru_cache(maxsize=64)
-    @wraps(function)
-    def result(*args, **settings):
-        key = repr((function.__module__, function.__name__, args, sorted(settings.items())))
+    def of(settings):
+        key = repr((function.__module__, function.__name__, settings))
         path = Path(os.environ["GYROTRACK_TEST_SHARED"], hashlib.sha256(key.encode()).hexdigest())
         with FileLock(f"{path}.lock"):
             if not path.exists():
-                path.write_bytes(pickle.dumps(function(*args, **settings)))
+                path.write_bytes(pickle.dumps(function(**dict(settings))))
         return pickle.loads(path.read_bytes())  # noqa: S301 - the tests' own file
+
+    @wraps(function)
+    def result(*args, **settings):
+        given = signature(function).bind(*args, **settings)
+        given.apply_defaults()
+        return of(tuple(given.arguments.items()))
 
     return result
 
@@ -42,7 +49,9 @@ def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
     motion = twobody.simulate(seed=seed, ou=ou, ou_time=ou_time, hidden=HIDDEN[hidden])
     sigma = 1e-3 if quantity == "angle" else 0.05
     cameras = twobody.Cameras(quantity=quantity, sigma=sigma)
-    return CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
+    found = CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
+    found.whitened(found.z)  # the estimates of the noise, which cost more than a fit, are kept in the file
+    return found
 
 
 @shared
@@ -62,6 +71,14 @@ def wheel(drag=4e-7):
     samples = (time, angle, np.full(len(time), 1e-3))
     record = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=inertia, single=True)
     return fit(Model.of(["touchpoint.constant", "casing.air.linear"]), [CaseData.of(record)])
+
+
+@shared
+def searched(drag=4e-7):
+    """Return the fit of `wheel`, its candidates and its diagnosis."""
+    base = wheel(drag)
+    candidates = rank(base)
+    return base, candidates, diagnose(base, candidates=candidates)
 
 
 def pulls(result, true):

@@ -7,13 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from cases import searched
 from scipy.stats import binomtest
 
-from fitting import Certificate, EstimationError, Ledger, Model, certify, diagnose, fit, make_record
+from fitting import Certificate, EstimationError, Ledger, certify
 from fitting.discovery import _certificate as certificate
 from fitting.discovery._certificate import Outcome, hypotheses, outcomes_of, planned
-from fitting.inference._case_data import CaseData
 from fitting.study._serialisation import certificate_document
 
 NAME = "casing.air.quadratic"
@@ -21,28 +20,14 @@ INERTIA, SIGMA = 2e-3, 1e-3
 TIME = np.linspace(0.0, 30.0, 1200)
 
 
-def wheel(drag):
-    """Angles of I dw/dt = -b1 - b2 w - k w^2 by SciPy, with white noise."""
-    done = solve_ivp(
-        lambda _, y: [y[1], -(1e-3 + 2e-5 * y[1] + drag * y[1] ** 2) / INERTIA], (0, 30), [0.0, 60.0],
-        t_eval=TIME, rtol=1e-11, atol=1e-11,
-    )  # fmt: skip
-    noise = SIGMA * np.random.default_rng(0).standard_normal(len(TIME))
-    sigma = np.full(len(TIME), SIGMA)
-    record = make_record(
-        casing=(TIME, done.y[0] + noise, sigma), rotor=[], I_rotor=1.0, I_casing=INERTIA, single=True
-    )
-    return CaseData.of(record)
-
-
 @pytest.fixture(scope="module")
 def answer():
-    return diagnose(fit(Model.of(["touchpoint.constant", "casing.air.linear"]), [wheel(4e-7)]))
+    return searched()[2]
 
 
 @pytest.fixture(scope="module")
 def adequate():
-    return diagnose(fit(Model.of(["touchpoint.constant", "casing.air.linear"]), [wheel(0.0)]), brief=True)
+    return searched(0.0)[2]
 
 
 def outcome(kind="null", number=0, verdict="adequate", named=(), score=1.0, effect="", inside=None):

@@ -43,8 +43,8 @@ def base(name="", seed=0, ou=0.0, centre=0.0, inertia=1.0):
 
 
 @cache
-def diagnosed(name="", seed=0, ou=0.0, centre=0.0):
-    return diagnose(base(name, seed, ou, centre))
+def diagnosed(*given):
+    return diagnose(base(*given))
 
 
 @pytest.mark.slow

@@ -100,7 +100,10 @@ def slow():
 
     numbers = {"touchpoint.constant.b1": 2e-5, "casing.air.linear.b2": 8e-7, "bearing.linear.d": 1.5e-7}
     model = Model.of([n.rpartition(".")[0] for n in numbers])
-    experiment = Experiment(duration=30.0, windows=(5.0,), torque_noise=2e-7, torque_time=2.0)
+    experiment = Experiment(
+        duration=30.0, windows=(5.0,), casing_fps=60.0, rotor_fps=250.0, sigma=5e-4,
+        torque_noise=2e-7, torque_time=2.0,
+    )  # fmt: skip
     record = simulate(model, numbers, experiment, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=3)
     return fit(model, [record])
 

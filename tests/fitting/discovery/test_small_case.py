@@ -11,9 +11,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import searched
 from scipy.integrate import solve_ivp
 
-from fitting import LIBRARY, Criteria, Model, diagnose, improve, make_record
+from fitting import LIBRARY, Criteria, Model, diagnose, improve
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as remainder
 from fitting.discovery import _verdict as verdict
@@ -28,10 +29,8 @@ from fitting.discovery._select import (
     best,
     needed_evidence,
     ordered,
-    rank,
 )
 from fitting.effects._expression import Tape, symbols
-from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 
 INERTIA, SIGMA, DRAG = 2e-3, 1e-3, 4e-7
@@ -51,28 +50,16 @@ def motion(parameters, speed=60.0):
     return done.y
 
 
-@cache
-def record(drag=DRAG):
-    noise = SIGMA * np.random.default_rng(0).standard_normal(len(TIME))
-    angle = motion((*FRICTION[:2], drag))[0] + noise
-    return make_record(
-        casing=(TIME, angle, np.full(len(TIME), SIGMA)), rotor=[], I_rotor=1.0, I_casing=INERTIA, single=True
-    )
-
-
-@cache
 def base(drag=DRAG):
-    return fit(Model.of(BASE), [CaseData.of(record(drag))])
+    return searched(drag)[0]
 
 
-@cache
 def ranked(drag=DRAG):
-    return rank(base(drag))
+    return searched(drag)[1]
 
 
-@cache
 def answer(drag=DRAG):
-    return diagnose(base(drag), candidates=ranked(drag))
+    return searched(drag)[2]
 
 
 @cache

@@ -1,5 +1,7 @@
 """Collocation against SciPy at a hundred times tighter tolerance, and against an exact solution."""
 
+import pickle
+
 import numpy as np
 import pytest
 from reference import EXTRA, INERTIA, PAPER, integrate
@@ -173,3 +175,12 @@ def test_a_solution_has_at_most_the_stated_number_of_intervals(intervals, solved
     else:
         with pytest.raises(SimulationError, match="too sharply"):
             solve(dynamics, {**p, **INERTIA}, np.array([900.0, 5.0]), mesh, intervals=intervals)
+
+
+def test_a_mesh_keeps_the_sampler_of_an_array_of_times():
+    mesh, times = Mesh.uniform(0.0, 1.0, 4), np.linspace(0.0, 1.0, 9)
+    nodes = mesh.times[..., None] ** 3
+    assert mesh.sampler(times) is mesh.sampler(times)
+    np.testing.assert_allclose(mesh.sampler(times).value(nodes)[:, 0], times**3, atol=1e-12)
+    np.testing.assert_allclose(mesh.sampler(times[::2]).value(nodes)[:, 0], times[::2] ** 3, atol=1e-12)
+    assert pickle.loads(pickle.dumps(mesh)).__dict__.keys() == {"edges"}  # noqa: S301 - written here

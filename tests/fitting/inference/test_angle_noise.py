@@ -86,19 +86,22 @@ def test_noise_of_the_rotors_camera_is_found_in_its_windows():
 
 def test_a_torque_that_changes_within_the_windows_is_not_an_angle_noise():
     """0.2 rad/s2 that decay with 1.5 s, as in the rise: its quartic part is fifty times the noise of its row."""
-    plain = case()
-    moved = tuple(
-        Samples(w.time, w.value + 0.5 * np.exp(-(w.time - w.time[0]) / 1.5), w.sigma)
-        for w in plain.record.rotor
+    experiment = Experiment(duration=40.0, casing_fps=30.0, rotor_fps=400.0, windows=(5.0, 20.0, 35.0))
+    plain = simulate(
+        MODEL, TRUTH, experiment, inertia_rotor=twobody.I_ROTOR, inertia_casing=twobody.I_CASING, seed=0
     )
-    found = CaseData.of(replace(plain.record, rotor=moved, digest="")).rotor_angle_noise
+    moved = tuple(
+        Samples(w.time, w.value + 0.5 * np.exp(-(w.time - w.time[0]) / 1.5), w.sigma) for w in plain.rotor
+    )
+    found = CaseData.of(replace(plain, rotor=moved, digest="")).rotor_angle_noise
     assert found.sigma < 1e-4
 
 
 def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     run, time = case().casing, 0.5
     k = run.lift.shape[1]
-    draws = np.stack([wandering(run.samples.time, 1.0, time, seed) for seed in range(400)], axis=1)
+    first = run.samples.time[: run.operators[3][0].stop]
+    draws = np.stack([wandering(first, 1.0, time, seed) for seed in range(400)], axis=1)
     rows = np.concatenate([op[:k] @ draws[where] for where, op in run.operators[:4]])
     expected = _row_covariance_beyond_white(run, time)[: 4 * k, : 4 * k]
     # the part that counts as white noise already is taken off the diagonal

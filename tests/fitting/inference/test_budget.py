@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from fitting import EstimationError, Experiment, Model, budget, fit, simulate
 from fitting.inference._budget import combined_uncertainties, propagated
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import robust_fit
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._noise import variance_factor
@@ -39,6 +40,18 @@ def found():
     known = replace(record(0), I_rotor_u=U_ROTOR, I_casing_u=U_CASING)
     result = fit(MODEL, [known])
     return result, budget(result, clock_rate_u=CLOCK)
+
+
+@pytest.mark.parametrize(("rotor", "casing"), [(1.0, 1.5), (2.0, 2.0)])
+def test_data_with_other_moments_of_inertia_have_the_noise_of_a_new_recording(rotor, casing):
+    """That of the rotor's windows depends on the ratio; the other noise is kept."""
+    known = CaseData.of(record(0))
+    assert known.whitened(known.z).any()
+    kept = known.with_inertia(rotor * I_ROTOR, casing * I_CASING)
+    new = CaseData.of(replace(record(0), I_rotor=rotor * I_ROTOR, I_casing=casing * I_CASING, digest=""))
+    assert kept.process_noise is known.process_noise
+    assert (kept.rotor_angle_noise is known.rotor_angle_noise) == (rotor == casing)
+    np.testing.assert_allclose(kept.z, new.z, rtol=1e-9)
 
 
 def part(b, source):

@@ -99,6 +99,6 @@ def test_a_case_with_a_lack_of_fit_does_not_bias_the_other(seed):
 
 def test_cases_need_labels_of_their_own():
     with pytest.raises(EstimationError, match="different labels"):
-        fit(Model.of(LINEAR), [data(seed=0), data(seed=1)])
+        fit(Model.of(LINEAR), [data(seed=0), data(seed=0)])
     with pytest.raises(EstimationError):
         fit(Model.of(LINEAR), [])

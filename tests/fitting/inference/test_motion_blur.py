@@ -17,12 +17,16 @@ def film(blur=0.0, *, tracked=True):
     """Return a recording whose casing errs by `blur` sin(psi) at the largest speed [rad]."""
     motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=40.0, seed=0)
     found = twobody.film(
-        motion, seed=0, cameras=twobody.Cameras(span=40.0, windows=(2.0, 18.0, 34.0), sigma=1e-3)
+        motion,
+        seed=0,
+        cameras=twobody.Cameras(
+            span=40.0, windows=(2.0, 18.0, 34.0), casing_rate=50.0, rotor_rate=200.0, sigma=4e-4
+        ),
     )
     t, y, s = found["casing"]
     samples = Samples(t, y, s)
     speed = np.gradient(y, t) / largest_speed(samples)
-    found["casing"] = (t, y + blur * np.convolve(speed, np.ones(50) / 50, "same") ** 2 * np.sin(y), s)
+    found["casing"] = (t, y + blur * np.convolve(speed, np.ones(10) / 10, "same") ** 2 * np.sin(y), s)
     return make_record(**found, tracked=tracked)
 
 

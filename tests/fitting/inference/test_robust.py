@@ -39,7 +39,10 @@ def test_the_slope_of_psi_is_its_derivative(psi):
 def test_the_robust_minimum_agrees_with_scipy(loss, tuning):
     """Speeds, the linear model, SciPy's integrator and SciPy's robust least squares with the same scales."""
     linear = {**twobody.PAPER, "f": 0.0, "d": 2.5e-7}
-    cameras = {"quantity": "omega", "sigma": 0.05, "span": 30.0, "windows": (2.0, 25.0), "window_length": 1.0}
+    cameras = {
+        "quantity": "omega", "sigma": 0.05, "span": 30.0, "windows": (2.0, 25.0), "window_length": 1.0,
+        "casing_rate": 60.0, "rotor_rate": 300.0,
+    }  # fmt: skip
     raw = spoiled(3, share=0.1, par=linear, **cameras)
     found = robust_fit(Model.of(LINEAR), [make_record(**raw)], loss)
     runs = [(*raw["casing"], 1), *((*r, 0) for r in raw["rotor"])]

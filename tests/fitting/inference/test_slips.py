@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import data
+import twobody
 
+from fitting import make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._record import Samples
 from fitting.inference._slips import slipped_turns, without_slips
@@ -53,10 +54,12 @@ def test_noise_of_a_tenth_of_a_turn_hides_a_slip():
 
 
 def test_the_corrected_record_is_the_one_without_slip():
-    plain = data(seed=0).record
+    motion = twobody.simulate(span=40.0)
+    cameras = twobody.Cameras(span=40.0, windows=(5.0, 18.0, 34.0), casing_rate=50.0)
+    plain = make_record(**twobody.film(motion, cameras=cameras))
     windows = list(plain.rotor)
     windows[1] = stepped(windows[1], 700, 1)
-    casing = stepped(plain.casing, 9000, -1)
+    casing = stepped(plain.casing, 900, -1)
     measured = replace(plain, casing=casing, rotor=tuple(windows), digest="")
     found, slips = without_slips(measured)
     assert [(s.body, s.window, s.turns) for s in slips] == [("casing", None, -1), ("rotor", 2, 1)]

@@ -7,11 +7,11 @@ from scipy.signal import lfilter
 from fitting import make_record
 from fitting.inference._case_data import CaseData
 
-SPAN, RATE = 60.0, 260.0
+SPAN, RATE = 60.0, 40.0
 FRICTION, NOISE, TIME = 0.3, 0.01, 0.3
 
 
-def recording(seed, *, amplitude=0.0, frequency=4.3, jump=0.0, noise=NOISE, tracked=False, sigma=1e-3):
+def recording(seed, *, amplitude=0.0, frequency=4.3, jump=0.0, noise=NOISE, tracked=False, sigma=4e-4):
     """One body that slows down by 0.3 rad/s2, with a random acceleration and a sinusoidal one [rad/s2]."""
     random = np.random.default_rng(seed)
     t = np.arange(0.0, SPAN, 1 / RATE)
@@ -56,6 +56,6 @@ def test_noise_and_jumps_are_not_spectral_lines():
 
 
 def test_on_film_a_line_below_the_angle_noise_counts_as_noise():
-    amplitude = 0.5e-3 * 4.3**2
+    amplitude = 0.3e-3 * 4.3**2
     assert recording(3, amplitude=amplitude, noise=0.0).spectral_lines
     assert not recording(3, amplitude=amplitude, noise=0.0, tracked=True).spectral_lines

@@ -30,14 +30,13 @@ def test_a_window_shorter_than_a_quarter_of_the_record_is_one_block(scale, share
 def test_a_slower_and_lighter_gyroscope_has_the_same_deviance():
     record = simulate(Model.of(REDUCED), NUMBERS, RUN, inertia_rotor=5.54e-5, inertia_casing=2.06e-5, seed=1)
     fits = []
-    for scale, inertia in ((1.0, 1.0), (60.0, 1.0), (1000.0, 1e-4)):
+    for scale, inertia in ((1.0, 1.0), (1000.0, 1e-4)):
         casing, *windows = (Samples(w.time * scale, w.value, w.sigma) for w in (record.casing, *record.rotor))
         light = {"I_rotor": 5.54e-5 * inertia, "I_casing": 2.06e-5 * inertia}
         slower = replace(record, casing=casing, rotor=tuple(windows), digest="", **light)
         found = fit(Model.of(REDUCED), [CaseData.of(slower)])
         fits.append((found, found.estimates["touchpoint.constant.b1"].value * scale**2 / inertia))
-    (usual, b1), *others = fits
-    for slow, dry in others:
-        assert slow.rows == usual.rows
-        assert slow.deviance == pytest.approx(usual.deviance, abs=0.05)
-        assert dry == pytest.approx(b1, rel=1e-3)
+    (usual, b1), (slow, dry) = fits
+    assert slow.rows == usual.rows
+    assert slow.deviance == pytest.approx(usual.deviance, abs=0.05)
+    assert dry == pytest.approx(b1, rel=1e-3)

@@ -32,7 +32,7 @@ def test_a_rotation_has_polynomials_of_these_degrees(turns, highest, monkeypatch
         "correlated_least_squares",
         lambda *given: seen.append(given[4]) or fitted(*given),
     )
-    t = np.linspace(0.0, 10.0, 600)
+    t = np.linspace(0.0, 10.0, 100)
     angle = 2 * np.pi * turns * (t / 10.0 - 0.01 * t**2 / 10.0) / 0.9
     motion_of(t, angle + np.random.default_rng(0).normal(0, 1e-3, len(t)), np.full(len(t), 1e-3))
     assert [len(m) - 6 - 1 for m in max(seen, key=len)] == list(range(2, highest + 1))

@@ -55,7 +55,7 @@ class Run:
     duration: float = 135.0
 
     def casing(self):
-        time = np.arange(0, self.duration, 1 / 260)
+        time = np.arange(0, self.duration, 1 / 130)
         return Camera(self.rng).curve(time, self.motion(time)[2])
 
     def clips(self, starts, *, offset=1.0, rate=1 + 2e-5, duration=3.0, offsets=None, camera=None):
@@ -63,7 +63,7 @@ class Run:
         offsets = offsets or [offset] * len(starts)
         found = []
         for start, turned in zip(starts, offsets, strict=True):
-            time = np.arange(0, duration, 1e-3)
+            time = np.arange(0, duration, 2e-3)
             angle = self.motion(start + rate * time)[2] - turned
             found.append(camera.curve(time, angle - TURN * np.floor(angle[0] / TURN)))
         return found

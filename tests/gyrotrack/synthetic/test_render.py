@@ -117,7 +117,7 @@ def test_smear_spreads_as_a_box() -> None:
 
 def test_long_exposure_is_the_mean_of_short_ones() -> None:
     """Bar and papers move through each other: nothing but summing knows the answer."""
-    exposure, parts = 1.5e-3, 120
+    exposure, parts = 1.5e-3, 30
     scene = replace(Scene(), structure=0.0)
     camera = replace(EXACT, exposure=exposure)
     motion = Motion.constant(400.0, 90.0, psi_rotor=0.5, psi_casing=2.3)

@@ -16,7 +16,7 @@ def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=
     """Return a disc with a bar and screws, turned counter-clockwise by `angle`, in grey levels."""
     x, y = np.meshgrid(np.arange(SIZE[0]) - hub[0], hub[1] - np.arange(SIZE[1]))
     p, q = stretch
-    u, v = np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])
+    u, v = (np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])).astype(np.float32)
     along = (np.cos(angle) * u + np.sin(angle) * v).reshape(x.shape)
     across = (np.cos(angle) * v - np.sin(angle) * u).reshape(x.shape)
     r, theta = np.hypot(along, across), np.arctan2(across, along)
@@ -29,7 +29,7 @@ def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=
     light = light - 90.0 * paper
     light = light + rim * (150.0 + 40.0 * np.cos(5.0 * theta) - light)
     light = light + soft(r - 92.0) * (90.0 - light)
-    return light if grain is None else light + grain.standard_normal(light.shape) * 2.0
+    return light if grain is None else light + grain.standard_normal(light.shape, np.float32) * 2.0
 
 
 def frames_of(pictures):

@@ -10,8 +10,8 @@ import pytest
 
 from gyrotrack.apps.cli import _app as app
 
-# one run of 40 s: about 10,000 samples of the casing and 9,000 of the rotor
-LENGTH = ["--duration", "40"]
+# one run of 40 s: 1,200 samples of the casing and 1,800 of the rotor
+LENGTH = ["--duration", "40", "--casing-fps", "30", "--rotor-fps", "200"]
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def wrong(tmp_path, simulated):
             with h5py.File(path, "w") as file:
                 file["entry/data"] = np.arange(10.0)
         elif kind == "cut":
-            path.write_bytes((simulated / "plain.h5").read_bytes()[:100_000])
+            path.write_bytes((simulated / "plain.h5").read_bytes()[:50_000])
         elif kind == "folder":
             path.mkdir()
         elif kind == "recording":

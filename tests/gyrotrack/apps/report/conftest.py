@@ -27,7 +27,7 @@ NUMBERS = {
     "casing.air.quadratic.k": 3e-10,
 }
 TRUTH = Model.of([*REDUCED, MISSING])
-SHORT = Experiment(duration=60.0, casing_fps=30.0, rotor_fps=100.0, windows=(3.0, 25.0, 52.0), sigma=5e-4)
+SHORT = Experiment(duration=60.0, casing_fps=20.0, rotor_fps=60.0, windows=(3.0, 25.0, 52.0), sigma=5e-4)
 
 
 @dataclass(frozen=True)
