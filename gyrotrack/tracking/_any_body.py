@@ -44,7 +44,7 @@ from gyrotrack.tracking._film import (
     fresh_frames,
     reduced,
 )
-from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ
+from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -346,6 +346,8 @@ def _track(
     )
     if second is not None:
         tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
+    if hub is None and (doubt := hub_doubt(best.score, tracked.explained)) is not None:
+        doubts.append(doubt)
     whole = hub is None and tracked.ring.span >= TURN and tracked.correlated > float(np.median(tracked.sigma))
     if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
         doubts.append(
