@@ -312,6 +312,7 @@ def _track(
         raise TrackingError(
             what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
         )
+    moved, allowed = 0.0, math.inf
     if hub is None:  # about a given hub that is wrong, the displacement is that of the hub
         moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
         if moved > REFUSED * allowed:
@@ -346,6 +347,8 @@ def _track(
     )
     if second is not None:
         tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
+    if hub is None and moved > allowed and not tracked.ambiguous:
+        doubts.append(_loose_doubt(moved, allowed))
     if hub is None and (doubt := hub_doubt(best.score, tracked.explained)) is not None:
         doubts.append(doubt)
     whole = hub is None and tracked.ring.span >= TURN and tracked.correlated > float(np.median(tracked.sigma))
@@ -509,6 +512,13 @@ def _refuse_translation(name: str, block: StoredPictures, motion: Motion, best: 
         evidence={"explained": best.score},
         frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
         hub=best.ring.hub,
+    )
+
+
+def _loose_doubt(moved: float, allowed: float) -> str:
+    return (
+        f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
+        "body may also translate, or several bodies may move: look at the picture of the body (.png)."
     )
 
 
@@ -912,10 +922,7 @@ def _measure(
         if moved > REFUSED * limit:
             _refuse_loose(film.path.name, pictures, whole, moved, limit)
         if moved > limit:
-            doubts.append(
-                f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {limit:.1f} px at most. The "
-                "body may also translate, or several bodies may move: look at the picture of the body (.png)."
-            )
+            doubts.append(_loose_doubt(moved, limit))
     shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
     poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
