@@ -44,7 +44,7 @@ from gyrotrack.tracking._film import (
     fresh_frames,
     reduced,
 )
-from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ
+from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -71,6 +71,7 @@ from gyrotrack.tracking._registration import (
     register,
     rolled,
 )
+from gyrotrack.tracking._silhouettes import axes_meet
 from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
 from gyrotrack.tracking._translation import translates
 
@@ -302,17 +303,7 @@ def _track(
     needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         _refuse(film, pairs(), block, motion, best, where, hint, needed)
-    few = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
-    if translates(block.at(few), motion.moving, best.ring.hub, best.ring.outer, best.angle[few]):
-        raise RefusedFilmError(
-            f"The body that moves in {film.path.name} does not turn: translation along its path explains its picture "
-            f"better than rotation about ({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px.",
-            "Follow one of its points with --point X,Y, about a pivot given with --hub X,Y.",
-            kind="no rotation",
-            evidence={"explained": best.score},
-            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
-            hub=best.ring.hub,
-        )
+    _refuse_translation(film.path.name, block, motion, best)
     left, top, right, bottom = motion.area
     if outside and motion.moving[top:bottom, left:right].mean() > _WHOLE:
         what = (
@@ -324,17 +315,8 @@ def _track(
     moved, allowed = 0.0, math.inf
     if hub is None:  # about a given hub that is wrong, the displacement is that of the hub
         moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
-    if moved > REFUSED * allowed:
-        raise RefusedFilmError(
-            f"No body in {film.path.name} turns about a fixed axis: the hub of the best candidate, at "
-            f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
-            "are usual.",
-            f"The body also translates, or several bodies move. {_GIVE_HUB}",
-            kind="no rotation",
-            evidence={"explained": best.score, "hub_moves_px": moved},
-            frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
-            hub=best.ring.hub,
-        )
+        if moved > REFUSED * allowed:
+            _refuse_loose(film.path.name, block, best, moved, allowed)
     if hub is None:
         refuse_link(film.path.name, block, motion, best)
     if hub is None and (other := _second_body(block, motion, best)) is not None:
@@ -365,11 +347,10 @@ def _track(
     )
     if second is not None:
         tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
-    if moved > allowed:
-        doubts.append(
-            f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
-            "body may also translate, or several bodies may move: look at the picture of the body (.png)."
-        )
+    if hub is None and moved > allowed and not tracked.ambiguous:
+        doubts.append(_loose_doubt(moved, allowed))
+    if hub is None and (doubt := hub_doubt(best.score, tracked.explained)) is not None:
+        doubts.append(doubt)
     whole = hub is None and tracked.ring.span >= TURN and tracked.correlated > float(np.median(tracked.sigma))
     if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
         doubts.append(
@@ -414,6 +395,12 @@ def _candidates(
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
     if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):
         trials += _trials(seen, block, motion)
+    if (
+        max((t.score for t in trials), default=0.0) < _EXPLAINED
+        and hub is None
+        and (place := axes_meet(block, motion))
+    ):
+        trials += _trials(Proposal(place, "axes of a long body"), block, motion)
     trials.sort(key=lambda trial: -trial.score - 0.02 * trial.static)
     coarse = trials[0].score if trials else 0.0
     if coarse < share * _HOPEFUL * _EXPLAINED:
@@ -509,6 +496,43 @@ def _refuse(
         evidence={"explained": 0.0 if best is None else best.score, "needed": needed},
         frames=some,
         hub=None if best is None else best.ring.hub,
+    )
+
+
+def _refuse_translation(name: str, block: StoredPictures, motion: Motion, best: _Trial) -> None:
+    """Raise a RefusedFilmError if translation explains a block of frames better than the rotation of a candidate."""
+    few = np.unique(np.linspace(0, len(block) - 1, _FRAMES).astype(int))
+    if not translates(block.at(few), motion.moving, best.ring.hub, best.ring.outer, best.angle[few]):
+        return
+    raise RefusedFilmError(
+        f"The body that moves in {name} does not turn: translation along its path explains its picture "
+        f"better than rotation about ({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px.",
+        "Follow one of its points with --point X,Y, about a pivot given with --hub X,Y.",
+        kind="no rotation",
+        evidence={"explained": best.score},
+        frames=tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int)),
+        hub=best.ring.hub,
+    )
+
+
+def _loose_doubt(moved: float, allowed: float) -> str:
+    return (
+        f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
+        "body may also translate, or several bodies may move: look at the picture of the body (.png)."
+    )
+
+
+def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float, allowed: float) -> NoReturn:
+    """Raise a RefusedFilmError for a body whose hub moves by more than that of a body on an axle [px]."""
+    raise RefusedFilmError(
+        f"No body in {name} turns about a fixed axis: the hub of the best candidate, at "
+        f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
+        "are usual.",
+        f"The body also translates, or several bodies move. {_GIVE_HUB}",
+        kind="no rotation",
+        evidence={"explained": best.score, "hub_moves_px": moved},
+        frames=tuple(frames[k] for k in np.linspace(0, len(frames) - 1, 4).astype(int)),
+        hub=best.ring.hub,
     )
 
 
@@ -888,6 +912,17 @@ def _measure(
             )
         angle = np.asarray(np.polyval(np.polyfit(before, after, 1), angle), dtype=np.float64)
         allowed = ring.inside(area)
+    doubts = [] if alias.warning is None else [alias.warning]
+    whole = replace(best, ring=ring, angle=angle[chosen])
+    _refuse_translation(film.path.name, pictures, motion, whole)
+    if (
+        best.way != "given"
+    ):  # what seems an axle in the frames of the search may move in other parts of the film
+        moved, limit = drift(ring, pictures, angle[chosen], area, separate=separate)
+        if moved > REFUSED * limit:
+            _refuse_loose(film.path.name, pictures, whole, moved, limit)
+        if moved > limit:
+            doubts.append(_loose_doubt(moved, limit))
     shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
     template = learn(shown, angle[chosen], allowed, ring, separate=separate, plain=True)
     poses = [register(p, template, a) for p, a in zip(shown, angle[chosen], strict=True)]
@@ -908,9 +943,9 @@ def _measure(
         if progress is not None:
             progress(k + 1, len(usable))
     tracked = _finish(film, usable, ring, template, parts, poses, halves, best, angle, distance)
-    if alias.warning is None:
+    if not doubts:
         return tracked
-    return replace(tracked, warnings=(*tracked.warnings, alias.warning), ambiguous=True)
+    return replace(tracked, warnings=(*tracked.warnings, " ".join(doubts)), ambiguous=True)
 
 
 def _settle(polars: StoredPictures, angle: Floats, allowed: Bools, ring: Ring, *, separate: bool) -> Floats:

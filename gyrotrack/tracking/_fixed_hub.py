@@ -64,6 +64,25 @@ def halves_differ(angle: Floats, error: float) -> float | None:
     return share if share > _RIGID else None
 
 
+# share of the change of brightness that a rotation explains in the frames of the search, less that in the whole film,
+# from which it is not about one hub throughout. Real films on an axle: up to 0.07; a drawn pole on a cart: 0.23
+_FALLS = 0.15
+
+
+def hub_doubt(searched: float, film: float) -> str | None:
+    """Return a warning if rotation explains clearly less in a whole film than in the frames of the search for the hub.
+
+    `searched` and `film` are both shares of the change of brightness.
+    """
+    if searched - film < _FALLS:
+        return None
+    return (
+        f"Rotation about the hub explains {100 * searched:.0f} % of the change of brightness in the frames in which "
+        f"it was searched for, and {100 * film:.0f} % in the whole film: the hub may move, as on a cart. --from and "
+        "--to select a part of the film."
+    )
+
+
 def _middle_of(template: Template) -> Callable[[float], Floats]:
     """Return the place (x, y) [px], from the hub, of the middle of the details of a body that is turned by an angle."""
     ring = template.ring

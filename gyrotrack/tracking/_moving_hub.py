@@ -69,6 +69,8 @@ _LOST = 5  # frames without the body after which a path ends; colliding bodies s
 _AREA = 0.3  # relative change of the area from which bodies touch or are occluded
 _GATE = 0.7  # largest distance of a body from its prediction in diameters
 _TRAVEL = 0.5  # diameters that a free body moves at least
+# share of the change of the film that is in the frames of the path: what is seen for less is not the motion of the film
+_OF_FILM = 0.25
 _SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
 _TURNING = 3.0  # ... rms change of its picture over the noise, and ...
 _TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest exceed the noise
@@ -180,7 +182,9 @@ def track_free_body(
     usable = fresh_frames(film)
     noise = max(spatial_noise(film.some(usable[:: max(1, len(usable) // 8)])), 0.5)
     paths = find_paths(film, usable, noise)
-    if near is not None:
+    if near is None:
+        paths = [p for p in paths if p.share > _OF_FILM]
+    else:
         paths = [p for p in paths if np.hypot(*(p.place - np.array(near)).T).min() < 2 * p.radius]
     starts = [start for path in paths[:_BODIES] if (start := _rotation(film, path, noise)) is not None]
     starts.sort(key=lambda start: -float(np.ptp(start[2])))
@@ -221,6 +225,7 @@ class Path:
     frame: Frames  # frames in which the outline is complete, (m,)
     place: Floats  # centroid of the outline (x, y) [px], (m, 2)
     radius: float  # radius of a circle of the same area [px]
+    share: float = 1.0  # change of the picture in these frames over that in all frames, both as areas
 
 
 @dataclass
@@ -255,7 +260,8 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
 
     The background is the median of frames between which the picture changes equally, without bodies that come to rest.
     """
-    moved = np.cumsum(_changed(film, usable, _CONTRAST * noise))
+    changed = _changed(film, usable, _CONTRAST * noise)
+    moved = np.cumsum(changed)
     steps = np.searchsorted(moved, np.linspace(0.0, moved[-1], _BACKGROUND + 2)[1:-1])
     sample = film.some(usable[np.unique(np.minimum(steps, len(usable) - 1))])
     background = median_picture(sample)
@@ -276,7 +282,9 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
         place = np.array([o.place for o in link.outline])[whole]
         radius = math.sqrt(float(np.median(area)) / math.pi)
         if len(place) >= _FEWEST and np.hypot(*np.ptp(place, axis=0)) > _TRAVEL * 2 * radius:
-            found.append(Path(np.array(link.frame, dtype=np.int64)[whole], place, radius))
+            frame = np.array(link.frame, dtype=np.int64)[whole]
+            share = float(changed[np.isin(usable, frame)].sum()) / max(float(moved[-1]), 1.0)
+            found.append(Path(frame, place, radius, share))
     return sorted(found, key=lambda p: -p.radius * float(np.hypot(*np.diff(p.place, axis=0).T).sum()))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack.tracking._film import Film
-from gyrotrack.tracking._hub_search import spatial_noise
+from gyrotrack.tracking._hub_search import Motion, spatial_noise
 from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._registration import TURN
 
@@ -120,7 +120,10 @@ def _disc(size: int) -> Plane:
 
 
 def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
-    """Return the compact parts of a region, the largest first, down to a share `least` of its inscribed radius."""
+    """Return the compact parts of a region, the largest first, down to a share `least` of its inscribed radius.
+
+    Two of which the centre of one is inside the other, as at the edge of a picture that moves as a whole, are one.
+    """
     depth = depth_of(region)
     # bodies that rods or strings join are apart in the region that a slightly smaller disc covers
     opened = cv2.morphologyEx(region, cv2.MORPH_OPEN, _disc(max(int(least * float(depth.max())), 1)))
@@ -135,7 +138,13 @@ def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
     tops.sort(reverse=True)
     chosen = [top for inner, top in tops[:most] if inner > least * tops[0][0]]
     parts = parts_of(region)
-    return [s for top in chosen if (s := spot_of(parts, top)) is not None]
+    found: list[Spot] = []
+    for spot in (spot_of(parts, top) for top in chosen):
+        if spot is not None and all(
+            math.dist(spot.place, s.place) > max(spot.radius, s.radius) for s in found
+        ):
+            found.append(spot)
+    return found
 
 
 @dataclass(frozen=True)
@@ -285,4 +294,40 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
         off = float(np.std(np.hypot(*orbit.plane(ends).T))) / orbit.value[2]
         if orbit.tilt[0] > _TILTED and off < _ELLIPSE:
             return body
+    return None
+
+
+# a common point of the axes of a long body: frames that are compared and that show it at least, largest distance of the
+# axes from it over their median length, and the smallest spread of their directions, the mean square of the sine from
+# the main one
+_AXES, _FEWEST_AXES, _MEET, _SPREAD = 60, 8, 0.03, 0.01
+
+
+def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
+    """Return the point (x, y) [px] that the axes of a long body have in common, the hub of a thin rod; or None.
+
+    Few frames may show it: a rod that is at rest for most of a film is part of the mean picture.
+    """
+    few = frames[:: max(1, len(frames) // _AXES)]
+    for side in _SIDES[::-1]:
+        body = LongBody(side, motion.mean, _CONTRAST * motion.noise / 3.0)
+        found = [f for frame in few if (f := body.axis(frame)) is not None]
+        if len(found) < _FEWEST_AXES:
+            continue
+        centre, half = np.array([c for c, *_ in found]), np.array([h for _, h, _ in found])
+        length = 2.0 * float(np.median(np.hypot(*half.T)))
+        along = half / np.hypot(*half.T)[:, None]
+        normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        offset = np.sum(normal * centre, axis=1)
+        weight, hub = np.ones(len(found)), np.zeros(2)
+        for _ in range(10):
+            left = (normal * weight[:, None]).T @ normal / weight.sum()
+            if np.linalg.eigvalsh(left)[0] < _SPREAD:
+                break
+            hub = np.linalg.solve(left, (normal * (weight * offset)[:, None]).sum(axis=0) / weight.sum())
+            off = np.abs(normal @ hub - offset)
+            weight = 1.0 / (1.0 + (off / (_MEET * length)) ** 2) ** 2
+        else:
+            if np.median(off) < _MEET * length:
+                return float(hub[0]), float(hub[1])
     return None

@@ -5,11 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _first_look
+from gyrotrack.tracking import _first_look, _silhouettes
 from gyrotrack.tracking._first_look import FirstLook, follow_long_body, hub_of
+from gyrotrack.tracking._hub_search import Motion
 from gyrotrack.tracking._silhouettes import (
     CompactBody,
     LongBody,
+    Spot,
+    axes_meet,
     compact_body,
     long_tilted_body,
     median_picture,
@@ -175,3 +178,43 @@ def test_two_discs_are_not_a_long_body():
     cover = [np.clip(6.5 - np.hypot(X - x, Y - 60.0), 0, 1) for x in (40.0, 120.0)]
     body = LongBody("light", np.full(SHAPE, 120.0, dtype=np.float32), 3.0)
     assert body.axis(_noisy(120.0 + 60.0 * (cover[0] + cover[1]), 0)) is None
+
+
+def _lines(ends, directions, length=45.0):
+    """Draw a dark line of 1.5 px from each end (x, y) in each direction [rad]."""
+    found = []
+    for k, ((x, y), a) in enumerate(zip(ends, directions, strict=True)):
+        along = (X - x) * np.cos(a) + (Y - y) * np.sin(a)
+        across = -(X - x) * np.sin(a) + (Y - y) * np.cos(a)
+        inside = np.clip(along + 0.5, 0, 1) * np.clip(length + 0.5 - along, 0, 1)
+        found.append(_noisy(230.0 - 180.0 * inside * np.clip(1.25 - np.abs(across), 0, 1), k))
+    return found
+
+
+@pytest.mark.parametrize("at_rest", [0, 30])
+def test_the_axes_of_a_thin_line_meet_in_its_hub(at_rest):
+    """Also if it is at rest for half of the film, where the mean picture shows it."""
+    angle = np.concatenate([np.full(at_rest, -1.5), np.linspace(-1.5, 1.0, 30)])
+    frames = _lines([(70.0, 60.0)] * len(angle), angle)
+    assert axes_meet(frames, Motion.of(frames)) == pytest.approx((70.0, 60.0), abs=0.5)
+
+
+@pytest.mark.parametrize(("travel", "range_"), [(40.0, 1.0), (40.0, 0.0), (0.0, 0.1)])
+def test_a_line_on_a_cart_or_of_one_direction_has_no_hub(travel, range_):
+    """The limits are a distance of 3 % of the length, and a spread of the directions of 0.1 rad rms."""
+    s = np.linspace(-1.0, 1.0, 40)
+    ends = [(70.0 + 0.5 * travel * np.sin(9.0 * x), 90.0) for x in s]
+    frames = _lines(ends, -1.5 + 0.5 * range_ * s)
+    assert axes_meet(frames, Motion.of(frames)) is None
+
+
+@pytest.mark.parametrize(("apart", "bodies"), [(7.0, 1), (9.0, 2)])
+def test_two_parts_within_one_radius_are_one_body(apart, bodies, monkeypatch):
+    """Radius 8 px: the centre of one must be outside the other."""
+    region = np.hypot(X - 40, Y - 60) < 8
+    region |= np.hypot(X - 110, Y - 60) < 8
+    places = iter([(40.0, 60.0), (40.0 + apart, 60.0)])
+    monkeypatch.setattr(
+        _silhouettes, "spot_of", lambda *_: Spot(next(places), 8.0, np.ones((17, 17), np.uint8))
+    )
+    assert len(_silhouettes.spots_in(region.astype(np.uint8), 0.7, 3)) == bodies

@@ -1,12 +1,14 @@
 """A body on an axle keeps its hub; what translates or consists of several things does not."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
 from gyrotrack.tracking import _any_body
 from gyrotrack.tracking._any_body import calmer
-from gyrotrack.tracking._fixed_hub import drift, halves_differ
+from gyrotrack.tracking._fixed_hub import drift, halves_differ, hub_doubt
 from gyrotrack.tracking._registration import Ring
 
 SIZE, HUB = 112, np.array([55.0, 55.0])
@@ -94,3 +96,57 @@ def test_both_halves_of_a_rigid_body_turn_alike(share, told):
     """The limit is 2 % of the standard deviation of the angle."""
     angle = 0.4 * np.sin(np.linspace(0.0, 40.0, 400))
     assert (halves_differ(angle, share * float(np.std(angle))) is not None) == told
+
+
+@pytest.mark.parametrize(("film", "told"), [(0.69, False), (0.67, True), (0.95, False)])
+def test_rotation_about_one_hub_explains_the_whole_film_as_its_first_frames(film, told):
+    """The limit is a fall by 0.15; a pole on a cart falls from 0.83 to 0.60."""
+    text = hub_doubt(0.83, film)
+    assert (text is not None) == told
+    assert text is None or f"{100 * film:.0f} % in the whole film" in text
+
+
+@pytest.mark.parametrize(("share", "doubted"), [(0.5, False), (0.6, True)])
+def test_motion_outside_of_the_ring_is_doubted_from_55_percent_of_its_pixels(share, doubted, monkeypatch):
+    """Below it, a warning alone; real single bodies have up to 0.47, double pendulums 0.64 and more."""
+    tracked = _tracked_with(share, monkeypatch)
+    assert tracked.ambiguous == doubted
+    assert "Other parts of the picture move as well" in tracked.warnings[-1 if doubted else 0]
+
+
+@pytest.mark.parametrize(("moved", "refused"), [(1.9, False), (2.1, True)])
+def test_a_hub_that_moves_by_twice_the_limit_is_refused(moved, refused, monkeypatch):
+    """Between the limit and twice the limit, it is doubted."""
+    monkeypatch.setattr(_any_body, "drift", lambda *_, **__: (moved, 1.0))
+    if refused:
+        with pytest.raises(_any_body.RefusedFilmError, match=r"moves by 2\.1 px; at most 1\.0 px"):
+            _tracked_with(0.0, monkeypatch)
+    else:
+        assert "The hub moves by 1.9 px" in _tracked_with(0.0, monkeypatch).warnings[-1]
+
+
+def _tracked_with(share, monkeypatch):
+    """Track with a given share of motion outside of the ring; all slow steps are replaced by constants."""
+    frames = _any_body.StoredPictures.of(24, iter(_frames(0.0)))
+    trial = _any_body._Trial(RING, "features", "low", True, ANGLE, 0.9, False)
+    found = SimpleNamespace(
+        warnings=(), ambiguous=False, explained=0.9, ring=RING, correlated=0.0, sigma=np.ones(24), angle=ANGLE
+    )
+    given = {
+        "pairs_of": [],
+        "refuse_moving_camera": None,
+        "track_by_features": None,
+        "_candidates": _any_body._Candidates([trial], trial, 0.4),
+        "_refined_trial": trial,
+        "_refuse_translation": None,
+        "refuse_link": None,
+        "_second_body": None,
+        "second_rotation": None,
+        "_measure": found,
+        "elsewhere": share,
+    }
+    for name, value in given.items():
+        monkeypatch.setattr(_any_body, name, lambda *_, value=value, **__: value)
+    monkeypatch.setattr(_any_body, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
+    film = SimpleNamespace(path=SimpleNamespace(name="film"), some=lambda index: frames)
+    return _any_body._track(film, np.arange(24), frames, None, None)

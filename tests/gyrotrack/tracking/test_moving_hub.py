@@ -12,9 +12,10 @@ import pytest
 from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking import _any_body, _hub_search
+from gyrotrack.tracking import _any_body, _hub_search, _moving_hub
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._hub_search import Proposal
+from gyrotrack.tracking._moving_hub import Path as BodyPath
 from gyrotrack.tracking._moving_hub import track_free_body
 
 HEIGHT, WIDTH, UP = 150, 300, 4
@@ -170,6 +171,33 @@ def test_an_outline_whose_picture_is_not_rigid_is_not_a_body():
     blend = [cv2.addWeighted(a, 0.6, b, 0.4, 0.0) for a, b in zip(one, other, strict=True)]
     with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(Rendered(blend))
+
+
+@pytest.mark.parametrize(
+    ("share", "near", "kept"), [(0.2, None, False), (0.3, None, True), (0.2, (9.0, 5.0), True)]
+)
+def test_a_free_body_is_that_of_a_quarter_of_the_change_or_selected(share, near, kept, monkeypatch):
+    """A few frames of a thin line that turns about a pivot are not the motion of the film."""
+    shown = Rendered([np.full((20, 30), 90 + k, dtype=np.uint8) for k in range(12)])
+    path = BodyPath(np.arange(12), np.stack([np.arange(12.0), np.full(12, 5.0)], axis=1), 4.0, share)
+    tried = []
+    monkeypatch.setattr(_moving_hub, "find_paths", lambda *_: [path])
+    monkeypatch.setattr(_moving_hub, "_rotation", lambda *words: tried.append(words))
+    with pytest.raises(TrackingError, match="No body that turns"):
+        track_free_body(shown, near=near)
+    assert bool(tried) == kept
+
+
+def test_the_share_of_a_path_is_that_of_the_change_in_its_frames():
+    """A disc that crosses the picture, then another one at another place: half of the change each."""
+    path, _ = sliding(40, turns=0.0)
+    frames = [
+        *film(path, np.zeros(40), noise=0.0).frames(),
+        *film(path[::-1] + np.array([20.0, 30.0]), np.zeros(40), noise=0.0).frames(),
+    ]
+    shown = Rendered(frames)
+    found = _moving_hub.find_paths(shown, np.arange(80), 1.0)
+    assert [p.share for p in found[:2]] == pytest.approx([0.5, 0.5], abs=0.12)
 
 
 def test_a_film_in_which_nothing_moves_is_refused():
