@@ -12,7 +12,7 @@ from gyrotrack.apps.cli import _app as app
 
 NAMES = set(
     """
-BodyTrack Case ConfigurationError DatasetError FitRequest Ghost GyrotrackError MarkerTrack OutputError Profile
+BodyTrack Case ConfigurationError DatasetError ErrorMode FitRequest Ghost GyrotrackError MarkerTrack OutputError Profile
 ProfileError Proposal Recording Series SimulatedRun Study SyncError TrackingError UsageError VideoError
 export_file extract ghosts import_body import_case open_study propose read read_case read_recording sync write_case
 write_recording write_report
