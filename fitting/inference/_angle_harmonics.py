@@ -38,6 +38,7 @@ class AngleHarmonics:
     label: str  # case
     gamma: Array  # shape (4,); amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m]
     covariance: Array  # shape (4, 4); their covariance [N2 m2]
+    turns: float = math.inf  # turns of the casing in the record
 
     def __repr__(self) -> str:
         sizes = (math.hypot(*self.gamma[:2]), math.hypot(*self.gamma[2:]))
@@ -67,6 +68,8 @@ class AngleHarmonics:
         """Return the amplitude [N m] of the n-th harmonic and its distance from zero in standard deviations."""
         part = slice(2 * n - 2, 2 * n)
         gamma = self.gamma[part]
+        if not self.covariance[part, part].any():
+            return 0.0, 0.0
         square = float(gamma @ np.linalg.solve(self.covariance[part, part], gamma))
         return float(np.hypot(*gamma)), float(np.sqrt(square))
 
@@ -105,7 +108,8 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
+        turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)
         gamma = covariance @ (response.T @ residual)
-        found.append(AngleHarmonics(case.data.record.label, np.asarray(gamma), np.asarray(covariance)))
+        found.append(AngleHarmonics(case.data.record.label, np.asarray(gamma), np.asarray(covariance), turns))
     return found

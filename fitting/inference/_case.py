@@ -277,8 +277,16 @@ def _modes(name: str, body: str, window: int, series: _Series) -> Iterator[Error
                 f"the error mode {str(mode)[:40]} of {name} needs a basis and a covariance",
                 f'write modes={{"{str(mode)[:40]}": dict(basis=b, covariance=c)}}; also group and origin',
             )
-        own = {"group": f"{name}/{mode}/{window}"}
-        yield ErrorMode(name=str(mode), time=series.arrays[0], body=body, **(own | dict(entries)))
+        given = dict(entries)
+        given["group"] = f"{name}/{mode}/{window}" if given.get("group") is None else given["group"]
+        basis = _array(name, f"basis of {str(mode)[:40]}", given.pop("basis"))
+        measured = np.isfinite(series.arrays[0]) & np.isfinite(series.arrays[1])
+        if len(basis.shape) and len(basis) == len(measured):
+            basis = basis[measured]
+        number = window if body == "rotor" else None
+        yield ErrorMode(
+            name=str(mode), time=series.arrays[0][measured], basis=basis, body=body, window=number, **given
+        )
 
 
 def _series(name: str, given: Any, *, several: bool) -> list[_Series]:

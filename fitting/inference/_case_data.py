@@ -190,6 +190,12 @@ def blocks_of_window(window: Samples, casing: Samples) -> int:
     return 1 if share < _SHORT_WINDOW else min(round(_WINDOW_BLOCKS * share), BLOCKS)
 
 
+def _beyond_noise(modes: Array, samples: Samples) -> Array:
+    """Return the directions of error modes at one standard deviation that exceed the white noise of all samples."""
+    u, s, _ = np.linalg.svd(modes / samples.sigma[:, None], full_matrices=False)
+    return np.asarray(u[:, s > 1.0] * samples.sigma[:, None])
+
+
 @dataclass(frozen=True, repr=False)
 class CaseData:
     """A record, projected once and used for every model.
@@ -218,6 +224,7 @@ class CaseData:
         record, slips = without_slips(record, criteria)
         angle = record.quantity == "angle"
         driving = record.driving
+        modes, of_windows = mode_columns(record.modes, record.casing.time, [w.time for w in record.rotor])
         # a body that an input drives to and fro does not oscillate about an equilibrium
         oscillation = None if driving else find_oscillation(record)
         if oscillation is None:
@@ -229,6 +236,7 @@ class CaseData:
                 blocks=BLOCKS if angle or driving else SPEED_BLOCKS,
                 cuts=cuts_at_steps(time, driving) if driving else None,
                 driven=responses_to_inputs(time, driving, angle=angle) if driving else None,
+                modes=modes,
             )
         else:
             width, degree, first_noise_row = next(
@@ -242,6 +250,7 @@ class CaseData:
                 blocks=blocks,
                 samples_per_block=_PERIOD_SAMPLES,
                 first_noise_row=min(first_noise_row, most),
+                modes=modes,
             )
         rotor = tuple(
             compress(
@@ -250,8 +259,9 @@ class CaseData:
                 blocks=_GENERATED_BLOCKS if record.generated else blocks_of_window(w, record.casing),
                 noisy=not record.generated,
                 noise_rows=NOISE_ROWS if angle else SPEED_NOISE_ROWS,
+                modes=own,
             )
-            for w in record.rotor
+            for w, own in zip(record.rotor, of_windows, strict=True)
         )
         return cls(record, casing, rotor, oscillation, slips=slips, criteria=criteria)
 
@@ -536,7 +546,7 @@ class CaseData:
         share = record.I_casing / record.I_rotor / math.sqrt(2)
         process = self.process_noise
         nuisance = [
-            np.concatenate([camera_columns(w.samples), modes[:, np.any(modes, axis=0)]], axis=1)
+            np.concatenate([camera_columns(w.samples), _beyond_noise(modes, w.samples)], axis=1)
             for w, modes in zip(self.rotor, self.mode_columns[1], strict=True)
         ]
         return estimate_window_noise(self.rotor, nuisance, share * process.level, process.time)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import RecordError
 from fitting.dynamics._inputs import Input
-from fitting.inference._error_modes import ErrorMode
+from fitting.inference._error_modes import MOST_AMPLITUDES, ErrorMode
 from fitting.inference._record import Quantity, Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
@@ -176,14 +176,15 @@ def _read(path: Path, file: Any) -> Record:
     version = text(attributes.get("format_version", "1.0"))
     if not version.split(".")[0].isdigit() or int(version.split(".")[0]) > MAJOR:
         raise RecordError(
-            f"{path} has layout version {version[:12]}; this program reads {MAJOR}.x", "update gyrotrack"
+            f"{path} has layout version {version[:12]}; this program reads 1.x and {MAJOR}.x",
+            "update gyrotrack",
         )
     if text(attributes.get("kind")) != "case":
         raise RecordError(
             f"{path} holds a {text(attributes.get('kind'))[:20] or 'file'}, not a case",
             "make a case with `gyrotrack sync`",
         )
-    # `/casing` and `/rotor` are what older programs read and change
+    # `/casing` and `/rotor` are what older scripts read and change
     bodies = _bodies(path, file) if "casing" not in file and "body" in file else _of_casing(path, file)
     main, rotor = bodies[0], bodies[1] if len(bodies) > 1 else None
     per_inertia = math.isnan(main.inertia)
@@ -242,7 +243,8 @@ def _of_casing(path: Path, file: Any) -> list[_Body]:
     single = text(attributes.get("bodies")) == "one"
     found = []
     for name in ("casing",) if single else ("casing", "rotor"):
-        segment = column(path, file, name, "window") if name == "rotor" else np.zeros(0)
+        values = series(path, file, name, key)
+        segment = column(path, file, name, "window") if name == "rotor" else np.zeros(len(values[0]))
         unknown = single and bool(attributes.get("per_inertia", False))
         inertia = float(np.asarray(attributes[f"I_{name}"]))
         if not 0 < inertia < math.inf:
@@ -251,7 +253,7 @@ def _of_casing(path: Path, file: Any) -> list[_Body]:
         shown = text(attributes.get("body_name")) if single else name
         role = "body" if single else name
         u = _scalar(attributes, f"I_{name}_u")
-        found.append(_Body(shown, role, inertia, u, name, quantity, series(path, file, name, key), segment))
+        found.append(_Body(shown, role, inertia, u, name, quantity, values, segment))
     return found
 
 
@@ -307,8 +309,11 @@ def _fitted(path: Path, file: Any, name: str) -> str:
     return f"body/{name}/series/{_FITTED if _FITTED in several else several[0]}"
 
 
-def _places(path: Path, file: Any) -> list[str]:
-    return [_fitted(path, file, name) for name in _members(path, file, "body")] if "body" in file else []
+def _places(path: Path, file: Any) -> dict[str, str]:
+    """Return the places of the series of the casing, or the single body, and of the rotor."""
+    names = _members(path, file, "body") if "body" in file else []
+    roles = {n: text(_own(path, file, f"body/{n}").attrs.get("role", "body")) for n in names}
+    return {"rotor" if role == "rotor" else "casing": _fitted(path, file, n) for n, role in roles.items()}
 
 
 def _members(path: Path, file: Any, place: str) -> list[str]:
@@ -327,23 +332,28 @@ def _modes(path: Path, file: Any, body: _Body) -> Iterator[ErrorMode]:
     """Yield the error modes of the series of a body."""
     where = body.place
     if not where.startswith("body/"):
-        where = next(
-            (p for p in _places(path, file) if (body.role == "rotor") == p.startswith("body/rotor/")), ""
-        )
+        where = _places(path, file).get("rotor" if body.role == "rotor" else "casing", "")
     if not where or "error" not in _members(path, file, where):
         return
     for name in _members(path, file, f"{where}/error"):
         place = f"{where}/error/{name}"
         attributes = _own(path, file, place).attrs
-        yield ErrorMode(
-            name=name,
-            time=body.series[0],
-            basis=_numbers(path, file, f"{place}/basis", 2),
-            covariance=_numbers(path, file, f"{place}/covariance", 2),
-            body="rotor" if body.role == "rotor" else "casing",
-            group=text(attributes.get("group")),
-            origin=text(attributes.get("origin")),
-        )
+        basis = _numbers(path, file, f"{place}/basis", 2)
+        if len(basis) != len(body.segment) or basis.shape[1] > MOST_AMPLITUDES:
+            raise RecordError(
+                f"{path}: {place} has a basis of the shape {basis.shape} for {len(body.segment)} samples",
+                f"give one row for each sample, and at most {MOST_AMPLITUDES} columns",
+            )
+        measured = np.isfinite(body.series[0]) & np.isfinite(body.series[1])
+        known: dict[str, Any] = {
+            "covariance": _numbers(path, file, f"{place}/covariance", 2),
+            "group": text(attributes.get("group")),
+            "origin": text(attributes.get("origin")),
+        }
+        for i, window in enumerate(np.unique(body.segment)):
+            rows = measured & (body.segment == window)
+            rotor: dict[str, Any] = {"body": "rotor", "window": i} if body.role == "rotor" else {}
+            yield ErrorMode(name=name, time=body.series[0][rows], basis=basis[rows], **rotor, **known)
 
 
 # largest number of inputs, bodies, series or error modes that are read
@@ -406,4 +416,9 @@ def _clock_sigma(path: Path, file: Any, name: str) -> float:
     found = number(file, f"recording/{name}", "clock_offset_sigma")
     if math.isfinite(found) or "clock" not in file or name not in _members(path, file, "clock"):
         return found
-    return float(np.sqrt(max(_numbers(path, file, f"clock/{name}/covariance", 2)[0, 0], 0.0)))
+    covariance = _numbers(path, file, f"clock/{name}/covariance", 2)
+    if covariance.shape != (2, 2) or not (np.isfinite(covariance).all() and covariance[0, 0] >= 0):
+        raise RecordError(
+            f"{path}: clock/{name} has no covariance of offset and rate", "give a matrix (2, 2)"
+        )
+    return float(np.sqrt(covariance[0, 0]))

@@ -10,16 +10,18 @@ correlation between neighbouring samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting.dynamics._collocation import TOLERANCE
 from fitting.dynamics._inputs import Input
+from fitting.inference._linear_algebra import orthogonal_to
 from fitting.inference._record import Samples
 
 Array = NDArray[np.float64]
@@ -240,6 +242,7 @@ def compress(
     first_noise_row: int | None = None,
     cuts: NDArray[np.int_] | None = None,
     driven: Array | None = None,
+    modes: Array | None = None,
 ) -> Compressed:
     """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
@@ -248,7 +251,8 @@ def compress(
     `first_noise_row` on (the next after `degree`), measure the noise: more of them where there are few blocks and
     neighbouring samples share their noise. Without `noisy` the sigma of the samples is used. `blocks` is the largest
     number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the samples
-    `cuts`; `driven` (samples, columns) are responses to recorded inputs, which are not noise.
+    `cuts`; `driven` (samples, columns) are responses to recorded inputs, which are not noise. Nor are `modes` (samples,
+    columns), errors with amplitudes of variance 1.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -257,8 +261,9 @@ def compress(
     if cuts is not None and len(cuts):
         edges = _with_cuts(edges, cuts)
     skipped = max(0, (first_noise_row or 0) - degree - 1)
+    quiet = samples if modes is None or not modes.any() else _without_modes(samples, modes, edges, degree)
     parts = [
-        _block(samples, slice(a, b), degree, noise_rows, skipped, angle, driven) for a, b in pairwise(edges)
+        _block(quiet, slice(a, b), degree, noise_rows, skipped, angle, driven) for a, b in pairwise(edges)
     ]
     # a body at rest under a coarse resolution has equal values, which contain no noise
     still = [not np.ptp(samples.value[p.where]) for p in parts]
@@ -291,6 +296,25 @@ def compress(
         n_effective=len(samples) / correlation,
         samples=samples,
     )
+
+
+def _without_modes(samples: Samples, modes: Array, edges: NDArray[np.int_], degree: int) -> Samples:
+    """Return samples without the posterior mean of the errors that differ from a polynomial in a block.
+
+    With F and r the modes and the values over sigma, beside a polynomial in each block, the amplitudes of variance 1
+    are (F'F + 1)^-1 F'r. What is slow in a block is left to the fit.
+    """
+    gram, moment = np.eye(modes.shape[1]), np.zeros(modes.shape[1])
+    for a, b in pairwise(edges):
+        t = samples.time[a:b]
+        x = 2 * (t - t[0]) / max(float(t[-1] - t[0]), 1e-300) - 1
+        weight = 1 / samples.sigma[a:b, None]
+        powers = legvander(x, min(degree, b - a - 1)) * weight
+        columns = np.concatenate([modes[a:b], samples.value[a:b, None]], axis=1) * weight
+        left = orthogonal_to(np.linalg.qr(powers)[0], columns)
+        gram += left[:, :-1].T @ left[:, :-1]
+        moment += left[:, :-1].T @ left[:, -1]
+    return replace(samples, value=samples.value - modes @ np.linalg.solve(gram, moment))
 
 
 def _cut_where_slow(time: Array, angles: Array, edges: NDArray[np.int_]) -> NDArray[np.int_]:

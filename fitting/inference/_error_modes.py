@@ -12,7 +12,7 @@ uncertainty. Series with modes of the same group have the same amplitudes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ class ErrorMode:
         Covariance of the amplitudes, symmetric and not negative.
     body : {"casing", "rotor"}
         Body of the series; "casing" for a single body.
+    window : int, optional
+        Number of the window of the rotor that has the error, from 0; without it all that it covers in time.
     group : str
         Name of the amplitudes: modes of the same group share them. Empty: its own.
     origin : str
@@ -54,11 +56,15 @@ class ErrorMode:
     basis: Array
     covariance: Array
     body: str = "casing"
+    window: int | None = None
     group: str = ""
     origin: str = ""
 
     def __post_init__(self) -> None:
         what = f"error mode {str(self.name)[:40]}"
+        for key in ("name", "group", "origin"):
+            if not isinstance(getattr(self, key), str):
+                raise RecordError(f"{what}: its {key} is not a text", "give a name")
         arrays: dict[str, Array] = {}
         for key in ("time", "basis", "covariance"):
             try:
@@ -74,6 +80,15 @@ class ErrorMode:
             raise RecordError(
                 f"{what}: its basis has the shape {basis.shape} for {time.size} samples",
                 "give one row for each sample and one column for each amplitude",
+            )
+        if basis.shape[1] > MOST_AMPLITUDES:
+            raise RecordError(
+                f"{what}: it has {basis.shape[1]} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
+                "combine the smallest ones into the uncertainty of the samples",
+            )
+        if not (np.diff(time) > 0).all():
+            raise RecordError(
+                f"{what}: its times are not strictly increasing", "give one mode for each window"
             )
         if covariance.shape != (basis.shape[1], basis.shape[1]):
             raise RecordError(
@@ -110,6 +125,10 @@ class ErrorMode:
         """Return the basis at some times, (times, m): linear between its samples, zero beyond the first and last."""
         return np.stack([np.interp(times, self.time, b, left=0.0, right=0.0) for b in self.basis.T], axis=1)
 
+    def rates(self) -> ErrorMode:
+        """Return the error of the time derivative of the series."""
+        return replace(self, basis=np.gradient(self.basis, self.time, axis=0))
+
     def standard_uncertainty(self) -> Array:
         """Return the standard uncertainty of each sample by this error, the root of the diagonal of B C B'."""
         return np.asarray(
@@ -140,6 +159,16 @@ def refuse_contradictions(modes: object) -> tuple[ErrorMode, ...]:
             "combine the smallest ones into the uncertainty of the samples",
         )
     return tuple(modes)
+
+
+def of_windows(modes: Sequence[ErrorMode], kept: Sequence[bool]) -> tuple[ErrorMode, ...]:
+    """Return the error modes of the windows that are kept, with their new numbers."""
+    number = {old: new for new, old in enumerate(np.flatnonzero(kept).tolist())}
+    return tuple(
+        m if m.window is None else replace(m, window=number[m.window])
+        for m in modes
+        if m.window is None or m.window in number
+    )
 
 
 def mode_columns(
@@ -173,6 +202,6 @@ def mode_columns(
     found = [np.zeros((len(t), int(ends[-1]))) for t in (casing, *windows)]
     for mode in modes:
         for i, times in enumerate((casing, *windows)):
-            if (i > 0) == (mode.body == "rotor"):
+            if (i > 0) == (mode.body == "rotor") and mode.window in (None, i - 1):
                 found[i][:, places[mode.key]] += mode.at(times) @ roots[mode.key]
     return found[0], found[1:]

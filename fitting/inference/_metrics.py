@@ -69,7 +69,13 @@ def as_velocities(record: Record) -> Record:
         return record
     runs = [_velocities(record.casing, SPEED_BLOCKS), *(_velocities(s, 1) for s in record.rotor)]
     return replace(
-        record, casing=runs[0], rotor=tuple(runs[1:]), quantity="omega", gradients=True, modes=(), digest=""
+        record,
+        casing=runs[0],
+        rotor=tuple(runs[1:]),
+        quantity="omega",
+        gradients=True,
+        modes=tuple(m.rates() for m in record.modes),
+        digest="",
     )
 
 

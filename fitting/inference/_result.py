@@ -331,6 +331,11 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
+# turns of the casing from which on a harmonic of its angle is not a slow torque: constant torques have up to 6 standard
+# deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise within six
+_FEWEST_TURNS = 5.0
+
+
 @dataclass(frozen=True, repr=False)
 class Fit(FitSummary):
     """A fitted model.
@@ -537,11 +542,11 @@ class Fit(FitSummary):
 
     @cached_property
     def angle_harmonics(self) -> tuple[AngleHarmonics, ...]:
-        """Harmonics of the unmodelled torque in the angle of the casing, of each case with enough turns."""
+        """Harmonics of the unmodelled torque in the angle of the casing, of each case whose angle is known."""
         return tuple(angle_harmonics(self))
 
     def has_torque_of_the_angle(self, criteria: Criteria | None = None) -> bool:
-        """Return whether an unmodelled torque repeats once or twice a turn of the casing.
+        """Return whether an unmodelled torque repeats once or twice a turn of the casing, over at least five turns.
 
         Parameters
         ----------
@@ -549,7 +554,12 @@ class Fit(FitSummary):
             Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default those of the fit.
         """
         least = (criteria or self.criteria).harmonic_sigma
-        return any(found.size(n)[1] >= least for found in self.angle_harmonics for n in (1, 2))
+        return any(
+            found.size(n)[1] >= least
+            for found in self.angle_harmonics
+            for n in (1, 2)
+            if found.turns >= _FEWEST_TURNS
+        )
 
     def has_excess_noise(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit needs more process noise than the recording shows against the most flexible motion.

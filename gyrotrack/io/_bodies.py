@@ -1,20 +1,21 @@
 """The bodies of a case in its file: series with their error modes, clocks and joints (layout 2).
 
 `/body/<name>/series/fused` is the series that is fitted. Its datasets are those of `/casing` and `/rotor` under other
-names, which older programs read; a file without those two groups is read, too. An error mode is an error that samples
+names, which older scripts read; a file without those two groups is read, too. An error mode is an error that samples
 share: the columns of its `basis`, (samples, amplitudes), times amplitudes of the stated covariance.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._errors import DatasetError
+from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io import _schema as layout
 from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_speeds, no_series, series_of
 from gyrotrack.io._tables import (
@@ -29,6 +30,7 @@ from gyrotrack.io._tables import (
 
 FUSED = "fused"
 _SERIES = {"angle": ("angle", "sigma"), "speed": ("omega", "omega_sigma")}
+_NAME = re.compile(r"[^/\\\0]{1,100}")
 # bodies, series of a body, and error modes of a series at most
 _MOST = 64
 # joints of a gyroscope: name, first and second body
@@ -65,6 +67,10 @@ def write_bodies(file: Any, case: Case) -> None:
             fused[column] = file[f"{old}/{stored}"]
         write_attributes(fused, layout.SERIES.attributes, series)
         for mode in series.modes:
+            reason = _unfit(mode, len(series.time))
+            if reason or not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
+                what = f"The error mode '{mode.name[:40]}' of the {name} {reason or 'has no unique name'}."
+                raise UsageError(what, "See gyrotrack.ErrorMode.")
             _write_mode(fused.require_group("error").create_group(mode.name), mode, fused["time"])
     _write_clocks(file, case)
     joints = _JOINTS if two else (("support", case.main_body, "ground"),)
@@ -121,20 +127,36 @@ def load_modes(file: Any, role: str) -> tuple[ErrorMode, ...]:
     if "body" not in file.keys():  # noqa: SIM118 - `in file` follows links
         return ()
     roles = {"rotor"} if role == "rotor" else {"casing", "body"}
-    return next(
-        (_modes(_fused(b)) for n, b in _bodies(file) if attribute(b, "role", str, "body") in roles), ()
-    )
+    series = [_fused(b) for _, b in _bodies(file) if attribute(b, "role", str, "body") in roles]
+    return _modes(series[0], len(child(series[0], "time"))) if series else ()
 
 
-def _modes(series: Any) -> tuple[ErrorMode, ...]:
+def _modes(series: Any, samples: int) -> tuple[ErrorMode, ...]:
     if "error" not in series.keys():  # noqa: SIM118 - `in series` follows links
         return ()
     found = []
     for name, group in _groups(series, "error"):
         basis, covariance = (_matrix(group, key) for key in ("basis", "covariance"))
         words = {key: attribute(group, key, str, "") for key in ("group", "origin", "long_name")}
-        found.append(ErrorMode(name=name, basis=basis, covariance=covariance, **words))
+        mode = ErrorMode(name=name, basis=basis, covariance=covariance, **words)
+        if reason := _unfit(mode, samples):
+            raise DatasetError(
+                f"{group.file.filename}: {group.name} {reason}.", "The file is not in this layout."
+            )
+        found.append(mode)
     return tuple(found)
+
+
+def _unfit(mode: ErrorMode, samples: int) -> str:
+    """Return why an error mode is none of a series, in words; empty if it is one."""
+    basis, covariance = (np.asarray(a, dtype=float) for a in (mode.basis, mode.covariance))
+    if basis.ndim != 2 or len(basis) != samples or covariance.shape != (basis.shape[1],) * 2:
+        return f"has a basis of the shape {basis.shape} and a covariance of {covariance.shape} for {samples} samples"
+    if not np.isfinite(covariance).all() or np.abs(covariance - covariance.T).max(
+        initial=0.0
+    ) > 1e-9 * np.abs(covariance).max(initial=0.0):
+        return "has no symmetric covariance"
+    return ""
 
 
 def _groups(parent: Any, name: str) -> list[tuple[str, Any]]:
@@ -171,8 +193,9 @@ def load_bodies(file: Any) -> dict[str, Any]:
 
     Angular velocities are computed from angles, and the other way round.
     """
-    bodies = {attribute(b, "role", str, "body"): (n, b) for n, b in _bodies(file)}
-    if bodies.keys() not in ({"body"}, {"casing"}, {"casing", "rotor"}):
+    found = _bodies(file)
+    bodies = {attribute(b, "role", str, "body"): (n, b) for n, b in found}
+    if bodies.keys() not in ({"body"}, {"casing"}, {"casing", "rotor"}) or len(bodies) < len(found):
         what = f"{file.filename} has bodies of the roles {', '.join(sorted(bodies)) or '(none)'}."
         raise DatasetError(what, "A case has one body, or one casing and one rotor.")
     two = "rotor" in bodies
@@ -181,6 +204,9 @@ def load_bodies(file: Any) -> dict[str, Any]:
     if quantity not in _SERIES:
         what = f"{file.filename}: the series of '{main_name}' is of the quantity '{quantity[:20]}'."
         raise DatasetError(what, f"Use one of {', '.join(_SERIES)}.")
+    if two and attribute(_fused(bodies["rotor"][1]), "quantity", str, "angle") != quantity:
+        what = f"{file.filename} has speeds of one body and angles of the other."
+        raise DatasetError(what, "Store the same quantity of both.")
     inertia, inertia_u = _inertia(main)
     rotor_inertia, rotor_u = _inertia(bodies["rotor"][1]) if two else (1.0, math.nan)
     if two and math.isnan(inertia + rotor_inertia):
@@ -204,7 +230,12 @@ def load_bodies(file: Any) -> dict[str, Any]:
 
 
 def _inertia(body: Any) -> tuple[float, float]:
-    return attribute(body, "inertia", float, math.nan), attribute(body, "inertia_u", float, math.nan)
+    """Return the moment of inertia and its standard uncertainty; NaN without them."""
+    inertia = attribute(body, "inertia", float, math.nan)
+    if inertia <= 0:
+        what = f"{body.file.filename}: the moment of inertia of {body.name} is {inertia}."
+        raise DatasetError(what, "Store a positive one [kg m2], or none.")
+    return inertia, attribute(body, "inertia_u", float, math.nan)
 
 
 def _series(group: Any, quantity: str) -> Series:
@@ -214,7 +245,10 @@ def _series(group: Any, quantity: str) -> Series:
         raise DatasetError(what, "The file is not in this layout.")
     segment = _matrix(group, "segment", 1) if "segment" in group.keys() else np.zeros(len(time))  # noqa: SIM118
     made = from_speeds if quantity == "speed" else from_angles
+    order = np.argsort(segment, kind="stable")
+    time, value, u, segment = (a[order] for a in (time, value, u, segment))
     parts = [made(*(a[segment == s] for a in (time, value, u))) for s in np.unique(segment)]
     found = series_of(parts, sigma_source=attribute(group, "sigma_source", str, "given"))
     stated = {a.key: attribute(group, a.name, a.kind, a.default) for a in layout.CORRELATED}
-    return replace(found, modes=_modes(group), **stated)
+    modes = tuple(replace(m, basis=m.basis[order]) for m in _modes(group, len(order)))
+    return replace(found, modes=modes, window=segment.astype(np.int64), **stated)

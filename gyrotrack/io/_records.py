@@ -316,7 +316,7 @@ def from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
     """Return a motion from angular velocities [rad/s], integrated by the trapezoidal rule; their errors accumulate."""
     step = np.diff(time)
     angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
-    share = np.concatenate([[step[0]], step]) * sigma
+    share = np.concatenate([step[:1], step]) * sigma if len(step) else sigma
     return Piece(time, angle, np.sqrt(np.cumsum(share**2)), omega, sigma)
 
 

@@ -261,8 +261,8 @@ PLACEMENT_ATTRIBUTES = (
 FUSED = Table(
     (
         Field("time", _T, "s", "time on the clock of the case"),
-        Field("value", _T, "rad", "angle, or angular velocity [rad s-1]"),
-        Field("u", _T, "rad", "white standard uncertainty of the value"),
+        Field("value", _T, "rad or rad s-1", "angle, or angular velocity"),
+        Field("u", _T, "rad or rad s-1", "white standard uncertainty of the value"),
         Field("segment", _T, "1", "clip that the sample came from; only of a rotor", "i8"),
     ),
     signal="value",

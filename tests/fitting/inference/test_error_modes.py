@@ -49,6 +49,32 @@ class TestEstimates:
         # it would be a random torque
         assert deceleration(wheel(0.1 * shape)).stderr > 0.02
 
+    @pytest.mark.parametrize("period", [3.0, 0.5, 0.2])
+    def test_a_fast_error_is_not_white_noise(self, period):
+        """Periods above and below the length of a block, 0.5 s; the amplitude is ten times the noise."""
+        shape = np.sin(2 * np.pi * T / period)
+        mode = {"sway": {"basis": shape, "covariance": 0.1**2}}
+        found = fit("support.constant", wheel(0.1 * shape, modes=mode))
+        assert found.problem.data[0].casing.scale == pytest.approx(1.0, abs=0.15)
+        without = deceleration(wheel()).stderr
+        assert found.params["wheel.support.constant.b1"].stderr == pytest.approx(without, rel=0.3)
+
+    def test_angles_have_modes_beside_the_camera(self):
+        """A fast error of the angle of a body that turns: its amplitude is fitted, and so is the centre offset."""
+        phase = 60.0 * T - 0.5 * T**2
+        shape = np.sin(40.0 * T)
+        noise = 1e-4 * np.random.default_rng(2).standard_normal(len(T))
+        angle = phase + 2e-3 * shape + 1e-3 * np.cos(phase) + noise
+        body = {
+            "t": T,
+            "angle": angle,
+            "u": 1e-4,
+            "modes": {"shake": {"basis": shape, "covariance": 2e-3**2}},
+        }
+        found = fit("support.constant", Case.from_arrays(wheel=body))
+        assert found.params["wheel.support.constant.b1"].value == pytest.approx(1.0, abs=1e-4)
+        assert np.sqrt(np.mean(found.residual**2)) == pytest.approx(1.0, abs=0.1)
+
     def test_an_error_beyond_its_covariance_is_not_hidden(self):
         shape = np.sin(2 * np.pi * T / 3.0)
         mode = {"sway": {"basis": shape, "covariance": 1e-4**2}}
@@ -106,6 +132,76 @@ class TestColumns:
         assert [w.any(axis=0).tolist() for w in columns[1]] == [[True, False], [False, True]]
 
 
+class TestWindows:
+    def record(self, windows, modes):
+        casing = (T, 5 * T, np.full(len(T), 1e-3))
+        rotor = [(t, 100 * t, np.full(len(t), 1e-3)) for t in windows]
+        return make_record(casing=casing, rotor=rotor, I_rotor=1e-4, I_casing=1e-4, modes=modes)
+
+    def test_a_window_has_its_own_errors_where_two_overlap(self):
+        t = [np.linspace(0.0, 1.0, 60), np.linspace(0.5, 1.5, 60)]
+        modes = [ErrorMode(f"start_{i}", w, w, 1.0, "rotor", i) for i, w in enumerate(t)]
+        columns = CaseData.of(self.record(t, modes)).mode_columns[1]
+        assert [c.any(axis=0).tolist() for c in columns] == [[True, False], [False, True]]
+
+    def test_a_window_that_is_left_out_takes_its_errors_with_it(self):
+        t = [np.linspace(0.0, 0.01, 3), np.linspace(2.0, 3.0, 60)]
+        modes = [ErrorMode(f"start_{i}", w, w, 1.0, "rotor", i) for i, w in enumerate(t)]
+        record = self.record(t, modes)
+        assert len(record.rotor) == 1
+        assert [(m.name, m.window) for m in record.modes] == [("start_1", 0)]
+
+    def test_windows_of_a_file_need_no_order(self, tmp_path):
+        def swap(file):
+            file["body/rotor/series/fused/segment"][...] = np.repeat([1, 0], [200, 201])
+
+        path = write(
+            tmp_path / "c.h5", quantity="angle", inertia=1e-4, roles=("rotor", "casing"), change=swap
+        )
+        record = read_record(path)
+        assert [len(w) for w in record.rotor] == [201, 200]
+        columns = CaseData.of(record).mode_columns[1]
+        for window, column in zip(record.rotor, columns, strict=True):
+            assert column[:, 0] == pytest.approx(0.02 * window.time)
+
+    def test_negligible_errors_leave_the_noise_of_the_windows_as_it_is(self):
+        rng = np.random.default_rng(0)
+        casing = (T, 5 * T + 1e-3 * rng.standard_normal(len(T)), np.full(len(T), 1e-3))
+        windows = [T[:200], T[200:]]
+        slow = [np.cumsum(rng.standard_normal(len(t))) * 2e-4 for t in windows]
+        rotor = [
+            (t, 100 * t + s + 1e-3 * rng.standard_normal(len(t)), np.full(len(t), 1e-3))
+            for t, s in zip(windows, slow, strict=True)
+        ]
+        found = []
+        for count in (0, 40):
+            modes = [
+                ErrorMode(f"{i}_{k}", t, np.cos(k * np.pi * (t - t[0]) / np.ptp(t)), 1e-18, "rotor", i)
+                for i, t in enumerate(windows)
+                for k in range(count)
+            ]
+            record = make_record(casing=casing, rotor=rotor, I_rotor=1e-4, I_casing=1e-4, modes=modes)
+            found.append(CaseData.of(record).rotor_angle_noise.sigma)
+        assert found[0] > 0
+        assert found[1] == pytest.approx(found[0], rel=1e-3)
+
+
+def test_samples_without_a_value_take_their_row_of_the_basis_with_them():
+    omega = 30.0 - 0.7 * T
+    omega[7] = np.nan
+    modes = {"scale": {"basis": omega, "covariance": 1e-6}}
+    case = Case.from_arrays(wheel={"t": T, "omega": omega, "u": U, "modes": modes})
+    (mode,) = case.record.modes
+    assert len(mode.time) == 400
+    assert len(case.record.casing) == 400
+
+
+def test_speeds_from_angles_err_by_the_derivative():
+    mode = ErrorMode("sway", T, np.sin(T), 4.0)
+    assert mode.rates().at(T[1:-1])[:, 0] == pytest.approx(np.cos(T[1:-1]), abs=1e-3)
+    assert mode.rates().covariance == mode.covariance
+
+
 class TestReplicas:
     def test_simulated_recordings_have_the_error(self):
         shape = np.sin(T)
@@ -113,6 +209,9 @@ class TestReplicas:
         found = fit("support.constant", case)
         motion = _Motion(found, 0, found.problem.data[0])
         random = np.random.default_rng(3)
+        left = _recording(motion, random).casing.value - motion.values()[0]
+        left -= shape * (shape @ left) / (shape @ shape)
+        assert np.std(left) == pytest.approx(U, rel=0.15)
         amplitude = [
             (shape @ (_recording(motion, random).casing.value - motion.values()[0])) / (shape @ shape)
             for _ in range(60)
@@ -130,6 +229,9 @@ GOOD = SimpleNamespace(time=np.arange(3.0), basis=np.ones((3, 1)), covariance=np
         ({"basis": np.zeros((3, 0))}, "shape (3, 0)"),
         ({"basis": [["a"], ["b"], ["c"]]}, "holds no numbers"),
         ({"basis": np.full((3, 1), np.nan)}, "not finite"),
+        ({"basis": np.ones((3, 401)), "covariance": np.eye(401)}, "401 amplitudes; at most 400"),
+        ({"time": np.array([0.0, 1.0, 1.0])}, "not strictly increasing"),
+        ({"group": None}, "its group is not a text"),
         ({"covariance": np.eye(2)}, "covariance has the shape (2, 2) for 1 amplitudes"),
         ({"covariance": [[-1.0]]}, "negative variance"),
         ({"basis": np.ones((3, 2)), "covariance": [[1.0, 2.0], [2.0, 1.0]]}, "negative variance"),
@@ -156,7 +258,10 @@ def test_a_covariance_that_is_barely_singular_is_taken():
             "different covariances",
         ),
         (
-            [ErrorMode("a", T, np.ones((401, MOST_AMPLITUDES + 1)), np.eye(MOST_AMPLITUDES + 1))],
+            [
+                ErrorMode(name, T, np.ones((401, n)), np.eye(n))
+                for name, n in (("a", MOST_AMPLITUDES), ("b", 1))
+            ],
             "at most 400",
         ),
     ],
@@ -207,7 +312,22 @@ def write(path, *, quantity="speed", inertia=None, roles=("body",), names=("fuse
     return path
 
 
+def exchange(group, name, shape):
+    del group[name]
+    group[name] = np.zeros(shape)
+
+
 class TestFiles:
+    def test_a_single_body_may_be_named_rotor(self, tmp_path):
+        def rename(file):
+            file.move("body/wheel", "body/rotor")
+            group = file.create_group("casing")
+            for name, old in (("time", "time"), ("omega", "value"), ("omega_sigma", "u")):
+                group[name] = file[f"body/rotor/series/fused/{old}"]
+            file.attrs.update({"bodies": "one", "I_casing": 1.0, "per_inertia": 1, "quantity": "omega"})
+
+        assert len(read_record(write(tmp_path / "case.h5", change=rename)).modes) == 1
+
     def test_a_wheel_is_read_with_its_modes(self, tmp_path):
         record = read_record(write(tmp_path / "case.h5"))
         assert (record.name, record.single, record.quantity, record.per_inertia) == (
@@ -240,10 +360,23 @@ class TestFiles:
             ({"roles": ("casing", "rotor"), "quantity": "angle"}, "needs the inertia of both"),
             ({"inertia": -1.0}, "not positive"),
             (
+                {"change": lambda f: exchange(f["body/wheel/series/fused/error/drift"], "basis", (5, 1))},
+                "shape (5, 1)",
+            ),
+            (
+                {
+                    "quantity": "angle",
+                    "inertia": 1e-4,
+                    "roles": ("casing", "rotor"),
+                    "change": lambda f: exchange(f["clock/rotor_0"], "covariance", (0, 0)),
+                },
+                "no covariance of offset and rate",
+            ),
+            (
                 {"change": lambda f: f["body/wheel/series/fused/error/drift"].__delitem__("basis")},
                 "has no body/wheel",
             ),
-            ({"change": lambda f: f.__delitem__("body")}, "incomplete"),
+            ({"change": lambda f: f.__delitem__("body")}, "has no casing"),
         ],
     )
     def test_files_that_do_not_fit_are_refused(self, tmp_path, arguments, words):

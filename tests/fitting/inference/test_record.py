@@ -106,7 +106,7 @@ def refusal(path):
         ({"kind": None}, "not a case"),
         ({"format": "nexus"}, "was not written by gyrotrack"),
         ({"format": None}, "was not written by gyrotrack"),
-        ({"format_version": "3.0"}, "layout version 3.0; this program reads 2.x"),
+        ({"format_version": "3.0"}, "layout version 3.0; this program reads 1.x and 2.x"),
         ({"format_version": "new"}, "layout version new"),
         ({"I_rotor": -1.0}, "not positive"),
         ({"I_rotor": np.nan}, "not positive"),

@@ -30,13 +30,30 @@ def test_a_torque_once_a_turn_is_a_lack_of_fit(amplitude, verdict):
 
 
 @pytest.mark.parametrize(
-    ("order", "share", "expected"), [(1, 0.99, False), (1, 1.01, True), (2, 0.99, False), (2, 1.01, True)]
+    ("order", "share", "turns", "expected"),
+    [
+        (1, 0.99, 90.0, False),
+        (1, 1.01, 90.0, True),
+        (2, 0.99, 90.0, False),
+        (2, 1.01, 90.0, True),
+        (1, 1.01, 4.9, False),
+        (1, 1.01, 5.1, True),
+    ],
 )
-def test_the_amplitude_that_counts(order, share, expected):
+def test_the_amplitude_that_counts(order, share, turns, expected):
     gamma = np.zeros(4)
     gamma[2 * order - 2] = share * DEFAULT.harmonic_sigma * 2e-6
-    harmonics = (AngleHarmonics("case", gamma, np.eye(4) * 4e-12),)
+    harmonics = (AngleHarmonics("case", gamma, np.eye(4) * 4e-12, turns),)
     solved = SimpleNamespace(angle_harmonics=harmonics, criteria=DEFAULT)
     from fitting import Fit
 
     assert Fit.has_torque_of_the_angle(solved) == expected
+
+
+def test_a_response_that_is_not_determined_has_no_size():
+    assert AngleHarmonics("case", np.ones(4), np.zeros((4, 4))).size(1) == (0.0, 0.0)
+
+
+def test_the_turns_are_those_of_the_record():
+    (found,) = fitted(0.0).angle_harmonics
+    assert found.turns == pytest.approx((60.0 * 20 - 200.0) / (2 * np.pi), rel=1e-4)

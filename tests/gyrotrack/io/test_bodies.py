@@ -152,6 +152,9 @@ def test_a_single_body_has_its_name(case, tmp_path, quantity):
             "of the quantity 'counts'",
         ),
         (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "lacks the inertia of a body"),
+        (lambda f: f["body/rotor"].attrs.modify("inertia", -1.0), "is -1.0"),
+        (lambda f: f["body/rotor/series/fused"].attrs.modify("quantity", "speed"), "speeds of one body"),
+        (lambda f: f["body"].copy("rotor", "third"), "of the roles"),
         (lambda f: f["body/casing/series/fused/error/tilt"].__delitem__("covariance"), "lacks 'covariance'"),
     ],
 )
@@ -185,3 +188,43 @@ def test_inputs_stay(case, tmp_path):
     current = Input("current", case.casing.time, case.casing.time, np.full(400, np.nan), "A")
     path = write_case(tmp_path / "c.h5", alone(case, inputs=(current,)), command="", settings={})
     assert read_case(without_old_groups(path)).inputs[0].unit == "A"
+
+
+def test_segments_in_any_order_keep_their_errors_and_numbers(file, stated):
+    with h5py.File(without_old_groups(file), "r+") as f:
+        f["body/rotor/series/fused/segment"][...] = np.repeat([5, 3], 200)
+    found = read_case(file).rotor
+    assert np.unique(found.window).tolist() == [3, 5]
+    rate = next(m for m in found.modes if m.name == "rate")
+    np.testing.assert_array_equal(rate.basis[:, 0], found.time)
+
+
+def test_a_segment_of_one_speed_is_read(case, tmp_path):
+    path = write_case(tmp_path / "c.h5", replace(case, quantity="omega"), command="", settings={})
+    with h5py.File(without_old_groups(path), "r+") as f:
+        f["body/rotor/series/fused/segment"][...] = np.repeat([0, 1], [399, 1])
+    assert read_case(path).rotor.window.tolist().count(1) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"basis": np.ones((5, 2))}, "for 400 samples"),
+        ({"basis": np.ones(400)}, "for 400 samples"),
+        ({"covariance": np.array([[1.0, 0.5], [0.4, 1.0]])}, "no symmetric covariance"),
+        ({"covariance": np.full((2, 2), np.nan)}, "no symmetric covariance"),
+        ({"name": "a/b"}, "no name of its own"),
+    ],
+)
+def test_modes_that_cannot_be_read_again_are_not_written(stated, tmp_path, change, words):
+    mode = replace(stated.casing.modes[0], **change)
+    case = replace(stated, casing=replace(stated.casing, modes=(mode,)))
+    with pytest.raises(UsageError, match=words):
+        write_case(tmp_path / "new.h5", case, command="", settings={})
+    assert not list(tmp_path.glob("new*"))
+
+
+def test_two_modes_of_one_name_are_refused(stated, tmp_path):
+    case = replace(stated, casing=replace(stated.casing, modes=stated.casing.modes * 2))
+    with pytest.raises(UsageError, match="no name of its own"):
+        write_case(tmp_path / "new.h5", case, command="", settings={})
