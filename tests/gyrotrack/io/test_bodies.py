@@ -213,7 +213,7 @@ def test_a_segment_of_one_speed_is_read(case, tmp_path):
         ({"basis": np.ones(400)}, "for 400 samples"),
         ({"covariance": np.array([[1.0, 0.5], [0.4, 1.0]])}, "no symmetric covariance"),
         ({"covariance": np.full((2, 2), np.nan)}, "no symmetric covariance"),
-        ({"name": "a/b"}, "no name of its own"),
+        ({"name": "a/b"}, "no unique name"),
     ],
 )
 def test_modes_that_cannot_be_read_again_are_not_written(stated, tmp_path, change, words):
@@ -226,5 +226,5 @@ def test_modes_that_cannot_be_read_again_are_not_written(stated, tmp_path, chang
 
 def test_two_modes_of_one_name_are_refused(stated, tmp_path):
     case = replace(stated, casing=replace(stated.casing, modes=stated.casing.modes * 2))
-    with pytest.raises(UsageError, match="no name of its own"):
+    with pytest.raises(UsageError, match="no unique name"):
         write_case(tmp_path / "new.h5", case, command="", settings={})
