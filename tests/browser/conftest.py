@@ -77,7 +77,7 @@ def case(tmp_path_factory):
     from gyrotrack.tracking._extract import extract
 
     folder = tmp_path_factory.mktemp("case")
-    options = "--duration 60 --casing-fps 20 --rotor-fps 100 --window 3 --window 25 --window 52 --sigma 5e-4"
+    options = "--duration 60 --casing-fps 60 --rotor-fps 250 --window 3 --window 25 --window 52 --sigma 5e-4"
     words = f"--add casing.air.quadratic --set casing.air.quadratic.k=3e-10 --seed 1 {options} --json -q"
     assert run(["simulate", "-o", str(folder / "plain.h5"), *words.split()]) == 0
     film = folder / "casing.mp4"
