@@ -293,8 +293,10 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # as many orthogonal combinations as rows: the others are not observed in this stretch
-            nuisance = np.asarray(np.linalg.qr(nuisance.T, mode="r")).T
+            # as many orthogonal combinations as rows: the others are not observed in this stretch. Principal ones stay
+            # apart where flat priors are far larger than the others
+            directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
+            nuisance = directions * sizes
         # the last rows are those of the prior of the nuisance functions, whose measured value is zero
         free = np.block(
             [
