@@ -44,9 +44,9 @@ class ErrorMode:
     body : {"casing", "rotor"}
         Body of the series; "casing" for a single body.
     window : int, optional
-        Number of the window of the rotor that has the error, from 0; without it all that it covers in time.
+        Number of the window of the rotor that has the error, from 0; if absent, all windows that its times cover.
     group : str
-        Name of the amplitudes: modes of the same group share them. Empty: its own.
+        Name of the amplitudes: modes of the same group share them. If it is empty, body and name are the group.
     origin : str
         Where the error comes from: "axis", "tilt", "start", "rate", "hub" ...
     """
@@ -136,7 +136,7 @@ class ErrorMode:
         )
 
 
-def refuse_contradictions(modes: object) -> tuple[ErrorMode, ...]:
+def checked_modes(modes: object) -> tuple[ErrorMode, ...]:
     """Return the error modes of a record; a RecordError if a group has two covariances, or there are too many."""
     if not isinstance(modes, Sequence) or not all(isinstance(m, ErrorMode) for m in modes):
         raise RecordError(

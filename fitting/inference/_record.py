@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fitting._errors import RecordError
 from fitting._numbers import PER_INERTIA, TORQUE, rounded, span_of
 from fitting.dynamics._inputs import Input
-from fitting.inference._error_modes import ErrorMode, of_windows, refuse_contradictions
+from fitting.inference._error_modes import ErrorMode, checked_modes, of_windows
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
@@ -291,7 +291,7 @@ def make_record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         per_inertia=per_inertia, correlated=_stated(*correlated), inputs=_covering(inputs, runs[0], windows),
-        name=name if single else "", modes=of_windows(refuse_contradictions(modes), kept),
+        name=name if single else "", modes=of_windows(checked_modes(modes), kept),
     )  # fmt: skip
 
 

@@ -53,21 +53,16 @@ def write_bodies(file: Any, case: Case) -> None:
             if math.isfinite(u):
                 group.attrs["inertia_u"], group.attrs["inertia_u_units"] = u, "kg m2"
         fused = group.create_group(f"series/{FUSED}")
-        fused.attrs["quantity"], fused.attrs["clock"] = quantity, "casing" if two else name
+        fused.attrs["quantity"], fused.attrs["clock"] = quantity, "case"
         value, u_name = _SERIES[quantity]
         columns = {"time": "time", "value": value, "u": u_name}
-        for column, stored in (
-            columns.items()
-            if series.window is None or not two
-            else (
-                *columns.items(),
-                ("segment", "window"),
-            )
-        ):
+        if old == "rotor":
+            columns["segment"] = "window"
+        for column, stored in columns.items():
             fused[column] = file[f"{old}/{stored}"]
         write_attributes(fused, layout.SERIES.attributes, series)
         for mode in series.modes:
-            reason = _unfit(mode, len(series.time))
+            reason = _defect(mode, len(series.time))
             if reason or not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
                 what = f"The error mode '{mode.name[:40]}' of the {name} {reason or 'has no unique name'}."
                 raise UsageError(what, "See gyrotrack.ErrorMode.")
@@ -139,7 +134,7 @@ def _modes(series: Any, samples: int) -> tuple[ErrorMode, ...]:
         basis, covariance = (_matrix(group, key) for key in ("basis", "covariance"))
         words = {key: attribute(group, key, str, "") for key in ("group", "origin", "long_name")}
         mode = ErrorMode(name=name, basis=basis, covariance=covariance, **words)
-        if reason := _unfit(mode, samples):
+        if reason := _defect(mode, samples):
             raise DatasetError(
                 f"{group.file.filename}: {group.name} {reason}.", "The file is not in this layout."
             )
@@ -147,8 +142,8 @@ def _modes(series: Any, samples: int) -> tuple[ErrorMode, ...]:
     return tuple(found)
 
 
-def _unfit(mode: ErrorMode, samples: int) -> str:
-    """Return why an error mode is none of a series, in words; empty if it is one."""
+def _defect(mode: ErrorMode, samples: int) -> str:
+    """Return what is wrong with an error mode of a series, in words; empty if it is right."""
     basis, covariance = (np.asarray(a, dtype=float) for a in (mode.basis, mode.covariance))
     if basis.ndim != 2 or len(basis) != samples or covariance.shape != (basis.shape[1],) * 2:
         return f"has a basis of the shape {basis.shape} and a covariance of {covariance.shape} for {samples} samples"
@@ -224,7 +219,7 @@ def load_bodies(file: Any) -> dict[str, Any]:
         "quantity": "omega" if quantity == "speed" else "angle",
         "bodies": "two" if two else "one",
         "body_name": "" if two else main_name,
-        "casing": _series(_fused(main), quantity),
+        "casing": replace(_series(_fused(main), quantity), window=None),
         "rotor": _series(_fused(bodies["rotor"][1]), quantity) if two else no_series(),
     }
 

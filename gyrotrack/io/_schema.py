@@ -268,7 +268,7 @@ FUSED = Table(
     signal="value",
     attributes=(
         Attribute("quantity", str, "", "what was measured: angle or speed", "angle"),
-        Attribute("clock", str, "", "clock of the times"),
+        Attribute("clock", str, "", "clock of the times: case, that of the casing's camera"),
         *SERIES.attributes,
     ),
 )

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fitting import Case, ErrorMode, RecordError, diagnose, fit
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, _beyond_noise
 from fitting.inference._case_file import read_record
 from fitting.inference._error_modes import MOST_AMPLITUDES, mode_columns
-from fitting.inference._record import make_record
+from fitting.inference._record import Samples, make_record
 from fitting.inference._replica import _Motion, _recording
 
 T = np.linspace(0.0, 20.0, 401)
@@ -243,6 +243,25 @@ def test_wrong_modes_are_refused(change, words):
     with pytest.raises(RecordError) as caught:
         ErrorMode("tilt", **(vars(GOOD) | change))
     assert words in caught.value.message
+
+
+@pytest.mark.parametrize(("asymmetry", "refused"), [(1e-10, False), (1e-8, True)])
+def test_an_asymmetry_beyond_rounding_is_refused(asymmetry, refused):
+    covariance = np.array([[1.0, 0.5], [0.5 + asymmetry, 1.0]])
+    if refused:
+        with pytest.raises(RecordError, match="not symmetric"):
+            ErrorMode("tilt", GOOD.time, np.ones((3, 2)), covariance)
+    else:
+        assert ErrorMode("tilt", GOOD.time, np.ones((3, 2)), covariance).basis.shape == (3, 2)
+
+
+@pytest.mark.parametrize(("size", "kept"), [(0.9, 0), (1.1, 1)])
+def test_errors_beyond_the_white_noise_of_a_window_are_free(size, kept):
+    """100 samples of sigma 0.1: a constant of 0.01 is one standard deviation of their mean."""
+    samples = Samples(np.arange(100.0), np.zeros(100), np.full(100, 0.1))
+    found = _beyond_noise(np.full((100, 1), 0.01 * size), samples)
+    assert found.shape == (100, kept)
+    assert not kept or np.ptp(found) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_covariance_that_is_barely_singular_is_taken():

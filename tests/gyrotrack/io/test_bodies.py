@@ -6,6 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
+from fitting import RecordError
+from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, ErrorMode, read_case, write_case
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Input, columns, no_series
@@ -113,6 +115,9 @@ def test_a_file_of_bodies_alone_is_read(file, stated):
     # speeds follow from the angles: 20 rad/s
     assert np.nanmedian(found.casing.omega) == pytest.approx(20.0)
     assert found.recordings == {}
+    again = read_case(write_case(file.with_name("again.h5"), found, command="", settings={}))
+    assert again.casing.window is None
+    np.testing.assert_array_equal(again.rotor.window, stated.rotor.window)
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
@@ -228,3 +233,19 @@ def test_two_modes_of_one_name_are_refused(stated, tmp_path):
     case = replace(stated, casing=replace(stated.casing, modes=stated.casing.modes * 2))
     with pytest.raises(UsageError, match="no unique name"):
         write_case(tmp_path / "new.h5", case, command="", settings={})
+
+
+@pytest.mark.parametrize(("count", "refused"), [(64, False), (65, True)])
+def test_the_number_of_modes_is_limited(stated, tmp_path, count, refused):
+    modes = tuple(replace(stated.casing.modes[0], name=f"m{i}", group="") for i in range(count))
+    case = replace(stated, casing=replace(stated.casing, modes=modes))
+    path = write_case(tmp_path / "many.h5", case, command="", settings={})
+    if refused:
+        with pytest.raises(DatasetError, match="at most 64"):
+            read_case(path)
+        with pytest.raises(RecordError, match="at most 64"):
+            read_record(path)
+    else:
+        assert (
+            len(read_case(path).casing.modes) == len(read_record(path).modes) - 4 == 64
+        )  # two in two windows
