@@ -448,7 +448,7 @@ class CaseData:
 
     def _tail(self, harmonic: Array) -> Array:
         """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the priors."""
-        count = self.prior_rows + len(self._nuisance_prior)
+        count = self.prior_rows + self._nuisance_priors
         return np.concatenate([harmonic, np.zeros((count, *harmonic.shape[1:]))]) if count else harmonic
 
     @cached_property
@@ -464,10 +464,10 @@ class CaseData:
         frame = float(np.median(np.diff(samples.time)))
         return np.repeat([_CENTRE, _TILT, 0.5 * frame * largest_speed(samples), _BLUR], 2)
 
-    @cached_property
-    def _nuisance_prior(self) -> Array:
-        """Standard deviations of the priors of nuisance parameters: of error modes, then of the camera."""
-        return np.concatenate([np.ones(self.mode_columns[0].shape[1]), self._camera_prior])
+    @property
+    def _nuisance_priors(self) -> int:
+        """Number of nuisance parameters with a prior: amplitudes of error modes, then those of the camera."""
+        return int(self.mode_columns[0].shape[1]) + len(self._camera_prior)
 
     @cached_property
     def mode_columns(self) -> tuple[Array, list[Array]]:
@@ -679,7 +679,7 @@ class CaseData:
             "rotor": slice(a, b),
             "harmonic": slice(b, b + len(self.casing.harmonic)),
             "nuisance_prior": slice(
-                b + len(self.casing.harmonic), b + len(self.casing.harmonic) + len(self._nuisance_prior)
+                b + len(self.casing.harmonic), b + len(self.casing.harmonic) + self._nuisance_priors
             ),
             "smooth": slice(0, b),
         }

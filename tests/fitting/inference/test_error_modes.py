@@ -48,6 +48,11 @@ class TestEstimates:
         assert found.params["wheel.support.constant.b1"].stderr < 2e-4
         # it would be a random torque
         assert deceleration(wheel(0.1 * shape)).stderr > 0.02
+        levels = [
+            f.problem.data[0].process_noise.level
+            for f in (found, fit("support.constant", wheel(0.1 * shape)))
+        ]
+        assert levels[0] < 0.1 * levels[1]
 
     @pytest.mark.parametrize("period", [3.0, 0.5, 0.2])
     def test_a_fast_error_is_not_white_noise(self, period):
