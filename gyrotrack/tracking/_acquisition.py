@@ -33,7 +33,9 @@ from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
 
-REACH = 1.2  # half width of the region cut out about a marker [rad]
+REACH = 1.2
+"""Half width of the region cut out about a marker [rad]. Chosen: it exceeds `WIDEST`; a smaller value cuts off blurred
+markers, a larger one includes their neighbours."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,15 @@ def _fall(curve: Floats, level: float) -> float:
     return k + float(np.clip((curve[k] - level) / max(float(curve[k] - curve[k + 1]), 1e-9), 0.0, 1.0))
 
 
-LEAST_CONTRAST = 6.0  # grey levels by which a marker must differ from its surroundings
-CLEAREST = 5.0  # smallest height of a white marker in standard deviations of its ring
-# largest share of samples with a marker at one angle for which their median is used as the background
+LEAST_CONTRAST = 6.0
+"""Smallest difference of a marker from its surroundings, in chroma or, of a white marker, in luma [grey levels].
+Chosen: a smaller value accepts noise, a larger one loses markers in dim light."""
+CLEAREST = 5.0
+"""Smallest height of a white marker in standard deviations of its ring [1]. Chosen: a smaller value accepts remains of
+other markers, a larger one loses faint ones."""
 LONGEST_DWELL = 0.3
+"""Largest share of samples with a marker at one angle for which their median is the background [1]. Chosen: at 0.5 the
+median shows the marker itself; a smaller value discards the background of slow bodies."""
 
 
 @dataclass(frozen=True)
@@ -313,9 +320,15 @@ def _brightest_place(
     return _marker(wanted, extent, (contrast, 0.0), mount=mount)
 
 
-FAINTEST = 0.12  # smallest contrast of a marker, relative to that of the strongest marker
-LEAST_SIZE = 4.5  # smallest side of a marker in px
-WIDEST = 0.8  # largest half width [rad] of a marker that can be tracked despite motion blur
+FAINTEST = 0.12
+"""Smallest contrast of a marker, relative to that of the strongest marker [1]. Chosen: a smaller value accepts residues
+of the codec, a larger one loses markers in shadow."""
+LEAST_SIZE = 4.5
+"""Smallest side of a marker [px]. Chosen: two samples of the chroma; a smaller value accepts single noisy samples, a
+larger one refuses small markers."""
+WIDEST = 0.8
+"""Largest half width of a marker that can be tracked despite motion blur [rad]. Chosen: a larger value accepts coloured
+rings, a smaller one refuses films of long exposure."""
 
 
 def find_markers(
@@ -378,10 +391,15 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
     return {name: seen for name, seen in found if seen is not None and is_marker_sized(seen.marker)}
 
 
-# angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured
 LEAST_COVERED = 4.0
-LEAST_TURNED = 0.5  # angle [rad] that the samples of a marker must cover to decide which markers turn with it
-LEAST_OFFSET = 1.0  # offset [px] below which rings about the hub are used
+"""Smallest angle that the samples of a body's markers cover for its centre to be measured [rad]. Chosen: a smaller
+value takes the radius of an arc for an offset, a larger one needs more samples."""
+LEAST_TURNED = 0.5
+"""Smallest angle that the samples of a marker cover to decide which markers turn with it [rad]. Chosen: a smaller value
+compares markers at rest, a larger one compares none in slow films."""
+LEAST_OFFSET = 1.0
+"""Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
+smaller value follows noise, a larger one cuts the windows off centre."""
 
 
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
@@ -460,10 +478,15 @@ def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
     return {name: seen for name, seen in observations.items() if contrast[name] >= least}
 
 
-# smallest share of the samples in which two markers on one body have the same angular distance
 LEAST_TOGETHER = 0.75
-_LEAST_COMMON = 8  # samples that show both markers
-_NEAR = 0.2  # difference of angular distances that are the same [rad]
+"""Smallest share of the samples in which two markers of one body have the same angular distance [1]. Chosen: a smaller
+value joins two bodies, a larger one separates markers that are often occluded."""
+_LEAST_COMMON = 8
+"""Smallest number of samples that show both markers [samples]. Chosen: a smaller value compares chance, a larger one
+compares fewer markers."""
+_NEAR = 0.2
+"""Largest difference of angular distances that count as equal [rad]. Chosen: a smaller value separates blurred markers,
+a larger one joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
@@ -532,8 +555,9 @@ def _circular_mode(angle: Floats) -> float:
     return float(np.angle(np.mean(turn[near[:, best]])))
 
 
-# share of the blobs, and of the samples, that must be inliers of an orbit; of random blobs a quarter are
 LEAST_AGREEMENT = 1.0 / 3.0
+"""Smallest share of the blobs, and of the samples, that are inliers of an orbit [1]. Measured: a quarter of random
+blobs are inliers; the films are not recorded."""
 _NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 

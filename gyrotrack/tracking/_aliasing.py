@@ -19,13 +19,21 @@ from gyrotrack.tracking._registration import TURN, Template, rolled
 
 Floats = npt.NDArray[np.float64]
 
-_MOST_FOLD = 48  # largest order of symmetry that is considered
-# correlation of the body's picture with itself after a period from which the other rotation is tried
+_MOST_FOLD = 48
+"""Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
+one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-# turn per frame, in periods, from which it is tried: slower motions leave only implausibly fast alternatives
+"""Correlation of a body's picture with itself after a period from which the other rotation is tried [1]. Chosen: a
+smaller value tries more rotations, which costs time; a larger one overlooks them."""
 _FAST = 0.25
-_EQUAL = 0.02  # difference of the explained shares from which the pictures themselves decide
-_STEADY = 0.02  # relative change of the speed that counts as speeding up or slowing down
+"""Turn per frame, in periods, from which the other rotation is tried [1]. Chosen: slower motions leave only implausibly
+fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
+_EQUAL = 0.02
+"""Difference of the explained shares from which the pictures themselves decide [1]. Chosen: a smaller value decides by
+noise, a larger one leaves clear cases to the change of speed."""
+_STEADY = 0.02
+"""Relative change of the speed that counts as speeding up or slowing down [1]. Chosen: a smaller value decides by
+noise, a larger one leaves slow decays undecided."""
 
 
 class Alias(NamedTuple):

@@ -18,12 +18,21 @@ from gyrotrack._smoothing import median_of
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-MEMORY = 128  # number of recent angles in the fit
-FEWEST = 16  # recent angles from which a motion is predicted
-LONGEST_USE = 130  # frames after which the fit is repeated
-LEAST_SCATTER = 1.5e-3  # lower limit of the scatter of a coarse angle [rad]
-# prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes
+MEMORY = 128
+"""Number of recent angles in the fit [frames]. Chosen: fewer give a noisy prediction, more include motion that a
+parabola does not describe."""
+FEWEST = 16
+"""Recent angles from which a motion is predicted [frames]. Chosen: more than twice the 7 parameters; fewer predict
+badly, more delay the fast search."""
+LONGEST_USE = 130
+"""Frames after which the fit is repeated [frames]. Chosen: `MEMORY` and two frames; more extrapolates too far, less
+costs time."""
+LEAST_SCATTER = 1.5e-3
+"""Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles as outliers where the
+codec repeats pictures, a larger one widens the search."""
 VIEW_ERROR = 0.05
+"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: a tilt of 0.45 rad
+gives t^2 / 4 = 0.05; a smaller value ignores tilts, a larger one fits noise."""
 
 
 class Prediction:
@@ -96,9 +105,15 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
     return solution, np.asarray(inverse, dtype=np.float64), scatter
 
 
-LOCK_FRAMES = 24  # frames that are scored together until a body is found
-LONGEST_COAST = 40  # frames without the body after which its prediction is no longer trusted
-REACH = 0.35  # half width of the search window about a prediction [rad]
+LOCK_FRAMES = 24
+"""Frames that are scored together until a body is found [frames]. Chosen: fewer lock to other objects, more need an
+even speed for longer."""
+LONGEST_COAST = 40
+"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: fewer lose turns behind an
+obstacle, more follow a wrong motion."""
+REACH = 0.35
+"""Half width of the search window about a prediction [rad]. Chosen: a smaller value loses bodies that change their
+speed, a larger one finds other objects."""
 
 
 @dataclass(frozen=True)
@@ -209,6 +224,8 @@ def net_turn(angle: Floats) -> float:
 
 
 SENSE_TURN = 0.5
+"""Smallest net turn that determines the sense of rotation [rad]. Chosen: a smaller value takes drift for a rotation, a
+larger one ignores short films."""
 """Net rotation [rad] from which a body shows the sense of rotation."""
 
 

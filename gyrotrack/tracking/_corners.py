@@ -34,7 +34,12 @@ from gyrotrack.tracking._polar import Windows
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0  # the factors of the paper's formula
+FACTOR_R = 30.0
+"""Factor of u_r in the uncertainty of the paper [rad]. Source: formula of the paper, see the module docstring."""
+FACTOR_1 = 150.0
+"""Factor of u_1 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+FACTOR_2 = 150.0
+"""Factor of u_2 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +109,14 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
     return np.asarray(np.sqrt((FACTOR_R * u_r) ** 2 + (FACTOR_1 * u_1) ** 2 + (FACTOR_2 * u_2) ** 2))
 
 
-# number of bands into which the rows of a side, and the columns of the near edge, are averaged
-SIDE_BANDS, NEAR_BANDS = 4, 5
-_LEAST_FALL = 1e-9  # fall of grey below which an edge is flat: rounding
+SIDE_BANDS = 4
+"""Number of bands into which the rows of a side are averaged [1]. Chosen: fewer leave the line without redundancy, more
+have noisier edges."""
+NEAR_BANDS = 5
+"""Number of bands into which the columns of the near edge are averaged [1]. Chosen: a parabola has 3 coefficients;
+fewer leave no redundancy, more have noisier edges."""
+_LEAST_FALL = 1e-9
+"""Fall of the score below which an edge is flat [1]. Derived: rounding of floating-point numbers."""
 
 
 def near_corners(

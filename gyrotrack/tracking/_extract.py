@@ -136,7 +136,9 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
+LEAST_TURN = 0.5
+"""Smallest range of an angle for which a body counts as turning [rad]. Chosen: a smaller value reports noise as a
+rotation, a larger one warns about slow bodies."""
 
 
 def extract(
@@ -305,11 +307,15 @@ def _recording(
     )
 
 
-_BODY = (
-    1.5  # radius of the bodies, for example the ring of the casing, relative to the outer end of the markers
-)
-LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
-_STEPS = 12  # frames over which the speed on either side of a gap is measured
+_BODY = 1.5
+"""Radius of the bodies, for example the ring of the casing, relative to the outer end of the markers [1]. Chosen: a
+smaller value takes the rim for the background, a larger one leaves no background."""
+LEAST_TRACKED = 0.8
+"""Smallest share of frames with an angle for a recording without a doubt [1]. Chosen: a smaller value accepts poor
+films, a larger one doubts films with a hand at the start."""
+_STEPS = 12
+"""Frames over which the speed on either side of a gap is measured [frames]. Chosen: fewer measure noise, more include a
+change of the speed."""
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:

@@ -33,7 +33,8 @@ from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
 
-_TOGETHER = 64  # frames measured at a time, whose windows fit into the cache of the processor
+_TOGETHER = 64
+"""Frames measured at a time [frames]. Chosen: memory; their windows fit into the cache of the processor."""
 
 
 class DiscWindow:
@@ -84,16 +85,29 @@ class DiscWindow:
 
 Complexes = npt.NDArray[np.complex128]
 
-HOLE = 8  # correlation length of the errors of a compressed film [frames]
-_HALVES = (24, 48, 96, 192)  # half lengths of the windows of a spectrum [frames]
-# half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`
+HOLE = 8
+"""Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value takes correlated errors for a
+path, a larger one smooths a fast path."""
+_HALVES = (24, 48, 96, 192)
+"""Half widths of the local parabolas of a path that cross-validation compares [frames]. Chosen: by factors of two; a
+shorter one follows noise, a longer one smooths a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
-_ALTERNATIVES = 48  # frames from which the radii of the markers select one of these paths
-_PARTIAL_STEP = 6.0  # displacement of a partly covered disc over the typical one from frame to frame
-_LINE_POWER = 7.0  # power of a line over the floor of its spectrum: noise exceeds it in 0.1 %
-_PIECES = 64  # windows that are transformed together: a limit of memory
-# lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture
+"""Half widths for a hub that moves fast, as in a hand-held film; 0 for one that moves from frame to frame [frames].
+Chosen: by factors of two; see `marked_paths`."""
+_ALTERNATIVES = 48
+"""Frames from which the radii of the markers select one of these paths [frames]. Chosen: fewer select by noise, more
+smooth the hub of a short film."""
+_PARTIAL_STEP = 6.0
+"""Displacement of a partly covered disc over the typical one from frame to frame [1]. Chosen: a smaller value discards
+good views, a larger one keeps displaced ones."""
+_LINE_POWER = 7.0
+"""Power of a line over the floor of its spectrum [1]. Derived: the power of noise is exponentially distributed; it
+exceeds 7 in exp(-7) = 0.1 %."""
+_PIECES = 64
+"""Windows that are transformed together [1]. Chosen: memory; fewer cost time."""
 LEAST_SIGMA = 0.05
+"""Lower limit of the uncertainty of the centre [px]. Chosen: encoders keep a slowly moving disc fixed in the picture; a
+smaller value understates that error."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +154,9 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     return paths
 
 
-_SHAKES = 5.0  # motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR`
+_SHAKES = 5.0
+"""Motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR` [1]. Chosen: a smaller
+value warns of wobbling hubs, a larger one overlooks a hand-held camera."""
 
 
 def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
@@ -290,8 +306,13 @@ def _path_sigma(left: Complexes, half: int) -> float:
     return max(rms * float(np.sqrt(min(length / (1.1 * half), 1.0))), LEAST_SIGMA)
 
 
-_TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
-_RIDGE = 1e-9  # ridge of the normal equations: rounding
+_TURNS_PER_KNOT = 1.0
+"""Distance of the knots of a path without a disc [turns]. Derived: half a turn determines both coordinates of the
+centre; one turn has a reserve."""
+_MOST_KNOTS = 400
+"""Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
+_RIDGE = 1e-9
+"""Ridge of the normal equations [1]. Derived: rounding; it keeps undetermined knots at their place."""
 
 
 def wandering_centre(
@@ -388,9 +409,12 @@ def _rows(
             yield part, at, np.stack([*two, *shape], axis=1)
 
 
-# half width [frames] of the window in which the error of the centre is assumed to be constant
 _REFINED_HALF = 18
-EXPECTED_ERROR = 0.1  # standard deviation [px] of the prior of the error of the centre
+"""Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: some dozen
+frames determine it; a smaller value is noisy, a larger one smooths a wobble."""
+EXPECTED_ERROR = 0.1
+"""Standard deviation of the prior of the error of the centre [px]. Chosen: a smaller value keeps the error, a larger
+one lets noise of the radii move the centre."""
 
 
 @dataclass(frozen=True)

@@ -153,12 +153,20 @@ def _mode(values: Floats) -> float:
     return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
 
 
-MOST_OBSERVATIONS = 2000  # observations of an orbit: more do not reduce its error by place
-LEAST_OBSERVATIONS = 30  # the fewest
-# correlation length of errors by place [rad]; their sixth harmonic is as large as the first
+MOST_OBSERVATIONS = 2000
+"""Largest number of observations of an orbit [1]. Chosen: more cost time and do not reduce its error by place."""
+LEAST_OBSERVATIONS = 30
+"""Smallest number of observations of an orbit [1]. Chosen: fewer let a few outliers decide, more leave short films
+without a fit."""
 CELL = np.pi / 6.0
-LEAST_COVER = 5.0  # part of the turn that an orbit must cover [rad]
-_ROUNDS = 6  # smallest angle [rad] covered by the observations for which the orbit of a marker is fitted
+"""Correlation length of errors by place [rad]. Derived: harmonics of orders 1 to 6 of equal size have 12 independent
+values in a turn."""
+LEAST_COVER = 5.0
+"""Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
+larger one fits few orbits."""
+_ROUNDS = 6
+"""Iterations of a fit of offset and flattening [iterations]. Chosen: fewer stop before outliers and shape agree, more
+cost time."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +260,9 @@ def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
     return found
 
 
-_HIGHER = range(3, 7)  # orders of harmonics of radii that neither an offset nor a tilt causes
+_HIGHER = range(3, 7)
+"""Orders of the harmonics of the radii that neither an offset nor a tilt causes [periods per turn]. Derived: an offset
+causes order 1 and a tilt order 2; errors by place have orders up to 6."""
 
 
 def higher_harmonics(theta: Floats, radius: Floats) -> Floats:

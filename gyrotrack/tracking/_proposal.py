@@ -49,12 +49,23 @@ from gyrotrack.video._decoder import frames_at
 Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
-BINS = 120  # bins of the hue: every 3 degrees
-APART = np.deg2rad(24.0)  # smallest difference between two hues that count as different [rad]
+BINS = 120
+"""Bins of the histogram of the hue [1]. Chosen: 3 degrees; fewer join similar colours, more have noisy heights."""
+APART = np.deg2rad(24.0)
+"""Smallest difference between two hues that count as different [rad]. Chosen: a smaller value divides one marker in
+two, a larger one joins orange and red."""
 SECTOR = np.deg2rad(45.0)
-LEAST_CHANGE = 6.0  # smallest change of chroma of a moving colour [grey levels]
-LEAST_SHARE = 0.004  # smallest share of a hue in the total change of chroma
-MOST = 8  # colours that are proposed
+"""Half width of the sector of a hue [rad]. Derived: a name of a colour covers 45 degrees on either side, see
+`_profile`."""
+LEAST_CHANGE = 6.0
+"""Smallest change of chroma of a moving colour [grey levels]. Chosen: a smaller value finds noise, a larger one loses
+faint markers."""
+LEAST_SHARE = 0.004
+"""Smallest share of a hue in the total change of chroma [1]. Chosen: a smaller value proposes reflections, a larger one
+loses small markers."""
+MOST = 8
+"""Largest number of colours that are proposed [1]. Chosen: more cost time, fewer lose markers in coloured
+surroundings."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +135,24 @@ def apart(a: float, b: float) -> float:
     return float(abs(np.angle(np.exp(1j * (a - b)))))
 
 
-# random triples of points for a centre; more than for a known profile, as most points may be outliers
 TRIALS = 1500
-# smallest contrast times share of samples of a second patch of a hue, relative to the first one
+"""Random triples of points for a centre [1]. Chosen: more than for a known profile, as most points may be outliers;
+fewer may miss the centre."""
 _AMBIGUOUS = 0.35
-_SAME_HUE = 18.0  # difference of equal hues [degrees]
+"""Smallest contrast times share of samples of a second patch of a hue, relative to the first one [1]. Chosen: a smaller
+value doubts reflections, a larger one confuses two marks of one colour."""
+_SAME_HUE = 18.0
+"""Largest difference of equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper, a
+larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
-# smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly
+"""Hues with which a disc is searched for [degrees]. Chosen: a finer step costs time, a coarser one loses contrast; the
+hue is then measured."""
 _LEAST_DISC = 14.0
-_OFF_CENTRE = 0.3  # largest distance of a disc from the centre of the orbits, relative to the smallest radius
+"""Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly; a larger
+value loses faint discs."""
+_OFF_CENTRE = 0.3
+"""Largest distance of a disc from the centre of the orbits, relative to the smallest radius [1]. Chosen: a smaller
+value loses discs under an oblique view, a larger one accepts a marker."""
 
 
 def find_orbit(
@@ -244,9 +264,18 @@ def _without(rings: Rings, seen: SampledMarker) -> Rings:
 
 Mask = npt.NDArray[np.bool_]
 
-EVEN = 0.6  # smallest share of the observations that are in phase with a steady rotation
-_REST_STEP, _MOVED = 2e-3, 0.25
-_FEWEST = 8  # observations from which a rotation is tested
+EVEN = 0.6
+"""Smallest share of the observations that are in phase with a steady rotation [1]. Chosen: a smaller value accepts
+random patches, a larger one rejects occluded markers."""
+_REST_STEP = 2e-3
+"""Largest step of a group at rest [rad per frame]. Chosen: a smaller value reports noise as a rotation, a larger one
+hides a slow body."""
+_MOVED = 0.25
+"""Largest deviation of a group at rest from its mean angle [rad]. Chosen: a smaller value reports noise as a rotation,
+a larger one hides an oscillation."""
+_FEWEST = 8
+"""Smallest number of observations from which a rotation is tested [1]. Chosen: fewer are in phase by chance, more
+reject occluded markers."""
 
 
 @dataclass(frozen=True)
@@ -413,9 +442,12 @@ def left_out(candidate: Candidate) -> str:
     return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-# contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
 _FAINT = 0.3
-SPREAD = 24  # frames from the whole film in addition to its first ones, for bodies at rest at the start
+"""Contrast of a white patch from which it is reported, relative to the smallest contrast of a marker [1]. Chosen: a
+smaller value reports noise, a larger one leaves a faint marker unexplained."""
+SPREAD = 24
+"""Frames from the whole film in addition to its first ones [frames]. Chosen: fewer may miss bodies at rest at the
+start, more cost time."""
 
 
 @dataclass(frozen=True)

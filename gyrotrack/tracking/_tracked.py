@@ -11,7 +11,9 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 
 Floats = npt.NDArray[np.float64]
 
-_MANY_TURNS = 3.0  # number of turns from which an error once per turn is distinguishable from a motion
+_MANY_TURNS = 3.0
+"""Turns from which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer remove uncertainty
+that is real, more overstate it."""
 
 
 @dataclass(frozen=True)
