@@ -106,8 +106,9 @@ def orientation_of(frame: Any, stream: Any) -> Orientation:
     return replace(_ORIENTATIONS.get(signs, Orientation()), aspect=aspect)
 
 
-# most extreme shape of a pixel that a film is shown with; anamorphic films have 4:3
 _WIDEST_PIXEL = 4.0
+"""Most extreme width of a pixel over its height, or the inverse, with which a film is shown [1]. Chosen: anamorphic
+films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
 
 
 def _pixel_aspect(stream: Any) -> float:
@@ -137,9 +138,11 @@ def _view(plane: Any) -> Plane:
     return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))
 
 
-# largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds
 MAX_PIXELS = 64_000_000
-MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguished
+"""Largest picture that is decoded [pixels]. Chosen: memory; a small file can declare far more than memory holds."""
+MIN_SIDE = 32
+"""Smallest side of a picture in which markers can be distinguished [px]. Chosen: a smaller value accepts icons, a
+larger one refuses cropped films."""
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
@@ -379,7 +382,9 @@ def _tagged_rate(metadata: Any) -> float | None:
 
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
-_LONGEST_XML = 2**20  # bytes of a description that are read: a limit of memory
+_LONGEST_XML = 2**20
+"""Largest part of a description that is read [bytes]. Chosen: memory; a longer description may hold the capture rate
+beyond it."""
 
 
 def _sony_rate(path: Path) -> float | None:
