@@ -159,8 +159,8 @@ HARMONIC_SIGMA = 0.02
 """Prior standard deviation of the harmonics [rad]. Chosen: a smaller value keeps errors of an oblique view in the
 residuals, a larger one lets them replace motion."""
 SPLINE_SIGMA = 1.0
-"""Prior standard deviation of the spline from the quartic [rad]. Chosen: it only regularises gaps; a smaller value
-stiffens the motion, a larger one makes the matrix singular."""
+"""Prior standard deviation of the spline from the quartic [rad]. Chosen: a smaller value stiffens the motion, a larger
+one leaves gaps of the record undetermined."""
 HARMONICS = 4
 """Number of harmonics of a camera [1]. Derived: cosine and sine of orders 1 and 2."""
 

@@ -135,8 +135,9 @@ _OTHER_RANGE = 0.05
 """Relative difference of the ranges of their angles, from which both are reported [1]. Chosen: a smaller value reports
 equal answers, a larger one hides different ones."""
 _AS_GOOD = 0.8
-"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous [1]. Chosen: a
-smaller value refuses films with shadows, a larger one may choose the wrong body."""
+"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous; share of a given
+hub below which other hubs are tried [1]. Chosen: a smaller value refuses films with shadows, a larger one may choose
+the wrong body."""
 _HOPELESS = 0.3
 """Explained share, relative to the best candidate or to what is needed, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""

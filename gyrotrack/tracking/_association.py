@@ -25,14 +25,14 @@ FEWEST = 16
 """Recent angles from which a motion is predicted [frames]. Chosen: more than twice the 7 parameters; fewer predict
 badly, more delay the fast search."""
 LONGEST_USE = 130
-"""Frames after which the fit is repeated [frames]. Chosen: `MEMORY` and two frames; more extrapolates too far, less
-costs time."""
+"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; more extrapolates too far, less costs
+time."""
 LEAST_SCATTER = 1.5e-3
-"""Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles as outliers where the
-codec repeats pictures, a larger one widens the search."""
+"""Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles of quiet films, a
+larger one widens the search."""
 VIEW_ERROR = 0.05
-"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: a tilt of 0.45 rad
-gives t^2 / 4 = 0.05; a smaller value ignores tilts, a larger one fits noise."""
+"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: the t^2 / 4 of a tilt t
+of 0.45 rad; a smaller value ignores tilts, a larger one fits noise."""
 
 
 class Prediction:

@@ -92,14 +92,15 @@ _SHOT = 12
 titles."""
 _SMEARED = 0.12
 """Detail along the circles of a ring over that across them, in noise-free gradients, below which the picture is smeared
-[1]. Chosen: a smaller value tracks blurred films, a larger one refuses discs with rings."""
+[1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with rings
+blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link, in this order, by their positions in the first frame: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
 _FAINT = 3.0
 """Change (rms) of the picture in a ring below which it shows no detail, in standard deviations of the noise [1].
-Chosen: a smaller value blames other causes, a larger one reports faint marks as blurred."""
+Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one blames them wrongly."""
 
 
 class RefusedFilmError(TrackingError):

@@ -335,7 +335,7 @@ MOST_FRAMES = 2000
 """Number of frames from which errors of the view are learnt [frames]. Chosen: time; fewer leave them noisier."""
 LEAST_FAST = 0.2
 """Smallest share of fast frames for which curves are learnt from these alone [1]. Chosen: a smaller value learns from
-few frames, a larger one takes motion for error."""
+few frames, a larger one from slow frames, in which motion resembles errors."""
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:

@@ -33,9 +33,6 @@ from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
 
-_TOGETHER = 64
-"""Frames measured at a time [frames]. Chosen: memory; their windows fit into the cache of the processor."""
-
 
 class DiscWindow:
     """A small chroma window about the disc, collected for a batch of frames."""
@@ -413,8 +410,8 @@ _REFINED_HALF = 18
 """Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: some dozen
 frames determine it; a smaller value is noisy, a larger one smooths a wobble."""
 EXPECTED_ERROR = 0.1
-"""Standard deviation of the prior of the error of the centre [px]. Chosen: a smaller value keeps the error, a larger
-one lets noise of the radii move the centre."""
+"""Standard deviation of the prior of the error of the centre [px]. Measured: centre of a red disc in rendered clips
+(H.264, crf 20): 0.09 to 0.10 px per axis."""
 
 
 @dataclass(frozen=True)

@@ -265,8 +265,8 @@ class AngleMap:
 
 
 HIDDEN = 0.55
-"""Height relative to the expected one below which a marker counts as occluded [1]. Chosen: a smaller value keeps
-half-covered markers, a larger one discards shaded ones."""
+"""Height relative to the expected one below which a marker counts as occluded; lower limit of the illumination [1].
+Chosen: a smaller value keeps half-covered markers, a larger one discards shaded ones."""
 CLEAR = 0.95
 """Height above which a marker counts as free of shadows [1]. Chosen: a smaller value keeps blurred edges, a larger one
 discards markers in uneven light."""

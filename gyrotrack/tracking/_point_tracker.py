@@ -116,8 +116,8 @@ _UNSEEN = 1e9
 """Variance of a pixel that no frame shows [grey levels squared]. Chosen: large against any other variance; such a pixel
 has no weight."""
 _ROUGH = 0.5
-"""Standard uncertainty of a rough position [px]. Chosen: whole pixels; a smaller value refuses rough paths, a larger
-one accepts other motions."""
+"""Standard uncertainty of a rough position [px]. Chosen: a smaller value refuses rough paths, a larger one accepts
+other motions."""
 _ROUGHLY_ROUND = 0.06
 """Largest radial scatter of a rough path over its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller value
 refuses blurred bobs, a larger one costs time on other paths."""

@@ -64,8 +64,8 @@ _ROUND = 0.06
 """Largest scatter about the arc over the extent of the path [1]. Chosen: a smaller value refuses blurred bobs, a larger
 one accepts other paths."""
 _OPEN = 0.5 * TURN
-"""Largest range of the direction from the pivot on an open arc [rad]. Derived: half a turn; a path that exceeds it is
-an orbit, whose pivot is in the picture."""
+"""Largest range of the direction from the pivot on an open arc [rad]. Chosen: half a turn; a smaller value refuses wide
+oscillations, a larger one accepts orbits, whose pivot is in the picture."""
 
 
 @dataclass(frozen=True)
@@ -347,8 +347,8 @@ _MEET = 0.03
 """Largest distance of the axes from their common point over their median length [1]. Chosen: a smaller value refuses
 bent rods, a larger one accepts rods without a hub on their axis."""
 _SPREAD = 0.01
-"""Smallest spread of the directions of the axes, the mean square of the sine from the main one [1]. Derived: 0.01 is an
-rms rotation of 0.1 rad; nearly parallel axes have no common point."""
+"""Smallest spread of the directions of the axes, the mean square of the sine from the main one [1]. Chosen: an rms
+rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small oscillations."""
 
 
 def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:

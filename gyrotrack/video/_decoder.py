@@ -336,8 +336,8 @@ SMALL = 0.35
 """Size of a packet, relative to its neighbours, below which it has little information [1]. Chosen: a smaller value
 overlooks repeats, a larger one reports predicted frames."""
 _AROUND = 31
-"""Packets, or frames, of a running quantile [packets]. Chosen: more follow changes of the film late, fewer are
-dominated by repeats."""
+"""Length of a running quantile [packets or frames]. Chosen: more follow changes of the film late, fewer are dominated
+by repeats."""
 _LARGE = 80
 """Quantile of the sizes that is typical of new frames [percent]. Chosen: a lower one is that of repeats where most
 frames are repeated, a higher one that of scene changes."""

@@ -21,7 +21,7 @@ from gyrotrack.video._container import ClipInfo
 
 SLOWEST_PLAIN_RATE = 100.0
 """Container rate below which a film may be in slow motion, and needs the capture rate [1/s]. Chosen: slow motion is
-stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one asks needlessly."""
+stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one requires the rate needlessly."""
 
 
 @dataclass(frozen=True)
