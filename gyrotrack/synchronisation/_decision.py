@@ -126,11 +126,16 @@ class Motion:
     covariance: Floats
 
 
+FEWEST_SAMPLES = 24
+"""Smallest number of samples of a cubic with harmonics [samples]. Chosen: three times its 8 parameters; fewer fit
+noise, more refuse short clips."""
+
+
 def motion(curve: Curve, moment: float) -> Motion | None:
     """Fit a cubic with harmonics about the time `moment`; None if there are too few samples."""
     s = curve.time - moment
     width = np.ptp(s) / 2 if len(s) else 0.0
-    if len(s) < 24 or width <= 0:
+    if len(s) < FEWEST_SAMPLES or width <= 0:
         return None
     u = s / width
     basis = np.column_stack([np.ones_like(u), u, u**2 / 2, u**3 / 6, harmonics(curve.angle)])
@@ -655,6 +660,11 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
+FASTER = 1.02
+"""Speed of the rotor in a later clip over that in an earlier one from which a start may be wrong [1]. Chosen: a smaller
+value warns of noise, a larger one overlooks exchanged clips."""
+
+
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
     """Return warnings about uncertain starts and inconsistent clips."""
     found = []
@@ -674,6 +684,6 @@ def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order
         pair = f"{matches[a].name} and {matches[b].name}"
         if second.time[0] < first.time[-1]:
             found.append(f"{pair} overlap in time")
-        elif np.nanmedian(second.omega) > 1.02 * np.nanmedian(first.omega):
+        elif np.nanmedian(second.omega) > FASTER * np.nanmedian(first.omega):
             found.append(f"{pair}: the rotor is faster in the later clip; one of the starts may be wrong")
     return found

@@ -141,7 +141,7 @@ def without_outliers(curve: Curve) -> Curve:
     slow = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])
     deviation = np.abs(slow - median_smooth(slow, NEIGHBOURS))
     spread = 1.4826 * float(np.median(deviation))
-    return curve.keep(deviation <= 6 * spread) if spread > 0 else curve
+    return curve.keep(deviation <= OUTLIER * spread) if spread > 0 else curve
 
 
 def harmonics(angle: Floats) -> Floats:

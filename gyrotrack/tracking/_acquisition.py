@@ -177,6 +177,11 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     return seen
 
 
+_LEAST_CLEAR = 0.1
+"""Smallest share of the samples in which a marker is clear [1]. Chosen: a smaller value accepts chance, a larger one
+loses markers that are often occluded."""
+
+
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
@@ -200,7 +205,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         apart = (again - column + ring.columns // 2) % ring.columns - ring.columns // 2
         if np.mean(np.abs(apart[clear]) <= 2 * half) > 0.5:
             score = own
-    if size < LEAST_CONTRAST or clear.mean() < 0.1:
+    if size < LEAST_CONTRAST or clear.mean() < _LEAST_CLEAR:
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
     angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
@@ -228,13 +233,20 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
     return np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
 
 
+_TYPICAL = 0.6
+"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: it is occluded in less than
+half of them, and a hand is brighter in less than a third."""
+_CLEARLY = 0.5
+"""Smallest largest score of a sample, relative to the typical one, with a clear marker [1]. Chosen: a smaller value
+accepts residues of the codec, a larger one loses shaded markers."""
+
+
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
     """Return the column with the largest score in each sample, and whether that score is typical."""
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
-    # The marker is occluded in less than half of the samples, and a hand is brighter in less than a third.
-    return column, peak > 0.5 * float(np.quantile(peak, 0.6))
+    return column, peak > _CLEARLY * float(np.quantile(peak, _TYPICAL))
 
 
 def _dwell(angle: Floats, reach: float) -> float:
@@ -254,6 +266,11 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
     return np.asarray((start + shift) * ring.step)
 
 
+_LEAST_KNOWN = 8
+"""Smallest number of samples with the angle of the body for a white marker [samples]. Chosen: fewer leave other objects
+in their mean, more lose the marker in short films."""
+
+
 def find_white(
     samples: Samples,
     frames: Sequence[int],
@@ -268,7 +285,7 @@ def find_white(
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
-    if use.sum() < 8:
+    if use.sum() < _LEAST_KNOWN:
         return None
     luma = samples.luma_strips(ring, frames).astype(np.float32)
     luma -= np.median(luma, axis=0)
@@ -295,6 +312,14 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
     turned[:, apart < 1.6 * marker.half_width] = 0.0
 
 
+_WIDER = 2.5
+"""Largest half width of a white marker over that of the other markers [1]. Chosen: a smaller value refuses white
+markers of another shape, a larger one accepts reflections."""
+_WIDER_BY = 0.05
+"""Additional half width that is allowed [rad]. Chosen: for narrow markers; a smaller value refuses blurred ones, a
+larger one accepts reflections."""
+
+
 def _brightest_place(
     turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker], least: float
 ) -> Marker | None:
@@ -309,7 +334,7 @@ def _brightest_place(
     column = np.argmax(mean, axis=1)
     patch = aligned(np.maximum(turned, 0.0)[None].astype(np.float32), column, np.array([True]))
     extent = extent_of(patch, ring)
-    if extent is None or extent.half_width > 2.5 * half_width + 0.05:
+    if extent is None or extent.half_width > _WIDER * half_width + _WIDER_BY:
         return None
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
     apart = np.abs(np.angle(np.exp(1j * (np.arange(ring.columns) - column[0]) * ring.step)))
@@ -547,10 +572,15 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
     return found
 
 
+_OF_MODE = 0.15
+"""Largest distance of angles from their mode that enter the mean [rad]. Chosen: a smaller value averages few, a larger
+one includes outliers."""
+
+
 def _circular_mode(angle: Floats) -> float:
-    """Return the mean of the angles within 0.15 rad of the angle that has most neighbours."""
+    """Return the mean of the angles within `_OF_MODE` of the angle that has most neighbours."""
     turn = np.exp(1j * angle)
-    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < 0.15
+    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _OF_MODE
     best = int(np.argmax(near.sum(axis=0)))
     return float(np.angle(np.mean(turn[near[:, best]])))
 
@@ -613,12 +643,17 @@ def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floa
     return np.array(points, dtype=np.float64), np.array(group, dtype=np.int64)
 
 
+_BEYOND = 1.1
+"""Distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a smaller value
+includes blurred markers, a larger one misses neighbouring bodies."""
+
+
 def _refuse_second_body(
     orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
 ) -> None:
     """Raise a TrackingError if blobs turn about another centre, too, outside the orbits that were found."""
     outer = max(orbit.radii.values())
-    beyond = np.hypot(*(place - orbit.centre).T) > 1.1 * outer
+    beyond = np.hypot(*(place - orbit.centre).T) > _BEYOND * outer
     other = common_centre(place[beyond], label[beyond])
     if other is None or other.inliers <= 0.5 * count or other.spread < LEAST_COVERED:
         return
@@ -631,12 +666,34 @@ def _refuse_second_body(
         )
 
 
+_LEAST_SCORE = 6.0
+"""Smallest score of a blob [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value accepts noise, a larger one
+loses faint markers."""
+_OVER_NOISE = 4.0
+"""Smallest score of a blob over the 90th percentile of the scores [1]. Chosen: a smaller value accepts noise, a larger
+one loses faint markers."""
+_OF_PEAK = 0.4
+"""Smallest score of a blob over the typical peak of its colour [1]. Chosen: a smaller value joins blobs with their
+surroundings, a larger one divides them."""
+
+
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
-    """Find blobs above 0.4 of the typical peak of a colour in every sample."""
+    """Find blobs above `_OF_PEAK` of the typical peak of a colour in every sample."""
     levels = [np.percentile(score, [90.0, 99.9]) if score.size else (0.0, 0.0) for score in scores]
     noise, peaks = float(np.median([low for low, _ in levels])), [high for _, high in levels]
-    threshold = max(6.0, 4.0 * noise, 0.4 * float(np.median(peaks)))
+    threshold = max(_LEAST_SCORE, _OVER_NOISE * noise, _OF_PEAK * float(np.median(peaks)))
     return [find_blobs(score, threshold, most) for score in scores]
+
+
+_DISC_SEEN = 6.0
+"""Smallest score of a pixel that may belong to a disc [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value
+searches in noise, a larger one loses faint discs."""
+_DISC_PEAK = 10.0
+"""Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
+reflections, a larger one loses faint discs."""
+_DISC_FILL = 0.7
+"""Smallest area of a disc without an orbit over that of the smallest circle about it [1]. Chosen: a full disc has 1; a
+smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
@@ -646,12 +703,12 @@ def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | N
     score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
     if orbit is not None:
         score = score * _near(score.shape, samples, orbit)
-    peak = float(np.percentile(score[score > 0], 99)) if np.any(score > 6.0) else 0.0
-    if peak < 10.0:
+    peak = float(np.percentile(score[score > 0], 99)) if np.any(score > _DISC_SEEN) else 0.0
+    if peak < _DISC_PEAK:
         return None
     blobs = find_blobs(score, 0.5 * peak, most=6)
     if orbit is None:
-        blobs = [blob for blob in blobs if blob.fill > 0.7]
+        blobs = [blob for blob in blobs if blob.fill > _DISC_FILL]
     if not blobs:
         return None
     blob = max(blobs, key=lambda b: b.weight * b.fill**2)

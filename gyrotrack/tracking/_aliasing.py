@@ -57,6 +57,11 @@ def symmetries(template: Template) -> list[int]:
     ]
 
 
+_ONE_WAY = 0.95
+"""Smallest share of the steps in one sense for which another rotation is tried [1]. Chosen: an oscillation has no
+alternative; a smaller value tries one, a larger one leaves noisy rotations aliased."""
+
+
 def unaliased(
     angle: Floats, frame: npt.NDArray[np.int64], template: Template, explained: Callable[[Floats], float]
 ) -> Alias:
@@ -71,7 +76,7 @@ def unaliased(
     usual = float(np.median(steps))
     sense = math.copysign(1.0, usual)
     # an oscillation has no alternative
-    if np.mean(sense * steps > 0) < 0.95:
+    if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
     for n in [*symmetries(template), 1]:
         period = TURN / n
@@ -94,12 +99,17 @@ def unaliased(
     return Alias(angle, None)
 
 
+_FEWEST = 10
+"""Number of angles that a change of the speed requires more than [frames]. Chosen: fewer decide by noise, more leave
+short films aliased."""
+
+
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
     """Return the rotation with a turn per frame less if that slows down while `angle` speeds up; None otherwise.
 
     For markers, which leave only whole turns undetermined.
     """
-    usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > 10 else 0.0
+    usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > _FEWEST else 0.0
     if not _FAST * TURN < abs(usual) < TURN:
         return None
     other = angle - math.copysign(TURN, usual) * (frame - frame[0])

@@ -151,6 +151,14 @@ def find_lock(
     return None
 
 
+_IN_PHASE = 0.25
+"""Largest distance of an angle from an even advance that is in phase with it [rad]. Chosen: a smaller value rejects
+noisy angles, a larger one accepts random ones."""
+_LOCKED = 0.7
+"""Smallest share of the angles in phase with an even advance [1]. Chosen: a smaller value locks to other objects, a
+larger one fails with occlusions."""
+
+
 def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
     span = int(frame[-1]) + 1
 
@@ -168,7 +176,7 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
         step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
     start = float(np.angle(np.mean(np.exp(1j * (angle - step * frame)))))
     off = np.abs(np.angle(np.exp(1j * (angle - (start + step * frame)))))
-    if np.mean(off < 0.25) < 0.7:
+    if np.mean(off < _IN_PHASE) < _LOCKED:
         return None
     return Motion(start, step)
 

@@ -25,6 +25,7 @@ from gyrotrack.tracking._fusion import (
     wrapped,
 )
 from gyrotrack.tracking._hub import (
+    LEAST_RADIUS_SCATTER,
     LEAST_SIGMA,
     CentrePath,
     Radii,
@@ -261,7 +262,7 @@ def _offset_on_casing(radii: Radii, casing: Floats) -> tuple[Floats, Floats]:
         )
         normal, right = apart.T @ apart, apart.T @ excess[keep]
         residual = excess - design @ np.linalg.lstsq(design[keep], excess[keep], rcond=None)[0]
-        scatter = max(spread(residual[keep]), 0.02)
+        scatter = max(spread(residual[keep]), LEAST_RADIUS_SCATTER)
         keep = np.abs(residual) < _CLIP * scatter
     return normal / scatter**2, right / scatter**2
 
@@ -272,6 +273,11 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
     return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
 
 
+_MOST_CHANGE = 50.0
+"""Upper limit of a squared residual over its typical value [1]. Chosen: a marker that is mistaken for another one is an
+outlier; a larger value lets it decide, a smaller one hides a shake."""
+
+
 def _is_better(before: Floats, after: Floats) -> bool:
     """Return whether squared residuals are significantly smaller than those before, on the mean over the markers."""
     gain = []
@@ -279,7 +285,7 @@ def _is_better(before: Floats, after: Floats) -> bool:
         use = np.isfinite(one) & np.isfinite(other)
         size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
         # outliers, as of a marker that is mistaken for another one, are limited
-        change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
+        change = np.clip(one / size, 0.0, _MOST_CHANGE) - np.clip(other / size, 0.0, _MOST_CHANGE)
         groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
         gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
     mean = np.mean(gain, axis=0)
@@ -934,7 +940,19 @@ def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
     return turns and len(known) > 0 and bool(np.ptp(known) < _REST)
 
 
+_LEAST_SHARE = 0.05
+"""Smallest share of frames with an angle of a body that is reported [1]. Chosen: a smaller value reports other objects,
+a larger one omits bodies of which little is seen."""
+_LEAST_SEEN = 3
+"""Smallest number of these frames [frames]. Chosen: fewer do not show a motion, more omit bodies in short films."""
+_MOST_SIGMA = 0.2
+"""Largest median uncertainty of a body that is reported [rad]. Chosen: a smaller value omits bodies in poor films, a
+larger one reports angles without information."""
+
+
 def _credible(body: BodyAngles) -> bool:
-    """Return whether a body has angles in at least 5 % of the frames, with a median uncertainty below 0.2 rad."""
+    """Return whether a body has angles in enough frames, with a median uncertainty below `_MOST_SIGMA`."""
     used = np.isfinite(body.angle)
-    return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)
+    return bool(
+        used.sum() >= max(_LEAST_SEEN, _LEAST_SHARE * len(used)) and np.median(body.sigma[used]) < _MOST_SIGMA
+    )

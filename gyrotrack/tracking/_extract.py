@@ -332,6 +332,11 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
     return tuple(found)
 
 
+_GAP = 3.5
+"""Time between two angles from which turns may be lost [periods]. Chosen: a smaller value doubts single missing frames,
+a larger one overlooks lost turns."""
+
+
 def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[str]:
     """Return doubts about a track by its frames: too few of `count`, or gaps with an undetermined number of turns.
 
@@ -345,7 +350,7 @@ def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[
         )
     step = np.diff(track.time)
     period = float(np.median(step)) if len(step) else np.inf
-    gaps = [int(k) for k in np.flatnonzero(step > 3.5 * period) if k >= _STEPS and k + _STEPS < len(step)]
+    gaps = [int(k) for k in np.flatnonzero(step > _GAP * period) if k >= _STEPS and k + _STEPS < len(step)]
     rates = [
         (track.angle[k] - track.angle[k - _STEPS]) / (track.time[k] - track.time[k - _STEPS])
         - (track.angle[k + 1 + _STEPS] - track.angle[k + 1])

@@ -138,8 +138,13 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003),
     )
     moved: Floats = np.asarray(found[:, 0] - places, dtype=np.float64)
-    moved[(status.ravel() == 0) | (error.ravel() > 20.0)] = np.nan
+    moved[(status.ravel() == 0) | (error.ravel() > _DISSIMILAR)] = np.nan
     return moved
+
+
+_DISSIMILAR = 20.0
+"""Difference of the surroundings of a feature in two frames from which it is lost [grey levels]. Chosen: a smaller
+value loses features in flicker, a larger one keeps occluded ones."""
 
 
 def background(
@@ -213,6 +218,11 @@ def camera_shake(
     return _rigid(places, (tracked(reference, places, frame) for frame in frames))
 
 
+_MEASURED = 0.9
+"""Smallest share of the frames in which the motion of the camera is measured [1]. Chosen: a smaller value interpolates
+over long gaps, a larger one leaves a shake uncorrected."""
+
+
 def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | None:
     """Fit displacement and roll of the picture in each frame by least squares without outliers."""
     centre = places.mean(axis=0).astype(np.float64)
@@ -241,7 +251,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
         turns.append(turn)
     shift, roll = np.array(shifts), np.array(turns)
     known = np.isfinite(roll)
-    if known.mean() < 0.9:
+    if known.mean() < _MEASURED:
         return None
     at = np.arange(len(roll))
     roll = np.interp(at, at[known], roll[known])

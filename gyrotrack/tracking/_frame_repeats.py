@@ -21,6 +21,7 @@ from gyrotrack.tracking._fusion import wrapped
 from gyrotrack.tracking._marker_tracker import plausible
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
+from gyrotrack.video._decoder import REGULAR
 from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
 
 Floats = npt.NDArray[np.float64]
@@ -124,7 +125,7 @@ def _period(runs: list[tuple[int, int]]) -> float:
     if len(first) < FEWEST:
         return float("nan")
     apart = np.diff(first)
-    regular = (np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8
+    regular = (np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR
     return float(np.polyfit(np.arange(len(first)), first, 1)[0]) if regular else float("nan")
 
 

@@ -245,18 +245,28 @@ def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexe
     return np.asarray(np.where(np.isfinite(fitted), fitted, z))
 
 
+_TRIMMED = 0.95
+"""Share of the smallest errors that enter the mean [1]. Chosen: a smaller value ignores fast parts of the path, a
+larger one is dominated by outliers."""
+
+
 def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
     """Return the trimmed mean square error of the prediction of points from others at least `HOLE` frames away."""
     error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
     inner = slice(half // 2, len(z) - half // 2)
     core = np.sort(error[inner][weight[inner] > 0])
-    return float(core[: max(int(0.95 * len(core)), 1)].mean()) if len(core) else float("inf")
+    return float(core[: max(int(_TRIMMED * len(core)), 1)].mean()) if len(core) else float("inf")
+
+
+_FEWEST_OF_LINES = 96
+"""Smallest number of frames whose spectrum shows lines [frames]. Chosen: fewer give an uncertain floor, more smooth the
+precession of short films."""
 
 
 def _lines(rest: Complexes) -> Complexes:
     """Return the spectral lines of a series by short-time Fourier transform (Hann windows, half overlapping)."""
     n = len(rest)
-    if n < 96:
+    if n < _FEWEST_OF_LINES:
         return np.zeros(n, dtype=np.complex128)
     size = 64 if n < 1024 else 128
     hop = size // 2
@@ -293,13 +303,21 @@ def _floor(power: Floats) -> Floats:
     return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
 
 
+_MOST_LAGS = 48
+"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut a slow correlation
+off."""
+_CORRELATED = 0.1
+"""Smallest correlation that enters the sum [1]. Chosen: a smaller value sums noise, a larger one understates the
+uncertainty."""
+
+
 def _path_sigma(left: Complexes, half: int) -> float:
     """Return the standard uncertainty of the smoothed path: rms residual, reduced by averaging correlated noise."""
     rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
-    lags = min(48, len(left) // 4)
+    lags = min(_MOST_LAGS, len(left) // 4)
     base = float(np.mean(np.abs(left) ** 2)) + 1e-12
     chain = [float(np.mean((left[k:] * left[: len(left) - k].conj()).real)) / base for k in range(1, lags)]
-    length = 1.0 + 2.0 * sum(c for c in chain if c > 0.1)
+    length = 1.0 + 2.0 * sum(c for c in chain if c > _CORRELATED)
     return max(rms * float(np.sqrt(min(length / (1.1 * half), 1.0))), LEAST_SIGMA)
 
 
@@ -310,6 +328,11 @@ _MOST_KNOTS = 400
 """Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
 _RIDGE = 1e-9
 """Ridge of the normal equations [1]. Derived: rounding; it keeps undetermined knots at their place."""
+
+
+_FEWEST_PLACES = 12
+"""Smallest number of places of markers that determine the path of a centre [1]. Chosen: fewer fit noise, more refuse
+short films."""
 
 
 def wandering_centre(
@@ -325,7 +348,7 @@ def wandering_centre(
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
     use = weight & np.isfinite(place).all(axis=1)
-    if use.sum() < 12:
+    if use.sum() < _FEWEST_PLACES:
         return CentrePath(path, np.full(n, np.nan), 0)
     knots = 1 if still else _knots(place - path, use)
     error = float("nan")
@@ -422,6 +445,14 @@ class Radii:
     excess: Floats
 
 
+_FEWEST_RADII = 20
+"""Smallest number of radii of a marker from which their scatter is known [1]. Chosen: fewer give a scatter by chance,
+more ignore markers in short films."""
+LEAST_RADIUS_SCATTER = 0.02
+"""Lower limit of the scatter of the radii of a marker [px]. Chosen: a smaller value gives drawn films too much weight,
+a larger one ignores precise radii."""
+
+
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct the path of a centre by the radii of the markers about it.
 
@@ -432,9 +463,12 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     normal, right = np.zeros((3, count)), np.zeros((2, count))
     for wanted in markers:
         known = np.isfinite(wanted.excess) & np.isfinite(wanted.direction)
-        if known.sum() < 20:
+        if known.sum() < _FEWEST_RADII:
             continue
-        scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
+        scatter, limits = (
+            max(spread(wanted.excess[known]), LEAST_RADIUS_SCATTER),
+            _limits(wanted.excess[known]),
+        )
         for part in row_blocks(count):
             weight = known[part] / scatter**2
             angle = np.where(known[part], wanted.direction[part], 0.0)

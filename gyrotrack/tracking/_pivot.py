@@ -151,6 +151,11 @@ class Arc:
         return self.curvature > STRAIGHT * self.curvature_u
 
 
+_OUTLIER = 5.0
+"""Distance from the circle from which a position is an outlier, in robust standard deviations [1]. Chosen: a smaller
+value rejects good positions, a larger one keeps other matches."""
+
+
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
@@ -179,7 +184,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     rest = distance(best)
     # outliers, for example frames in which something else was matched, have been given little weight
     typical = max(1.4826 * float(np.median(np.abs(rest / s))), 1e-12)
-    use = np.abs(rest / s) < 5.0 * typical
+    use = np.abs(rest / s) < _OUTLIER * typical
 
     def of_used(c: Floats) -> Floats:
         return np.asarray(normalised(c)[use])

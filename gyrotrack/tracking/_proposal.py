@@ -165,10 +165,17 @@ def find_orbit(
     return orbits_about(place, label_of, hub) if hub else common_centre(place, label_of, trials=TRIALS)
 
 
+_LEAST_SCORE = 4.0
+"""Smallest score of a blob [grey levels]. Chosen: a smaller value accepts noise, a larger one loses faint markers."""
+_OF_PEAK = 0.4
+"""Smallest score of a blob over the typical 90th percentile of its colour [1]. Chosen: a smaller value joins blobs with
+their surroundings, a larger one divides them."""
+
+
 def _blobs(moving: MovingColour, hue: float) -> list[list[Blob]]:
     scores = moving.scores(hue)
     peaks = [float(np.percentile(score[score > 0], 90)) for score in scores if np.any(score > 0)]
-    threshold = max(4.0, 0.4 * float(np.median(peaks))) if peaks else np.inf
+    threshold = max(_LEAST_SCORE, _OF_PEAK * float(np.median(peaks))) if peaks else np.inf
     return [find_blobs(score, threshold, most=3) for score in scores]
 
 
@@ -308,6 +315,11 @@ class Group:
         return sum(c.contrast * float(c.sampled.clear.mean()) for c in self.members)
 
 
+_IN_PHASE = 0.35
+"""Largest distance of an angle from a steady rotation that is in phase with it [rad]. Chosen: a smaller value rejects
+changes of the speed, a larger one accepts random angles."""
+
+
 def rotation(angle: Floats, use: Mask) -> SteadyRotation:
     """Find the step for which most angles of consecutive frames, (n,) in rad, are in phase."""
     frame = np.flatnonzero(use)
@@ -319,7 +331,7 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
     step = float(steps[np.argmax(power)])
     start = float(np.angle(np.sum(phasor * np.exp(-1j * step * frame))))
     off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
-    return SteadyRotation(step, float(np.mean(off < 0.35)))
+    return SteadyRotation(step, float(np.mean(off < _IN_PHASE)))
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
@@ -560,6 +572,14 @@ def _samples(video: Path) -> Samples:
     return Samples((*first.frames[: first.head], *keys), first.head)
 
 
+_THINNER = 0.4
+"""Smallest size of a white marker over that of the others of its body [1]. Chosen: the inverse of `_THICKER`; a smaller
+value accepts reflections, a larger one refuses other shapes."""
+_THICKER = 2.5
+"""Largest size of a white marker over that of the others of its body [1]. Chosen: a smaller value refuses other shapes,
+a larger one accepts reflections."""
+
+
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
     """Find a white marker on the rotor; a faint one is returned without a profile."""
     group = bodies.get("rotor")
@@ -573,8 +593,8 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         marker = find_white(samples, range(samples.head), ring, proposed, others, least)
         if marker is None or not is_marker_sized(marker):
             continue
-        alike = 0.4 < (marker.outer - marker.inner) / float(np.median(lengths)) < 2.5
-        alike &= 0.4 < marker.half_width / float(np.median(widths)) < 2.5
+        alike = _THINNER < (marker.outer - marker.inner) / float(np.median(lengths)) < _THICKER
+        alike &= _THINNER < marker.half_width / float(np.median(widths)) < _THICKER
         if alike and least < LEAST_CONTRAST:
             return marker
         if alike:

@@ -254,10 +254,15 @@ def _declared_duration(container: Any, stream: Any) -> float:
     return float(container.duration / av.time_base)
 
 
+_MISSING = 1.2
+"""Largest ratio of the nominal rate to the average one that missing frames explain [1]. Chosen: a smaller value uses a
+rate biased by missing frames, a larger one the inverse of an unusual time base."""
+
+
 def _nominal_rate(stream: Any) -> Any:
     """Return the rate of a stream; the average is biased by missing frames, the nominal one by unusual time bases."""
     average, nominal = stream.average_rate, stream.base_rate
-    if average and nominal and 1.0 <= float(nominal / average) < 1.2:
+    if average and nominal and 1.0 <= float(nominal / average) < _MISSING:
         return nominal
     return average or stream.guessed_rate
 
@@ -372,11 +377,19 @@ def _stated_rate(path: Path, container: Any, stream: Any) -> float | None:
     return _tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path)
 
 
+_SLOWEST = 1.0
+"""Smallest capture rate of a tag that is plausible [1/s]. Chosen: a smaller value accepts empty tags, a larger one
+ignores time lapses."""
+_FASTEST = 1.0e6
+"""Largest capture rate of a tag that is plausible [1/s]. Chosen: a larger value accepts damaged tags, a smaller one
+ignores fast cameras."""
+
+
 def _tagged_rate(metadata: Any) -> float | None:
     for tag in _RATE_TAGS:
         with contextlib.suppress(KeyError, ValueError, TypeError):
             value = float(metadata[tag])
-            if 1.0 <= value <= 1.0e6:
+            if _SLOWEST <= value <= _FASTEST:
                 return value
     return None
 
@@ -397,7 +410,7 @@ def _sony_rate(path: Path) -> float | None:
     if path.suffix.lower() in {".mp4", ".mov", ".m4v"} and path.is_file():
         texts += _meta_boxes(path)
     rates = (float(m[1]) for m in map(_SONY_RATE.search, texts) if m)
-    return next((rate for rate in rates if 1.0 <= rate <= 1.0e6), None)
+    return next((rate for rate in rates if _SLOWEST <= rate <= _FASTEST), None)
 
 
 def _meta_boxes(path: Path) -> list[bytes]:

@@ -423,7 +423,12 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return place[np.diff(place, prepend=-2) > 1]
 
 
+REGULAR = 0.8
+"""Smallest share of the distances of repeats that are equal, for repeats that are periodic [1]. Chosen: a smaller value
+finds a period in chance, a larger one needs all repeats to be detected."""
+
+
 def _regular(start: npt.NDArray[np.int64]) -> bool:
     """Return whether runs are periodic up to one frame of rounding, as after a conversion."""
     apart = np.diff(start)
-    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)
+    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR)

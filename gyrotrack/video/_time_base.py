@@ -51,14 +51,19 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     return CaptureRate(info.container_fps, "container")
 
 
+_SAME_RATE = 1.0e-3
+"""Largest relative difference of two rates that count as equal [1]. Chosen: a smaller value warns of rounded rates, a
+larger one hides a wrong rate."""
+
+
 def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     found = []
-    if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > 1.0e-3:
+    if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > _SAME_RATE:
         found.append(
             f"The container plays at {info.container_fps:g} fps; "
             f"times are from the capture rate of {fps:g} fps ({source})."
         )
-    if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
+    if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > _SAME_RATE:
         found.append(f"The tag of the camera states {info.tag_fps:g} fps, not {fps:g} fps.")
     return tuple(found)
 
