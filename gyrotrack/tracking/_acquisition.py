@@ -316,8 +316,8 @@ _WIDER = 2.5
 """Largest half width of a white marker over that of the other markers [1]. Chosen: a smaller value refuses white
 markers of another shape, a larger one accepts reflections."""
 _WIDER_BY = 0.05
-"""Additional half width that is allowed [rad]. Chosen: for narrow markers; a smaller value refuses blurred ones, a
-larger one accepts reflections."""
+"""Half width by which a white marker may exceed that limit, `_WIDER` [rad]. Chosen: for narrow markers; a smaller value
+refuses blurred ones, a larger one accepts reflections."""
 
 
 def _brightest_place(

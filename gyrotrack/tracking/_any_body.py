@@ -93,8 +93,8 @@ _PATH_SETTLED = 0.02
 """Step that ends the iterations for the displacement of a frame of a body far from its hub [px]. Chosen: a larger value
 stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
-"""Number of iterations for the hub of such a body [iterations]. Chosen: fewer stop before distance and template agree,
-more cost time."""
+"""Number of iterations for the hub of a body far from it [iterations]. Chosen: fewer stop before distance and template
+agree, more cost time."""
 _FEWEST_STEPS = 4.0
 """Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
 smaller value takes a cut for a rotation, a larger one refuses short motions."""
@@ -132,8 +132,8 @@ _AS_MUCH = 1.1
 """Unexplained share with another hub over that with the best one, up to which both are reported [1]. Chosen: a smaller
 value hides rivals, a larger one reports worse hubs."""
 _OTHER_RANGE = 0.05
-"""Relative difference of the ranges of their angles, from which both are reported [1]. Chosen: a smaller value reports
-equal answers, a larger one hides different ones."""
+"""Relative difference of the ranges of the angles about two hubs, from which both are reported [1]. Chosen: a smaller
+value reports equal answers, a larger one hides different ones."""
 _AS_GOOD = 0.8
 """Explained share of a second body, relative to the best candidate, from which the film is ambiguous; share of a given
 hub below which other hubs are tried [1]. Chosen: a smaller value refuses films with shadows, a larger one may choose
@@ -148,9 +148,9 @@ _CLEAR = 0.6
 """Explained share from which a candidate is refined at once [1]. Chosen: a smaller value refines more candidates, a
 larger one tries all of them roughly first."""
 _FEW_FRAMES = 12
-"""Frames of the cheap refinement [frames]. Chosen: fewer decide by noise, more cost time."""
+"""Frames of the cheap refinement of a candidate [frames]. Chosen: fewer decide by noise, more cost time."""
 _FEW_STEPS = 3
-"""Iterations of the cheap refinement [iterations]. Chosen: fewer stop early, more cost time."""
+"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
 _PROMISING = 0.85
 """Share of what is to be explained that the cheap refinement reaches [1]. Chosen: few frames are explained better than
 many; a smaller value refines more candidates, a larger one may omit the true hub."""

@@ -944,7 +944,8 @@ _LEAST_SHARE = 0.05
 """Smallest share of frames with an angle of a body that is reported [1]. Chosen: a smaller value reports other objects,
 a larger one omits bodies of which little is seen."""
 _LEAST_SEEN = 3
-"""Smallest number of these frames [frames]. Chosen: fewer do not show a motion, more omit bodies in short films."""
+"""Smallest number of frames with an angle of a body that is reported [frames]. Chosen: fewer do not show a motion, more
+omit bodies in short films."""
 _MOST_SIGMA = 0.2
 """Largest median uncertainty of a body that is reported [rad]. Chosen: a smaller value omits bodies in poor films, a
 larger one reports angles without information."""

@@ -147,7 +147,8 @@ _SIDE_FROM = 0.12
 """Begin of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a smaller
 value includes the rounded corner, a larger one extrapolates farther."""
 _SIDE_TO = 0.85
-"""End of this part [1]. Chosen: a larger value includes the far corner, a smaller one gives a noisy direction."""
+"""End of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a larger
+value includes the far corner, a smaller one gives a noisy direction."""
 
 
 def _side_edges(

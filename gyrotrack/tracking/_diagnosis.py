@@ -47,8 +47,8 @@ _WITH_CAMERA = 0.7
 """Smallest share of all features that move with the camera [1]. Chosen: a smaller value takes a large body for the
 camera, a larger one overlooks parallax."""
 _WHOLE = 0.4
-"""Smallest share of the picture within these features [1]. Chosen: a smaller value takes a large body for the camera, a
-larger one overlooks a camera before blank walls."""
+"""Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
+large body for the camera, a larger one overlooks a camera before blank walls."""
 _NO_HUB = 0.3
 """Residual (rms) of the displacements of the picture from those about one hub over their rms, from which it does not
 turn about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held
@@ -61,8 +61,8 @@ _SECOND = 0.25
 """Smallest share of the features that move which the first motion does not explain [1]. Chosen: a smaller value finds a
 second body in outliers, a larger one overlooks a small one."""
 _EXPLAINED = 0.5
-"""Smallest share of these that the second motion explains [1]. Chosen: a smaller value finds a second body in outliers,
-a larger one overlooks a blurred one."""
+"""Smallest share of the features left by the first motion that the second one explains [1]. Chosen: a smaller value
+finds a second body in outliers, a larger one overlooks a blurred one."""
 _OTHER_TURN = 0.3
 """Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value divides a deformed picture,
 a larger one overlooks links of similar speed."""
@@ -85,8 +85,8 @@ _CUT_LEAST = 6.0
 """Smallest change of a frame at a cut [grey levels]. Chosen: a smaller value finds cuts in noise, a larger one
 overlooks cuts between similar shots."""
 _REMAINS = 0.5
-"""Smallest share of this change by which the mean pictures before and after differ [1]. Chosen: a fast body changes
-every frame, but not the mean of several; a larger value overlooks cuts."""
+"""Smallest difference of the mean pictures before and after a cut, relative to its change [1]. Chosen: a fast body
+changes every frame, but not the mean of several; a larger value overlooks cuts."""
 _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""

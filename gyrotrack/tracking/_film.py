@@ -505,8 +505,8 @@ _COLOUR = 24.0
 """Smallest chroma of a coloured pixel [grey levels]. Chosen: a smaller value finds colour in tinted light, a larger one
 overlooks faint markers."""
 _FEWEST_COLOURED = 12
-"""Smallest number of coloured pixels in a frame [pixels]. Chosen: a smaller value finds colour in noise, a larger one
-overlooks small markers."""
+"""Smallest number of coloured pixels in a frame of a coloured film [pixels]. Chosen: a smaller value finds colour in
+noise, a larger one overlooks small markers."""
 
 
 def is_coloured(path: Path, frames: int = 12) -> bool:
@@ -599,8 +599,8 @@ _NEIGHBOURS = 9
 """Frames of the running quantile about a frame [frames]. Chosen: more follow changes of the speed late, fewer are
 dominated by repeats."""
 _MOVING = 7
-"""Rank of the change among these frames that is typical of them [1]. Chosen: a lower rank is a repeat where few frames
-are new, a higher one is an outlier."""
+"""Rank of the change among `_NEIGHBOURS` frames that is typical of them [1]. Chosen: a lower rank is a repeat where few
+frames are new, a higher one is an outlier."""
 _REPEATED = 0.1
 """Largest change of a repeated frame, relative to the typical one [1]. Chosen: a smaller value keeps repeats that were
 encoded again, a larger one drops frames of slow motion."""

@@ -71,8 +71,8 @@ LEARNT = 256
 """Smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the
 parts are tracked [frames]. Chosen: fewer give noisy maps, more delay the start."""
 MOST_LEARNT = 8
-"""Largest number of such parts [1]. Chosen: the cost does not grow with the film; more cost time, fewer give noisier
-maps."""
+"""Largest number of parts from whose beginnings illumination and occlusion are learnt [1]. Chosen: the cost does not
+grow with the film; more cost time, fewer give noisier maps."""
 _RATE = 24
 """Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
 include a change of it."""

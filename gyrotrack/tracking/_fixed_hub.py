@@ -34,8 +34,8 @@ _DRIFT_SHARE = 0.015
 """Largest displacement of a body on an axle, relative to the mean radius of the ring [1]. Measured: a block on a
 spring: 0.02; three bodies of changing size: 0.09."""
 _MOST_FRAMES = 0.8
-"""Quantile of the displacements that is compared with these limits [1]. Chosen: a larger value is dominated by bad
-frames, a smaller one hides short motions."""
+"""Quantile of the displacements of a body that is compared with `_DRIFT` and `_DRIFT_SHARE` [1]. Chosen: a larger value
+is dominated by bad frames, a smaller one hides short motions."""
 REFUSED = 2.0
 """Displacement over its limit from which no body is on an axle [1]. Chosen: a smaller value refuses wobbling hubs, a
 larger one measures bodies that translate."""

@@ -92,8 +92,8 @@ _SHORT_HALVES = (2, 6, 12, 0)
 """Half widths for a hub that moves fast, as in a hand-held film; 0 for one that moves from frame to frame [frames].
 Chosen: by factors of two; see `marked_paths`."""
 _ALTERNATIVES = 48
-"""Frames from which the radii of the markers select one of these paths [frames]. Chosen: fewer select by noise, more
-smooth the hub of a short film."""
+"""Frames from which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: fewer select by noise,
+more smooth the hub of a short film."""
 _PARTIAL_STEP = 6.0
 """Displacement of a partly covered disc over the typical one from frame to frame [1]. Chosen: a smaller value discards
 good views, a larger one keeps displaced ones."""

@@ -32,8 +32,8 @@ _FIRST = 5
 """Distance of the pairs that show whether the others are needed [pairs]. Chosen: a larger value decides by few pairs, a
 smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-"""Residual of the displacements from those about one hub over the displacements (medians), beyond which these pairs
-have no common hub [1]. Measured: bodies whose features show their hub: 0.07 to 0.5; without any rotation it is 1."""
+"""Residual of the displacements from those about one hub over the displacements (medians), beyond which pairs have no
+common hub [1]. Measured: bodies whose features show their hub: 0.07 to 0.5; without any rotation it is 1."""
 _FEWEST_PAIRS = 4
 """Smallest number of pairs with a rotation that a hub needs [pairs]. Chosen: fewer agree by chance, more omit the
 hub."""

@@ -61,8 +61,8 @@ _SHOWN = 0.6
 """Smallest share of the frames in which a link is seen [1]. Chosen: a smaller value finds links in shadows, a larger
 one overlooks links that cross the body."""
 _TURNS_WITH = 0.75
-"""Largest share of these frames in which one direction of the body shows the link [1]. Measured: links of drawn double
-pendulums: 0.4 to 0.6; a part of the body: 1."""
+"""Largest share of the frames with a link in which one direction of the body shows it [1]. Measured: links of drawn
+double pendulums: 0.4 to 0.6; a part of the body: 1."""
 
 
 def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]) -> Floats:

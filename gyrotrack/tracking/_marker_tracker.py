@@ -314,8 +314,8 @@ _OFF_MIDDLE = 0.25
 """Largest distance of the middle of the corners from the fine angle, in half widths [1]. Chosen: a smaller value omits
 corners of blurred markers, a larger one keeps those of other edges."""
 _OFF_MIDDLE_BY = 0.01
-"""Additional distance that is allowed [rad]. Chosen: for narrow markers; a smaller value omits their corners, a larger
-one keeps those of other edges."""
+"""Distance by which the middle of the corners may exceed `_OFF_MIDDLE` [rad]. Chosen: for narrow markers; a smaller
+value omits their corners, a larger one keeps those of other edges."""
 _OTHER_WIDTH = 0.3
 """Largest relative difference of the half width of the corners from the typical one [1]. Chosen: a smaller value omits
 corners of blurred markers, a larger one keeps those of other edges."""
@@ -323,8 +323,8 @@ _OFF_EDGE = 0.35
 """Largest distance of the corners from the near edge, in lengths of the marker [1]. Chosen: a smaller value omits
 corners of an oblique view, a larger one keeps those of other edges."""
 _OFF_EDGE_BY = 2.0
-"""Additional distance that is allowed [px]. Chosen: one sample of the chroma; a smaller value omits corners of short
-markers, a larger one keeps those of other edges."""
+"""Distance by which the corners may exceed `_OFF_EDGE` [px]. Chosen: one sample of the chroma; a smaller value omits
+corners of short markers, a larger one keeps those of other edges."""
 
 
 class MarkerTracker:
@@ -504,20 +504,20 @@ _LEAST_GAIN = 0.25
 """Smallest height, relative to the template, of a profile that enters a template [1]. Chosen: a smaller value admits
 noise, a larger one fails where the light falls."""
 _MOST_GAIN = 4.0
-"""Largest height of such a profile [1]. Chosen: a larger value admits glare, a smaller one fails where the light
-rises."""
+"""Largest height, relative to the template, of a profile that enters a template [1]. Chosen: a larger value admits
+glare, a smaller one fails where the light rises."""
 _MOST_WEAKNESS = 4.0
-"""Largest factor on the uncertainty of such a profile [1]. Chosen: a larger value admits covered markers, a smaller one
-leaves few profiles."""
+"""Largest factor on the uncertainty of a profile that enters a template [1]. Chosen: a larger value admits covered
+markers, a smaller one leaves few profiles."""
 _FEWEST_WHOLE = 6
 """Smallest number of unoccluded profiles for which the others are not used [frames]. Chosen: fewer give a noisy
 template, more admit covered markers."""
 _OF_TYPICAL = 0.6
-"""Smallest height over the median of these profiles [1]. Chosen: a smaller value admits shaded markers, a larger one
-leaves few profiles."""
+"""Smallest height of a profile that enters a template over the median of all [1]. Chosen: a smaller value admits shaded
+markers, a larger one leaves few profiles."""
 _OF_MISFIT = 1.2
-"""Largest misfit over the median of these profiles [1]. Chosen: a larger value admits disturbed profiles, a smaller one
-leaves few."""
+"""Largest misfit of a profile that enters a template over the median of all [1]. Chosen: a larger value admits
+disturbed profiles, a smaller one leaves few."""
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:

@@ -120,11 +120,11 @@ _SLIDING = 1.0
 """Displacement in `_LAG` frames from which a body is in motion [px]. Chosen: a smaller value includes rest, a larger
 one cuts slow ends."""
 _TURNING = 3.0
-"""Change of its picture (rms) over the noise from which it is in motion [1]. Chosen: a smaller value includes rest, a
-larger one cuts slow ends."""
+"""Change (rms) of the picture of a body over the noise from which it is in motion [1]. Chosen: a smaller value includes
+rest, a larger one cuts slow ends."""
 _TURNED = 0.2
-"""Change of its picture (rms), relative to its largest change, from which it is in motion [1]. Chosen: changes by the
-codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
+"""Change (rms) of the picture of a body, relative to its largest change, from which it is in motion [1]. Chosen:
+changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
 _STEADY = 9
 """Frames of a window in which most show the motion [frames]. Chosen: fewer end the motion at a single frame, more blur
 its ends."""

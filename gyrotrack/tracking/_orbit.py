@@ -99,8 +99,8 @@ _SMALLEST = 16.0
 """Smallest square of the longest side of three points that determine a circle [px2]. Chosen: 4 px; a smaller value is
 dominated by noise, a larger one refuses small orbits."""
 _COLLINEAR = 0.05
-"""Smallest cross product of two sides over this square [1]. Chosen: a smaller value accepts circles that noise
-determines, a larger one refuses short arcs."""
+"""Smallest cross product of two sides over the square of the longest one, for three points that determine a circle [1].
+Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
 
 
 def circumcentre(triple: Floats) -> Floats | None:
@@ -139,8 +139,8 @@ _WITHIN_SHARE = 0.05
 """Largest relative difference of the radius of an inlier from the mode of its group [1]. Chosen: a smaller value
 refuses oblique views, a larger one accepts random points."""
 _WITHIN = 1.5
-"""Lower limit of this difference [px]. Chosen: a smaller value rejects blurred blobs, a larger one accepts random
-points near the centre."""
+"""Lower limit of the largest difference of the radius of an inlier from the mode of its group [px]. Chosen: a smaller
+value rejects blurred blobs, a larger one accepts random points near the centre."""
 _LEAST_RADIUS = 6.0
 """Smallest radius of an orbit [px]. Chosen: a smaller value finds the disc at the centre, a larger one refuses small
 bodies."""

@@ -46,8 +46,8 @@ _OFF = 8.0
 """Distance from the arc, in standard deviations of the residuals, beyond which a frame shows something else [1].
 Chosen: a smaller value discards good frames, a larger one keeps wrong matches."""
 _OFF_LEAST = 0.5
-"""Lower limit of this distance [px]. Chosen: a smaller value discards good frames of sharp films, a larger one keeps
-wrong matches."""
+"""Lower limit of the distance from the arc beyond which a frame shows something else [px]. Chosen: a smaller value
+discards good frames of sharp films, a larger one keeps wrong matches."""
 _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
@@ -72,14 +72,14 @@ _ALWAYS = 0.9
 """Smallest share of the frames in which a point that was not selected is found [1]. Chosen: a smaller value accepts
 other objects, a larger one refuses films with occlusions."""
 _ROUND = 0.03
-"""Largest radial scatter of such a point over the extent of its path [1]. Chosen: a smaller value refuses blurred bobs,
-a larger one accepts other paths."""
+"""Largest radial scatter of a point that was not selected over the extent of its path [1]. Chosen: a smaller value
+refuses blurred bobs, a larger one accepts other paths."""
 _REVERSALS = 2
-"""Number of passages that the path of such a point exceeds to be that of an oscillation [1]. Chosen: a thrown ball does
-not retrace its path; a larger value refuses short films."""
+"""Number of passages that the path of a point that was not selected exceeds to be that of an oscillation [1]. Chosen: a
+thrown ball does not retrace its path; a larger value refuses short films."""
 _TURNS = 1.2
-"""Turns from which such a point moves about a pivot [turns]. Chosen: a thrown ball does not retrace its path; a smaller
-value accepts it, a larger one refuses short films."""
+"""Turns from which a point that was not selected moves about a pivot [turns]. Chosen: a thrown ball does not retrace
+its path; a smaller value accepts it, a larger one refuses short films."""
 _JUMP = 5.0
 """Step of the angle from frame to frame over its median from which the point jumps, for example the next throw of a
 ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows jumps."""
@@ -479,11 +479,11 @@ _GAP = 0.25 * TURN
 """Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse
 undetermined, a smaller one refuses few positions."""
 _ELLIPSE = 0.03
-"""Largest deviation (rms) of its points from the ellipse over its radius [1]. Chosen: a smaller value refuses blurred
-points, a larger one accepts other paths."""
+"""Largest deviation (rms) of the points of an orbit from the ellipse over its radius [1]. Chosen: a smaller value
+refuses blurred points, a larger one accepts other paths."""
 _BETTER = 0.5
-"""Largest ratio of this deviation to that from a circle [1]. Chosen: a smaller value leaves small tilts uncorrected, a
-larger one fits noise."""
+"""Largest ratio of the deviation of an orbit from the ellipse to that from a circle [1]. Chosen: a smaller value leaves
+small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:

@@ -94,9 +94,10 @@ _TURN_ROUNDS = 3
 """Alternations of the path and the rotation of a patch [iterations]. Chosen: fewer stop before they agree, more cost
 time."""
 _STEPS = 8
-"""Largest number of Gauss-Newton steps [iterations]. Chosen: fewer stop early, more cost time."""
+"""Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _SMALL_STEP = 0.005
-"""Step that ends them [px]. Chosen: a larger value stops early, a smaller one costs time."""
+"""Gauss-Newton step that ends the registration of a patch [px]. Chosen: a larger value stops early, a smaller one costs
+time."""
 _LARGEST = 0.5
 """Largest displacement by Gauss-Newton steps [radii]. Chosen: a smaller value omits frames with a rough start, a larger
 one accepts other objects."""

@@ -39,7 +39,8 @@ _ROUNDS = 2
 """Alternations of body and fixed picture [iterations]. Chosen: fewer leave a part of one in the other, more cost
 time."""
 _CLOSE = 1e-3
-"""Step that ends the iterations [columns]. Chosen: a larger value stops early, a smaller one costs time."""
+"""Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
+costs time."""
 ALL = slice(None)
 
 
@@ -426,8 +427,8 @@ _LEAST_JUMP = 6.0
 """Smallest change of the step beyond which it needs a higher correlation [columns]. Chosen: a smaller value refuses
 changes of slow bodies, a larger one follows the next spoke."""
 _UNLIKELY = 0.3
-"""Part of the maximum by which such a change raises the correlation at least [1]. Chosen: a smaller value follows the
-next spoke, a larger one refuses true jumps."""
+"""Part of the maximum by which a change of the step raises the correlation at least [1]. Chosen: a smaller value
+follows the next spoke, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:

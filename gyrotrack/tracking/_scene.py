@@ -93,8 +93,8 @@ LATER = 32
 """Number of samples from the rest of a film with fewer key frames [frames]. Chosen: more cost time, fewer give a poor
 background."""
 DECODED = 240
-"""Largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller [frames]. Chosen:
-time; fewer sample the film less evenly."""
+"""Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
+[frames]. Chosen: time; fewer sample the film less evenly."""
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
 _BLOB_WIDTH = 400
