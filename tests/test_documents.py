@@ -11,6 +11,7 @@ from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers import _format_names as names
 
 DOCS = Path(__file__).parents[1] / "docs"
+MADE = ["make_command_line", "make_effects", "make_format", "make_import", "make_tracking_settings"]
 FORMS = [*sorted((DOCS.parent / ".github").rglob("*.yml")), DOCS.parent / "CITATION.cff"]
 
 
@@ -21,7 +22,7 @@ def maker(name):
     return module
 
 
-@pytest.mark.parametrize("name", ["make_command_line", "make_effects", "make_format", "make_import"])
+@pytest.mark.parametrize("name", MADE)
 def test_a_made_page_is_up_to_date(name):
     module = maker(name)
     assert module.TARGET.read_text(encoding="utf-8") == module.page(), f"run python docs/{name}.py"

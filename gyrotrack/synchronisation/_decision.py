@@ -50,33 +50,72 @@ from gyrotrack.synchronisation._matching import (
     window,
 )
 
-RATE_SIGMA = 1e-3  # prior standard deviation of the clock rate
-# Difference of the rates of clips from which they cannot be those of one camera. The crystal of a clock changes by some
-# 1e-6 in a run; where the casing slows down evenly, start and rate are nearly exchangeable, and slow errors of tracking
-# imitate differences of some 1e-5
+RATE_SIGMA = 1e-3
+"""Prior standard deviation of the clock rate [1]. Chosen: a smaller value biases the rate of a camera with a wrong
+nominal rate, a larger one leaves a constant speed undetermined."""
 ONE_CLOCK = 2e-4
-UNLIKELY = 1e-4  # probability of a larger difference of rates by white errors, below which they differ
-MAX_LENGTH = 3.0  # s
-GRID = 0.1  # s
-FINE_GRID = 0.005  # s
-MIN_DISTANCE = 0.3  # s, between candidates
-MAX_CANDIDATES = 5  # starts of a clip that are refined
-THRESHOLD = 100.0  # in chi2
-MODEL_ERROR = np.array([0.02, 0.02, 0.05])  # of the cubic, in rad s-1, s-2, s-3
-INTERVALS = (2, 4, 8, 16, 32)  # numbers of intervals of the spline that are tried
-BIC_BLOCKS = 30  # blocks whose means are independent
-PARAMETERS = 16  # in addition to one per interval: ends of the spline, harmonics, start, rate, direction
-ROUNDS = 2  # passes of noise and rejection
-MAX_MISFIT = 0.015  # largest difference of the cameras beyond noise [rad]
+"""Difference of the rates of clips from which they cannot be those of one camera [1]. Chosen: a crystal changes by 1e-6
+in a run, slow errors of tracking imitate some 1e-5; a larger value joins two cameras."""
+UNLIKELY = 1e-4
+"""Probability of a larger difference of rates by white errors, below which they differ [1]. Chosen: a larger value
+separates clips of one camera, a smaller one joins two."""
+MAX_LENGTH = 3.0
+"""Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
+it; a longer part needs a higher degree, a shorter one is noisy."""
+GRID = 0.1
+"""Largest step of the survey of the casing's record [s]. Chosen: a larger step passes over starts, a smaller one costs
+time."""
+FINE_GRID = 0.005
+"""Step of the interpolated search for starts [s]. Chosen: a larger step leaves the range of the refinement, a smaller
+one costs time."""
+MIN_DISTANCE = 0.3
+"""Smallest distance of two candidates [s]. Chosen: a smaller value refines one start twice, a larger one omits a
+start."""
+MAX_CANDIDATES = 5
+"""Largest number of starts of a clip that are refined [1]. Chosen: time; fewer may omit the true start."""
+THRESHOLD = 100.0
+"""Largest chi2 of a candidate above the smallest one [1]. Chosen: a smaller value omits true starts, a larger one costs
+time."""
+MODEL_ERROR = np.array([0.02, 0.02, 0.05])
+"""Standard deviations of speed, acceleration and jerk by the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
+smaller values reject true starts, larger ones accept many."""
+INTERVALS = (2, 4, 8, 16, 32)
+"""Numbers of intervals of the spline that are tried [1]. Chosen: by factors of two; more cost time, fewer smooth the
+motion."""
+BIC_BLOCKS = 30
+"""Blocks whose means count as independent [1]. Chosen: fewer leave no selection, more are correlated."""
+PARAMETERS = 16
+"""Number of parameters in addition to one per interval [1]. Derived: 5 of the ends of the spline, 8 harmonics, start,
+rate and direction."""
+ROUNDS = 2
+"""Passes of noise and rejection [iterations]. Chosen: fewer keep outliers, more cost time."""
+MAX_MISFIT = 0.015
+"""Largest difference of the cameras beyond noise [rad]. Chosen: a smaller value refuses oblique cameras, a larger one
+accepts clips of another run."""
 RATE_LIMIT = 5 * RATE_SIGMA
-RIVAL = 60.0  # largest increase of chi2 of alternative starts for the joint solution
-NEAR = 1e-3  # starts within this interval are equal [s]
-EXCLUDED = 25.0  # increase of chi2 above which an alternative start is excluded
-MAX_START_SIGMA = 1e-3  # largest uncertainty of a start that is not ambiguous [s]
-MAX_CHANCE = 1e-3  # largest probability that directions agree by chance
-AGREE = 4.0  # largest difference of equal directions, or rates [sigma]
-RESOLVED = TURN / 10  # largest uncertainty of a direction that identifies the turn [rad]
-MAX_COMBINATIONS = 64  # combinations of starts that are compared
+"""Largest clock rate of a solution [1]. Derived: five prior standard deviations."""
+RIVAL = 60.0
+"""Largest increase of chi2 of alternative starts for the joint solution [1]. Chosen: above `EXCLUDED`; a smaller value
+omits rivals, a larger one costs time."""
+NEAR = 1e-3
+"""Largest difference of starts that count as equal [s]. Chosen: a smaller value lists one start twice, a larger one
+joins rivals."""
+EXCLUDED = 25.0
+"""Increase of chi2 above which an alternative start is excluded [1]. Derived: five standard deviations."""
+MAX_START_SIGMA = 1e-3
+"""Largest uncertainty of a start that is not ambiguous [s]. Chosen: a smaller value doubts clips of even speed, a
+larger one accepts an uncertain start."""
+MAX_CHANCE = 1e-3
+"""Largest probability that directions agree by chance [1]. Chosen: a larger value assumes a common direction wrongly, a
+smaller one does not use it."""
+AGREE = 4.0
+"""Largest difference of equal directions, or rates, in standard deviations [1]. Chosen: a smaller value separates equal
+ones, a larger one joins different ones."""
+RESOLVED = TURN / 10
+"""Largest uncertainty of a direction that identifies the turn [rad]. Chosen: a tenth of a turn, five standard
+deviations from the next half turn; a larger value counts turns wrongly."""
+MAX_COMBINATIONS = 64
+"""Largest number of combinations of starts that are compared [1]. Chosen: time; fewer may omit the true one."""
 
 
 @dataclass(frozen=True)
@@ -87,11 +126,16 @@ class Motion:
     covariance: Floats
 
 
+FEWEST_SAMPLES = 24
+"""Smallest number of samples of a cubic with harmonics [samples]. Chosen: three times its 8 parameters; fewer fit
+noise, more refuse short clips."""
+
+
 def motion(curve: Curve, moment: float) -> Motion | None:
     """Fit a cubic with harmonics about the time `moment`; None if there are too few samples."""
     s = curve.time - moment
     width = np.ptp(s) / 2 if len(s) else 0.0
-    if len(s) < 24 or width <= 0:
+    if len(s) < FEWEST_SAMPLES or width <= 0:
         return None
     u = s / width
     basis = np.column_stack([np.ones_like(u), u, u**2 / 2, u**3 / 6, harmonics(curve.angle)])
@@ -616,6 +660,11 @@ def _placement(name: str, match: Match) -> Placement:
     )
 
 
+FASTER = 1.02
+"""Speed of the rotor in a later clip over that in an earlier one from which a start may be wrong [1]. Chosen: a smaller
+value warns of noise, a larger one overlooks exchanged clips."""
+
+
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:
     """Return warnings about uncertain starts and inconsistent clips."""
     found = []
@@ -635,6 +684,6 @@ def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order
         pair = f"{matches[a].name} and {matches[b].name}"
         if second.time[0] < first.time[-1]:
             found.append(f"{pair} overlap in time")
-        elif np.nanmedian(second.omega) > 1.02 * np.nanmedian(first.omega):
+        elif np.nanmedian(second.omega) > FASTER * np.nanmedian(first.omega):
             found.append(f"{pair}: the rotor is faster in the later clip; one of the starts may be wrong")
     return found

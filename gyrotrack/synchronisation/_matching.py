@@ -31,6 +31,7 @@ from gyrotrack._smoothing import median_smooth
 from gyrotrack.io._records import Floats, Recording
 
 TURN = 2 * np.pi
+"""A full turn [rad]. Derived: 2 pi."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,11 @@ def moved(point: Sequence[Start], step: Floats) -> list[Start]:
     ]
 
 
-OUTLIER = 6.0  # standard deviations from which a sample is an outlier
-BLOCKS = 60  # blocks of a residual
+OUTLIER = 6.0
+"""Residual from which a sample is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good
+samples, a larger one keeps slips."""
+BLOCKS = 60
+"""Blocks of a residual [1]. Chosen: fewer hide correlation, more have few samples each."""
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -79,9 +83,14 @@ def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
     return residual[: count * length].reshape(count, length).mean(axis=1), length
 
 
-MIN_FRAMES = 60  # frames of a clip at least
-NEIGHBOURS = 15  # samples of a running median
-MIN_DURATION = 0.2  # s
+MIN_FRAMES = 60
+"""Smallest number of frames of a clip with the casing [frames]. Chosen: fewer do not determine a start, more refuse
+short clips."""
+NEIGHBOURS = 15
+"""Samples of a running median [samples]. Chosen: fewer follow runs of outliers, more smooth the motion."""
+MIN_DURATION = 0.2
+"""Smallest duration of a clip [s]. Chosen: a shorter clip does not determine speed and acceleration, a longer one
+refuses short clips."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +141,7 @@ def without_outliers(curve: Curve) -> Curve:
     slow = curve.angle - np.concatenate([[0.0], np.cumsum(speed * step)])
     deviation = np.abs(slow - median_smooth(slow, NEIGHBOURS))
     spread = 1.4826 * float(np.median(deviation))
-    return curve.keep(deviation <= 6 * spread) if spread > 0 else curve
+    return curve.keep(deviation <= OUTLIER * spread) if spread > 0 else curve
 
 
 def harmonics(angle: Floats) -> Floats:
@@ -140,11 +149,20 @@ def harmonics(angle: Floats) -> Floats:
     return np.column_stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)])
 
 
-DEGREE = 5  # degree of the spline: its torque is smooth
-MARGIN = 2.0  # margin of the window on both sides [half lengths of the clip]
-HARMONIC_SIGMA = 0.02  # prior standard deviation of the harmonics [rad]
-SPLINE_SIGMA = 1.0  # prior standard deviation of the spline from the quartic [rad]
-HARMONICS = 4  # cosine and sine of the first and second order
+DEGREE = 5
+"""Degree of the spline of the angle [1]. Derived: its second derivative, the torque, has continuous second
+derivatives."""
+MARGIN = 2.0
+"""Margin of the window on both sides of a clip [half lengths]. Chosen: a smaller value stops the search at the end of
+the window, a larger one needs more intervals."""
+HARMONIC_SIGMA = 0.02
+"""Prior standard deviation of the harmonics [rad]. Chosen: a smaller value keeps errors of an oblique view in the
+residuals, a larger one lets them replace motion."""
+SPLINE_SIGMA = 1.0
+"""Prior standard deviation of the spline from the quartic [rad]. Chosen: a smaller value stiffens the motion, a larger
+one leaves gaps of the record undetermined."""
+HARMONICS = 4
+"""Number of harmonics of a camera [1]. Derived: cosine and sine of orders 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -211,11 +229,19 @@ def link_matrix(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
     return np.hstack(columns)
 
 
-START_SIGMA = 5.0  # prior standard deviation of a start about its window [s]; regularises a constant speed
-MAX_STEP = 0.3  # s
-MAX_ROUNDS = 40  # Gauss-Newton steps
-MAX_REDUCTIONS = 6  # halvings of a step that does not reduce chi-square
-TOLERANCE = 1e-3  # expected decrease of chi2 at convergence
+START_SIGMA = 5.0
+"""Prior standard deviation of a start about its window [s]. Chosen: it regularises a constant speed; a smaller value
+biases the start, a larger one makes the matrix singular."""
+MAX_STEP = 0.3
+"""Largest step of a start [s]. Chosen: a larger step leaves the range of the linear model, a smaller one costs time."""
+MAX_ROUNDS = 40
+"""Largest number of Gauss-Newton steps [iterations]. Chosen: fewer stop early, more cost time."""
+MAX_REDUCTIONS = 6
+"""Largest number of halvings of a step that does not reduce chi2 [1]. Chosen: fewer end the search early, more cost
+time."""
+TOLERANCE = 1e-3
+"""Expected decrease of chi2 at convergence [1]. Chosen: 0.03 standard deviations; a larger value stops early, a smaller
+one costs time."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,9 @@ from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
 
-REACH = 1.2  # half width of the region cut out about a marker [rad]
+REACH = 1.2
+"""Half width of the region cut out about a marker [rad]. Chosen: it exceeds `WIDEST`; a smaller value cuts off blurred
+markers, a larger one includes their neighbours."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,15 @@ def _fall(curve: Floats, level: float) -> float:
     return k + float(np.clip((curve[k] - level) / max(float(curve[k] - curve[k + 1]), 1e-9), 0.0, 1.0))
 
 
-LEAST_CONTRAST = 6.0  # grey levels by which a marker must differ from its surroundings
-CLEAREST = 5.0  # smallest height of a white marker in standard deviations of its ring
-# largest share of samples with a marker at one angle for which their median is used as the background
+LEAST_CONTRAST = 6.0
+"""Smallest difference of a marker from its surroundings, in chroma or, of a white marker, in luma [grey levels].
+Chosen: a smaller value accepts noise, a larger one loses markers in dim light."""
+CLEAREST = 5.0
+"""Smallest height of a white marker in standard deviations of its ring [1]. Chosen: a smaller value accepts remains of
+other markers, a larger one loses faint ones."""
 LONGEST_DWELL = 0.3
+"""Largest share of samples with a marker at one angle for which their median is the background [1]. Chosen: at 0.5 the
+median shows the marker itself; a smaller value discards the background of slow bodies."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,11 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     return seen
 
 
+_LEAST_CLEAR = 0.1
+"""Smallest share of the samples in which a marker is clear [1]. Chosen: a smaller value accepts chance, a larger one
+loses markers that are often occluded."""
+
+
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
@@ -193,7 +205,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
         apart = (again - column + ring.columns // 2) % ring.columns - ring.columns // 2
         if np.mean(np.abs(apart[clear]) <= 2 * half) > 0.5:
             score = own
-    if size < LEAST_CONTRAST or clear.mean() < 0.1:
+    if size < LEAST_CONTRAST or clear.mean() < _LEAST_CLEAR:
         return None
     coarse = np.asarray((column + extent.lean) * ring.step, dtype=np.float64)
     angle = _refined(own[:, extent.rows].mean(axis=1), coarse, extent.half_width, ring)
@@ -221,13 +233,20 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
     return np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
 
 
+_TYPICAL = 0.6
+"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: it is occluded in less than
+half of them, and a hand is brighter in less than a third."""
+_CLEARLY = 0.5
+"""Smallest largest score of a sample, relative to the typical one, with a clear marker [1]. Chosen: a smaller value
+accepts residues of the codec, a larger one loses shaded markers."""
+
+
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
     """Return the column with the largest score in each sample, and whether that score is typical."""
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
-    # The marker is occluded in less than half of the samples, and a hand is brighter in less than a third.
-    return column, peak > 0.5 * float(np.quantile(peak, 0.6))
+    return column, peak > _CLEARLY * float(np.quantile(peak, _TYPICAL))
 
 
 def _dwell(angle: Floats, reach: float) -> float:
@@ -247,6 +266,11 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
     return np.asarray((start + shift) * ring.step)
 
 
+_LEAST_KNOWN = 8
+"""Smallest number of samples with the angle of the body for a white marker [samples]. Chosen: fewer leave other objects
+in their mean, more lose the marker in short films."""
+
+
 def find_white(
     samples: Samples,
     frames: Sequence[int],
@@ -261,7 +285,7 @@ def find_white(
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
-    if use.sum() < 8:
+    if use.sum() < _LEAST_KNOWN:
         return None
     luma = samples.luma_strips(ring, frames).astype(np.float32)
     luma -= np.median(luma, axis=0)
@@ -288,6 +312,14 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
     turned[:, apart < 1.6 * marker.half_width] = 0.0
 
 
+_WIDER = 2.5
+"""Largest half width of a white marker over that of the other markers [1]. Chosen: a smaller value refuses white
+markers of another shape, a larger one accepts reflections."""
+_WIDER_BY = 0.05
+"""Half width by which a white marker may exceed that limit, `_WIDER` [rad]. Chosen: for narrow markers; a smaller value
+refuses blurred ones, a larger one accepts reflections."""
+
+
 def _brightest_place(
     turned: Floats, ring: Ring, wanted: MarkerProfile, others: list[SampledMarker], least: float
 ) -> Marker | None:
@@ -302,7 +334,7 @@ def _brightest_place(
     column = np.argmax(mean, axis=1)
     patch = aligned(np.maximum(turned, 0.0)[None].astype(np.float32), column, np.array([True]))
     extent = extent_of(patch, ring)
-    if extent is None or extent.half_width > 2.5 * half_width + 0.05:
+    if extent is None or extent.half_width > _WIDER * half_width + _WIDER_BY:
         return None
     contrast = float(patch[extent.core(patch.shape[1], ring.step)].mean())
     apart = np.abs(np.angle(np.exp(1j * (np.arange(ring.columns) - column[0]) * ring.step)))
@@ -313,9 +345,15 @@ def _brightest_place(
     return _marker(wanted, extent, (contrast, 0.0), mount=mount)
 
 
-FAINTEST = 0.12  # smallest contrast of a marker, relative to that of the strongest marker
-LEAST_SIZE = 4.5  # smallest side of a marker in px
-WIDEST = 0.8  # largest half width [rad] of a marker that can be tracked despite motion blur
+FAINTEST = 0.12
+"""Smallest contrast of a marker, relative to that of the strongest marker [1]. Chosen: a smaller value accepts residues
+of the codec, a larger one loses markers in shadow."""
+LEAST_SIZE = 4.5
+"""Smallest side of a marker [px]. Chosen: two samples of the chroma; a smaller value accepts single noisy samples, a
+larger one refuses small markers."""
+WIDEST = 0.8
+"""Largest half width of a marker that can be tracked despite motion blur [rad]. Chosen: a larger value accepts coloured
+rings, a smaller one refuses films of long exposure."""
 
 
 def find_markers(
@@ -378,10 +416,15 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
     return {name: seen for name, seen in found if seen is not None and is_marker_sized(seen.marker)}
 
 
-# angle [rad] that the samples of a body's markers must cover for the centre of its orbits to be measured
 LEAST_COVERED = 4.0
-LEAST_TURNED = 0.5  # angle [rad] that the samples of a marker must cover to decide which markers turn with it
-LEAST_OFFSET = 1.0  # offset [px] below which rings about the hub are used
+"""Smallest angle that the samples of a body's markers cover for its centre to be measured [rad]. Chosen: a smaller
+value takes the radius of an arc for an offset, a larger one needs more samples."""
+LEAST_TURNED = 0.5
+"""Smallest angle that the samples of a marker cover to decide which markers turn with it [rad]. Chosen: a smaller value
+compares markers at rest, a larger one compares none in slow films."""
+LEAST_OFFSET = 1.0
+"""Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
+smaller value follows noise, a larger one cuts the windows off centre."""
 
 
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
@@ -460,10 +503,15 @@ def _strong(observations: dict[str, SampledMarker]) -> dict[str, SampledMarker]:
     return {name: seen for name, seen in observations.items() if contrast[name] >= least}
 
 
-# smallest share of the samples in which two markers on one body have the same angular distance
 LEAST_TOGETHER = 0.75
-_LEAST_COMMON = 8  # samples that show both markers
-_NEAR = 0.2  # difference of angular distances that are the same [rad]
+"""Smallest share of the samples in which two markers of one body have the same angular distance [1]. Chosen: a smaller
+value joins two bodies, a larger one separates markers that are often occluded."""
+_LEAST_COMMON = 8
+"""Smallest number of samples that show both markers [samples]. Chosen: a smaller value compares chance, a larger one
+compares fewer markers."""
+_NEAR = 0.2
+"""Largest difference of angular distances that count as equal [rad]. Chosen: a smaller value separates blurred markers,
+a larger one joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
@@ -524,16 +572,22 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
     return found
 
 
+_OF_MODE = 0.15
+"""Largest distance of angles from their mode that enter the mean [rad]. Chosen: a smaller value averages few, a larger
+one includes outliers."""
+
+
 def _circular_mode(angle: Floats) -> float:
-    """Return the mean of the angles within 0.15 rad of the angle that has most neighbours."""
+    """Return the mean of the angles within `_OF_MODE` of the angle that has most neighbours."""
     turn = np.exp(1j * angle)
-    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < 0.15
+    near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _OF_MODE
     best = int(np.argmax(near.sum(axis=0)))
     return float(np.angle(np.mean(turn[near[:, best]])))
 
 
-# share of the blobs, and of the samples, that must be inliers of an orbit; of random blobs a quarter are
 LEAST_AGREEMENT = 1.0 / 3.0
+"""Smallest share of the blobs, and of the samples, that are inliers of an orbit [1]. Measured: a quarter of random
+blobs are inliers; the films are not recorded."""
 _NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 
@@ -589,12 +643,17 @@ def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floa
     return np.array(points, dtype=np.float64), np.array(group, dtype=np.int64)
 
 
+_BEYOND = 1.1
+"""Distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a smaller value
+includes blurred markers, a larger one misses neighbouring bodies."""
+
+
 def _refuse_second_body(
     orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
 ) -> None:
     """Raise a TrackingError if blobs turn about another centre, too, outside the orbits that were found."""
     outer = max(orbit.radii.values())
-    beyond = np.hypot(*(place - orbit.centre).T) > 1.1 * outer
+    beyond = np.hypot(*(place - orbit.centre).T) > _BEYOND * outer
     other = common_centre(place[beyond], label[beyond])
     if other is None or other.inliers <= 0.5 * count or other.spread < LEAST_COVERED:
         return
@@ -607,12 +666,34 @@ def _refuse_second_body(
         )
 
 
+_LEAST_SCORE = 6.0
+"""Smallest score of a blob [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value accepts noise, a larger one
+loses faint markers."""
+_OVER_NOISE = 4.0
+"""Smallest score of a blob over the 90th percentile of the scores [1]. Chosen: a smaller value accepts noise, a larger
+one loses faint markers."""
+_OF_PEAK = 0.4
+"""Smallest score of a blob over the typical peak of its colour [1]. Chosen: a smaller value joins blobs with their
+surroundings, a larger one divides them."""
+
+
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
-    """Find blobs above 0.4 of the typical peak of a colour in every sample."""
+    """Find blobs above `_OF_PEAK` of the typical peak of a colour in every sample."""
     levels = [np.percentile(score, [90.0, 99.9]) if score.size else (0.0, 0.0) for score in scores]
     noise, peaks = float(np.median([low for low, _ in levels])), [high for _, high in levels]
-    threshold = max(6.0, 4.0 * noise, 0.4 * float(np.median(peaks)))
+    threshold = max(_LEAST_SCORE, _OVER_NOISE * noise, _OF_PEAK * float(np.median(peaks)))
     return [find_blobs(score, threshold, most) for score in scores]
+
+
+_DISC_SEEN = 6.0
+"""Smallest score of a pixel that may belong to a disc [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value
+searches in noise, a larger one loses faint discs."""
+_DISC_PEAK = 10.0
+"""Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
+reflections, a larger one loses faint discs."""
+_DISC_FILL = 0.7
+"""Smallest area of a disc without an orbit over that of the smallest circle about it [1]. Chosen: a full disc has 1; a
+smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:
@@ -622,12 +703,12 @@ def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | N
     score = hue_score(still[0] - neutral[0], still[1] - neutral[1], direction)
     if orbit is not None:
         score = score * _near(score.shape, samples, orbit)
-    peak = float(np.percentile(score[score > 0], 99)) if np.any(score > 6.0) else 0.0
-    if peak < 10.0:
+    peak = float(np.percentile(score[score > 0], 99)) if np.any(score > _DISC_SEEN) else 0.0
+    if peak < _DISC_PEAK:
         return None
     blobs = find_blobs(score, 0.5 * peak, most=6)
     if orbit is None:
-        blobs = [blob for blob in blobs if blob.fill > 0.7]
+        blobs = [blob for blob in blobs if blob.fill > _DISC_FILL]
     if not blobs:
         return None
     blob = max(blobs, key=lambda b: b.weight * b.fill**2)

@@ -19,13 +19,21 @@ from gyrotrack.tracking._registration import TURN, Template, rolled
 
 Floats = npt.NDArray[np.float64]
 
-_MOST_FOLD = 48  # largest order of symmetry that is considered
-# correlation of the body's picture with itself after a period from which the other rotation is tried
+_MOST_FOLD = 48
+"""Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
+one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-# turn per frame, in periods, from which it is tried: slower motions leave only implausibly fast alternatives
+"""Correlation of a body's picture with itself after a period from which the other rotation is tried [1]. Chosen: a
+smaller value tries more rotations, which costs time; a larger one overlooks them."""
 _FAST = 0.25
-_EQUAL = 0.02  # difference of the explained shares from which the pictures themselves decide
-_STEADY = 0.02  # relative change of the speed that counts as speeding up or slowing down
+"""Turn per frame, in periods, from which the other rotation is tried [1]. Chosen: slower motions leave only implausibly
+fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
+_EQUAL = 0.02
+"""Difference of the explained shares from which the pictures themselves decide [1]. Chosen: a smaller value decides by
+noise, a larger one leaves clear cases to the change of speed."""
+_STEADY = 0.02
+"""Relative change of the speed that counts as speeding up or slowing down [1]. Chosen: a smaller value decides by
+noise, a larger one leaves slow decays undecided."""
 
 
 class Alias(NamedTuple):
@@ -49,6 +57,11 @@ def symmetries(template: Template) -> list[int]:
     ]
 
 
+_ONE_WAY = 0.95
+"""Smallest share of the steps in one sense for which another rotation is tried [1]. Chosen: an oscillation has no
+alternative; a smaller value tries one, a larger one leaves noisy rotations aliased."""
+
+
 def unaliased(
     angle: Floats, frame: npt.NDArray[np.int64], template: Template, explained: Callable[[Floats], float]
 ) -> Alias:
@@ -63,7 +76,7 @@ def unaliased(
     usual = float(np.median(steps))
     sense = math.copysign(1.0, usual)
     # an oscillation has no alternative
-    if np.mean(sense * steps > 0) < 0.95:
+    if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
     for n in [*symmetries(template), 1]:
         period = TURN / n
@@ -86,12 +99,17 @@ def unaliased(
     return Alias(angle, None)
 
 
+_FEWEST = 10
+"""Number of angles that a change of the speed requires more than [frames]. Chosen: fewer decide by noise, more leave
+short films aliased."""
+
+
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
     """Return the rotation with a turn per frame less if that slows down while `angle` speeds up; None otherwise.
 
     For markers, which leave only whole turns undetermined.
     """
-    usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > 10 else 0.0
+    usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > _FEWEST else 0.0
     if not _FAST * TURN < abs(usual) < TURN:
         return None
     other = angle - math.copysign(TURN, usual) * (frame - frame[0])

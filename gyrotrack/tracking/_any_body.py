@@ -79,57 +79,112 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
-_TRIAL = 300  # frames on which a candidate for the hub is evaluated
-_EXCERPT = 300  # frames that `read_excerpt` reads
-_LEARNT = 300  # frames from which the template is learnt
-_HUB_FRAMES = 100  # frames from which the motion of the hub, or its distance, is measured
-# the path of a body far from its hub: step that ends the iterations for the displacement of a frame [px], and number of
-# iterations for the hub
-_PATH_SETTLED, _PATH_ROUNDS = 0.02, 5
-# effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns
+_TRIAL = 300
+"""Frames on which a candidate for the hub is evaluated [frames]. Chosen: fewer show little motion, more cost time."""
+_EXCERPT = 300
+"""Frames that `read_excerpt` reads [frames]. Chosen: as many as `_TRIAL`; more cost time, fewer show little motion."""
+_LEARNT = 300
+"""Frames from which the template is learnt [frames]. Chosen: fewer give a noisier template, more cost time and
+memory."""
+_HUB_FRAMES = 100
+"""Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: fewer give an uncertain hub,
+more cost time."""
+_PATH_SETTLED = 0.02
+"""Step that ends the iterations for the displacement of a frame of a body far from its hub [px]. Chosen: a larger value
+stops early, a smaller one costs time."""
+_PATH_ROUNDS = 5
+"""Number of iterations for the hub of a body far from it [iterations]. Chosen: fewer stop before distance and template
+agree, more cost time."""
 _FEWEST_STEPS = 4.0
-# distance of a better hub from the given one, in radii of the ring, from which the given one is doubted
+"""Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
+smaller value takes a cut for a rotation, a larger one refuses short motions."""
 _DISPLACED = 0.05
-# error of a displacement [px] that depends on the position, by background and interpolation; drawn films: 0.06 px
+"""Distance of a better hub from the given one, from which the given one is doubted [radii]. Chosen: a smaller value
+doubts accurate hubs, a larger one accepts biased angles."""
 _PATH_ERROR = 0.1
+"""Error of a displacement that depends on the position, by background and interpolation [px]. Measured: drawn films:
+0.06 px."""
 # what a film may be measured with in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
-_COARSE = 48.0  # samples of a radius in the search
-_FINE = 200.0  # samples of a radius in the measurement
-_EXPLAINED = 0.4  # share of the change of brightness that the rotation must explain
-# the same for a hub that is not given and outside the picture, or of whose ring only this share is inside (as in a
-# corner): rotation resembles translation
-_OUTSIDE, _SHOWN = 0.85, 0.33
-# share of the picture that moves, from which it may be the camera that turns about a hub outside the picture
+_COARSE = 48.0
+"""Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
+marks."""
+_FINE = 200.0
+"""Resolution of the ring in the measurement [samples per radius]. Chosen: a larger value costs time, a smaller one
+loses detail."""
+_EXPLAINED = 0.4
+"""Smallest share of the change of brightness that the rotation explains [1]. Chosen: a smaller value accepts other
+motions, a larger one refuses uneven light."""
+_OUTSIDE = 0.85
+"""Smallest explained share for a hub that is not given and outside the picture, or of whose ring little is inside [1].
+Chosen: rotation resembles translation there; a smaller value accepts it, a larger one refuses pendulums."""
+_SHOWN = 0.33
+"""Share of a ring inside the picture up to which `_OUTSIDE` applies [1]. Chosen: a body in a corner shows less; a
+larger value refuses cut discs, a smaller one accepts translation."""
 _WHOLE = 0.9
-# error of the angles due to the centre of rotation, relative to their standard deviation, from which they are
-# refused. Too small a distance of the hub enlarges all angles; at this limit, amplitude and period of a pendulum say
-# nothing about each other
+"""Share of the picture that moves, from which the camera may turn about a hub outside the picture [1]. Chosen: a
+smaller value refuses bodies that fill the picture, a larger one accepts moving cameras."""
 _UNDETERMINED = 0.25
-# what another hub leaves unexplained over what the best one does, up to which both are reported, and the relative
-# difference of the range of their angles
-_AS_MUCH, _OTHER_RANGE = 1.1, 0.05
-# explained share of a second body, relative to that of the best candidate, from which the film is ambiguous
+"""Error of the angles due to the hub over their standard deviation, from which they are refused [1]. Chosen: too small
+a distance of the hub enlarges all angles; at this limit amplitude and period of a pendulum do not determine each
+other."""
+_AS_MUCH = 1.1
+"""Unexplained share with another hub over that with the best one, up to which both are reported [1]. Chosen: a smaller
+value hides rivals, a larger one reports worse hubs."""
+_OTHER_RANGE = 0.05
+"""Relative difference of the ranges of the angles about two hubs, from which both are reported [1]. Chosen: a smaller
+value reports equal answers, a larger one hides different ones."""
 _AS_GOOD = 0.8
-_HOPELESS = 0.3  # ... share of it below which a candidate is not refined, the slowest step
-_HOPEFUL = 0.5  # share of what must be explained, below which no candidate is refined
-# explained share from which a candidate is refined at once; number of frames and iterations of the cheap refinement of
-# others, and the share of what must be explained that it must reach: few frames are explained better than many
-_CLEAR, _FEW_FRAMES, _FEW_STEPS, _PROMISING = 0.6, 12, 3, 0.85
-# reduced frames: smallest length of the longer side [px]; moving area from which a film is screened in them [px2 of the
-# reduced frame]; factor on the share that a candidate must explain
-_SCREEN_SIZE, _SCREEN_AREA, _SCREENED = 320, 1000, 0.75
-_STEPS, _FRAMES = 6, 60  # iterations of the refinement of a candidate, and frames for it
-_TILTED = 0.35  # tilt of the axis [rad] from which the result states it
-# moving area outside the best ring, relative to that within it, from which a second body is searched for
+"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous; share of a given
+hub below which other hubs are tried [1]. Chosen: a smaller value refuses films with shadows, a larger one may choose
+the wrong body."""
+_HOPELESS = 0.3
+"""Explained share, relative to the best candidate or to what is needed, below which a candidate is not refined [1].
+Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
+_HOPEFUL = 0.5
+"""Share of what is to be explained, below which no candidate is refined [1]. Chosen: a smaller value costs time on
+films that are refused, a larger one refuses films that a refinement explains."""
+_CLEAR = 0.6
+"""Explained share from which a candidate is refined at once [1]. Chosen: a smaller value refines more candidates, a
+larger one tries all of them roughly first."""
+_FEW_FRAMES = 12
+"""Frames of the cheap refinement of a candidate [frames]. Chosen: fewer decide by noise, more cost time."""
+_FEW_STEPS = 3
+"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
+_PROMISING = 0.85
+"""Share of what is to be explained that the cheap refinement reaches [1]. Chosen: few frames are explained better than
+many; a smaller value refines more candidates, a larger one may omit the true hub."""
+_SCREEN_SIZE = 320
+"""Smallest length of the longer side of a reduced frame [px]. Chosen: time; a smaller value loses the marks of small
+bodies."""
+_SCREEN_AREA = 1000
+"""Moving area of the reduced frame from which a film is screened in it [px2]. Chosen: a smaller value refuses small
+bodies, a larger one screens fewer films."""
+_SCREENED = 0.75
+"""Factor on the share that a candidate explains in reduced frames [1]. Chosen: they lose detail; a larger value refuses
+films that the full frames explain, a smaller one costs time."""
+_STEPS = 6
+"""Iterations of the refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
+_FRAMES = 60
+"""Frames for the refinement of a candidate [frames]. Chosen: fewer give an uncertain hub, more cost time."""
+_TILTED = 0.35
+"""Tilt of the axis from which the result states it [rad]. Chosen: cos 0.35 = 0.94; a smaller value states noise, a
+larger one hides a tilt."""
 _ELSEWHERE = 0.2
-# ... from which it may act on the body that is tracked (real single bodies: up to 0.47; drawn double pendulums of which
-# one link is tracked: 0.64 to 2.1)
+"""Moving area outside the best ring over that within it, from which a second body is searched for [1]. Chosen: a
+smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
-_STRETCH_SPAN = 3.0  # range of the angle [rad] from which the ellipse due to a tilted camera is fitted
-_STATIC_SPAN = 1.0  # range of the angle [rad] from which a fixed picture is always part of the model
-# ... and the share by which it must explain more for smaller ranges, for example a pendulum before a wall
+"""Moving area outside the best ring over that within it, from which a second body may act on the first [1]. Measured:
+real single bodies: up to 0.47; drawn double pendulums of which one link is tracked: 0.64 to 2.1."""
+_STRETCH_SPAN = 3.0
+"""Range of the angle from which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn; a
+smaller value leaves it undetermined, a larger one leaves it uncorrected."""
+_STATIC_SPAN = 1.0
+"""Range of the angle from which a fixed picture is always part of the model [rad]. Chosen: a smaller value confuses it
+with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
+"""Share by which a fixed picture explains more for smaller ranges [1]. Chosen: a pendulum before a wall needs it; a
+smaller value adds it by noise, a larger one omits it."""
 
 
 class NothingMovesError(RefusedFilmError):
@@ -676,7 +731,9 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
     return kept
 
 
-_LEAST_BEND = 3.0  # smallest change of the step from frame to frame that counts as a jump, in columns
+_LEAST_BEND = 3.0
+"""Smallest change of the step from frame to frame that counts as a jump [columns]. Chosen: a smaller value counts noise
+of slow bodies, a larger one hides jumps."""
 
 
 def _steadiness(trial: _Trial) -> float:

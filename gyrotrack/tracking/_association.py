@@ -18,12 +18,21 @@ from gyrotrack._smoothing import median_of
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-MEMORY = 128  # number of recent angles in the fit
-FEWEST = 16  # recent angles from which a motion is predicted
-LONGEST_USE = 130  # frames after which the fit is repeated
-LEAST_SCATTER = 1.5e-3  # lower limit of the scatter of a coarse angle [rad]
-# prior standard deviation [rad] of the harmonics of orders 1 and 2 that an oblique view causes
+MEMORY = 128
+"""Number of recent angles in the fit [frames]. Chosen: fewer give a noisy prediction, more include motion that a
+parabola does not describe."""
+FEWEST = 16
+"""Recent angles from which a motion is predicted [frames]. Chosen: more than twice the 7 parameters; fewer predict
+badly, more delay the fast search."""
+LONGEST_USE = 130
+"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; more extrapolates too far, less costs
+time."""
+LEAST_SCATTER = 1.5e-3
+"""Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles of quiet films, a
+larger one widens the search."""
 VIEW_ERROR = 0.05
+"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: the t^2 / 4 of a tilt t
+of 0.45 rad; a smaller value ignores tilts, a larger one fits noise."""
 
 
 class Prediction:
@@ -96,9 +105,15 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
     return solution, np.asarray(inverse, dtype=np.float64), scatter
 
 
-LOCK_FRAMES = 24  # frames that are scored together until a body is found
-LONGEST_COAST = 40  # frames without the body after which its prediction is no longer trusted
-REACH = 0.35  # half width of the search window about a prediction [rad]
+LOCK_FRAMES = 24
+"""Frames that are scored together until a body is found [frames]. Chosen: fewer lock to other objects, more need an
+even speed for longer."""
+LONGEST_COAST = 40
+"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: fewer lose turns behind an
+obstacle, more follow a wrong motion."""
+REACH = 0.35
+"""Half width of the search window about a prediction [rad]. Chosen: a smaller value loses bodies that change their
+speed, a larger one finds other objects."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +151,14 @@ def find_lock(
     return None
 
 
+_IN_PHASE = 0.25
+"""Largest distance of an angle from an even advance that is in phase with it [rad]. Chosen: a smaller value rejects
+noisy angles, a larger one accepts random ones."""
+_LOCKED = 0.7
+"""Smallest share of the angles in phase with an even advance [1]. Chosen: a smaller value locks to other objects, a
+larger one fails with occlusions."""
+
+
 def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
     span = int(frame[-1]) + 1
 
@@ -153,7 +176,7 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
         step += 2.0 * np.pi * round((hint - step) / (2.0 * np.pi))
     start = float(np.angle(np.mean(np.exp(1j * (angle - step * frame)))))
     off = np.abs(np.angle(np.exp(1j * (angle - (start + step * frame)))))
-    if np.mean(off < 0.25) < 0.7:
+    if np.mean(off < _IN_PHASE) < _LOCKED:
         return None
     return Motion(start, step)
 
@@ -209,6 +232,8 @@ def net_turn(angle: Floats) -> float:
 
 
 SENSE_TURN = 0.5
+"""Smallest net turn that determines the sense of rotation [rad]. Chosen: a smaller value takes drift for a rotation, a
+larger one ignores short films."""
 """Net rotation [rad] from which a body shows the sense of rotation."""
 
 

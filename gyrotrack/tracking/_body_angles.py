@@ -25,6 +25,7 @@ from gyrotrack.tracking._fusion import (
     wrapped,
 )
 from gyrotrack.tracking._hub import (
+    LEAST_RADIUS_SCATTER,
     LEAST_SIGMA,
     CentrePath,
     Radii,
@@ -62,8 +63,9 @@ from gyrotrack.video._time_base import FrameTimes
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# Half width of a marker without motion blur, relative to its blurred half width.
 _CORNER = 0.7
+"""Half width of a marker without motion blur, relative to its blurred half width [1]. Chosen: only for whether a marker
+is inside the picture; a larger value drops frames near the border."""
 
 
 @dataclass(frozen=True)
@@ -166,14 +168,20 @@ def view(
     return BodyView(markers, observations, inside, whole)
 
 
-# systematic errors that depend on the place in the picture, for films in which no body turns enough to measure them:
-# rms over films of many kinds, of the blocks of the encoder [px] and of uneven illumination [rad]
-BLOCK_ERROR, LIGHT_ERROR = 0.09, 0.8e-3
+BLOCK_ERROR = 0.09
+"""Systematic error by place due to the blocks of the encoder, if no body turns enough to measure it [px]. Measured: rms
+over films of many kinds."""
+LIGHT_ERROR = 0.8e-3
+"""Systematic error by place due to uneven illumination, if no body turns enough to measure it [rad]. Measured: rms over
+films of many kinds."""
 
 
-# reduction of the mean square of the radii in standard errors from which a path of the hub is preferred
 _BETTER = 4.0
-_TOGETHER = 16  # frames over which the errors of radii count as correlated
+"""Reduction of the mean square of the radii from which a path of the hub is preferred, in standard errors [1]. Chosen:
+a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
+_TOGETHER = 16
+"""Frames over which the errors of radii count as correlated [frames]. Chosen: twice `HOLE`; a smaller value overstates
+the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
@@ -192,10 +200,15 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
     return best
 
 
-# angle of the casing [rad] from which the axis of the rotor is determined relative to the disc
 LEAST_ARC = 1.0
-SIGNIFICANT = 3.0  # offset of the disc, in errors of a harmonic of the radii, from which it is corrected
-_CLIP = 4.0  # residual of a radius in robust standard deviations from which it is an outlier
+"""Smallest angle of the casing from which the axis of the rotor is determined relative to the disc [rad]. Chosen: a
+smaller value takes drift for an offset, a larger one ignores short films."""
+SIGNIFICANT = 3.0
+"""Offset of the disc from which it is corrected, in errors of a harmonic of the radii [1]. Chosen: three standard
+deviations; a smaller value corrects noise, a larger one leaves offsets."""
+_CLIP = 4.0
+"""Residual of a radius from which it is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects
+good radii, a larger one keeps partly occluded markers."""
 
 
 def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
@@ -249,7 +262,7 @@ def _offset_on_casing(radii: Radii, casing: Floats) -> tuple[Floats, Floats]:
         )
         normal, right = apart.T @ apart, apart.T @ excess[keep]
         residual = excess - design @ np.linalg.lstsq(design[keep], excess[keep], rcond=None)[0]
-        scatter = max(spread(residual[keep]), 0.02)
+        scatter = max(spread(residual[keep]), LEAST_RADIUS_SCATTER)
         keep = np.abs(residual) < _CLIP * scatter
     return normal / scatter**2, right / scatter**2
 
@@ -260,6 +273,11 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
     return np.array([np.where(np.isfinite(path.sigma), one.excess, np.nan) ** 2 for one in radii])
 
 
+_MOST_CHANGE = 50.0
+"""Upper limit of a squared residual over its typical value [1]. Chosen: a marker that is mistaken for another one is an
+outlier; a larger value lets it decide, a smaller one hides a shake."""
+
+
 def _is_better(before: Floats, after: Floats) -> bool:
     """Return whether squared residuals are significantly smaller than those before, on the mean over the markers."""
     gain = []
@@ -267,7 +285,7 @@ def _is_better(before: Floats, after: Floats) -> bool:
         use = np.isfinite(one) & np.isfinite(other)
         size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
         # outliers, as of a marker that is mistaken for another one, are limited
-        change = np.clip(one / size, 0.0, 50.0) - np.clip(other / size, 0.0, 50.0)
+        change = np.clip(one / size, 0.0, _MOST_CHANGE) - np.clip(other / size, 0.0, _MOST_CHANGE)
         groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
         gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
     mean = np.mean(gain, axis=0)
@@ -318,8 +336,9 @@ def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Fla
     return found
 
 
-# sectors of half a `CELL` in which the radius of a marker is known: more than the harmonics that are fitted
 LEAST_PLACES = 14
+"""Smallest number of sectors of half a `CELL` in which the radius of a marker is known [1]. Derived: one more than the
+13 coefficients of `higher_harmonics`."""
 
 
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
@@ -373,10 +392,15 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
     return 0.5 * float(np.angle(total))
 
 
-# standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit: a millimetre
 HEIGHT = 0.03
-LUMA_SHIFT = 0.5  # distance by which the luma of a marker may be displaced from the chroma [px]
-DEPTH = 0.5  # the same for the rotor's markers, which may be at any depth below
+"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit [1]. Derived: 1
+mm over a radius of 35 mm."""
+LUMA_SHIFT = 0.5
+"""Distance by which the luma of a marker may be displaced from the chroma [px]. Derived: conventions for the place of
+chroma samples differ by half a luma pixel."""
+DEPTH = 0.5
+"""Standard deviation of the depth of the rotor's markers below the disc, in radii of their orbit [1]. Chosen: the rotor
+may be at any depth; a smaller value biases the offset to 0, a larger one lets arcs decide."""
 
 
 def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
@@ -472,8 +496,9 @@ def separate_perspective(
     return replace(own.moved(np.array(mean) - shift), offset_covariance=dict.fromkeys(own.offset, covariance))
 
 
-# radius of the casing's orbit over the distance of the camera if no fast rotor determines it: 35 mm at 70 cm
 PERSPECTIVE = 0.05
+"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it [1]. Derived: 35 mm at a
+distance of 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -490,7 +515,9 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
 
 Integers = npt.NDArray[np.int64]
 
-_FAR = 0.05  # smallest range of a moving centre, relative to the radius of the orbit
+_FAR = 0.05
+"""Smallest range of a moving centre, relative to the radius of the orbit, for which it is followed [1]. Chosen: a
+smaller value follows noise, a larger one keeps the mean of a hub that moves."""
 
 
 @dataclass(frozen=True)
@@ -695,13 +722,26 @@ def _followed(
 
 
 _HARMONICS = range(1, 13)
-_FIRST_STATED = 3  # order from which harmonics are not caused by the camera
-_LAWS_OF_SPEED = 4  # of an amplitude of a lower order (see `_beside_laws_of_speed`)
-_DEGREE = 5  # degree of the slow change of angle in a batch
-_FEWEST_BATCHES = 5  # batches beyond the free constants from which amplitudes have a variance
-# variance of an amplitude over that of a complete set of angles from which an order resembles the motion
+"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
+marker's width; fewer leave errors of several equal marks unstated."""
+_FIRST_STATED = 3
+"""First order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the camera
+cause orders 1 and 2, which fits estimate."""
+_LAWS_OF_SPEED = 4
+"""Number of laws of speed that describe an amplitude of a lower order [1]. Derived: powers 0, 1, 2 and -2 in
+`_beside_laws_of_speed`."""
+_DEGREE = 5
+"""Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
+larger one absorbs harmonics of slow bodies."""
+_FEWEST_BATCHES = 5
+"""Batches beyond the free constants from which amplitudes have a variance [1]. Chosen: fewer give an uncertain
+variance, more leave the error of short films unstated."""
 _RESEMBLES_MOTION = 2.0
-_FAR_FROM_NOISE = 3.0  # standard deviations of the mean square from which an error is stated
+"""Variance of an amplitude over that for a complete set of angles from which an order resembles the motion [1]. Chosen:
+a smaller value discards batches, a larger one takes motion for error."""
+_FAR_FROM_NOISE = 3.0
+"""Mean square from which an error is stated, in standard deviations of the noise [1]. Chosen: a smaller value states
+noise as an error, a larger one hides small errors."""
 
 
 def harmonic_error(angle: Floats) -> float:
@@ -760,8 +800,9 @@ def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
     return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 
-# number of turns from which errors of the markers that repeat with the turn average out
 MANY_TURNS = 10.0
+"""Turns from which errors of the markers that repeat with the turn average out [turns]. Chosen: fewer let markers with
+harmonics set the zero of a template, more ignore the markers."""
 
 
 def by_texture(
@@ -820,12 +861,18 @@ def by_texture(
     return replace(body, angle=angle, sigma=sigma, slow=(zeros.uncertainty, float(BATCH)), periodic=periodic)
 
 
-_AVERAGED = (
-    0.1  # time over which angles are averaged before they are compared [s]: a torque takes longer to act
-)
-_FEWEST_AVERAGED = 8  # frames of an average at least
-_FEWEST_MEANS = 12  # averages from which their variance is known within about 40 %
-_MOST_NOISE = 2.0  # ratio of the standard uncertainties of two angles from which the noisier one is not used
+_AVERAGED = 0.1
+"""Time over which angles are averaged before they are compared [s]. Chosen: a torque takes longer to act; a longer time
+leaves few averages, a shorter one compares noise."""
+_FEWEST_AVERAGED = 8
+"""Smallest number of frames of an average [frames]. Chosen: fewer compare noise, more smooth the motion of films at low
+frame rate."""
+_FEWEST_MEANS = 12
+"""Smallest number of averages for a comparison [1]. Derived: the variance of 12 means is known within about 40 %,
+sqrt(2 / 11)."""
+_MOST_NOISE = 2.0
+"""Ratio of the standard uncertainties of two angles from which the noisier one is not used [1]. Chosen: a smaller value
+keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
@@ -878,8 +925,12 @@ def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
     return replace(body, angle=body.angle - shift, markers=markers)
 
 
-# ranges of the angle [rad] up to which a body is at rest, and from which the other one turns
-_REST, _TURNS = 0.05, 1.0
+_REST = 0.05
+"""Largest range of the angle of a body at rest [rad]. Chosen: a smaller value calls noise a motion, a larger one hides
+a slow body."""
+_TURNS = 1.0
+"""Smallest range of the angle of the other body that turns [rad]. Chosen: a smaller value omits a body beside one that
+hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
@@ -889,7 +940,20 @@ def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
     return turns and len(known) > 0 and bool(np.ptp(known) < _REST)
 
 
+_LEAST_SHARE = 0.05
+"""Smallest share of frames with an angle of a body that is reported [1]. Chosen: a smaller value reports other objects,
+a larger one omits bodies of which little is seen."""
+_LEAST_SEEN = 3
+"""Smallest number of frames with an angle of a body that is reported [frames]. Chosen: fewer do not show a motion, more
+omit bodies in short films."""
+_MOST_SIGMA = 0.2
+"""Largest median uncertainty of a body that is reported [rad]. Chosen: a smaller value omits bodies in poor films, a
+larger one reports angles without information."""
+
+
 def _credible(body: BodyAngles) -> bool:
-    """Return whether a body has angles in at least 5 % of the frames, with a median uncertainty below 0.2 rad."""
+    """Return whether a body has angles in enough frames, with a median uncertainty below `_MOST_SIGMA`."""
     used = np.isfinite(body.angle)
-    return bool(used.sum() >= max(3, 0.05 * len(used)) and np.median(body.sigma[used]) < 0.2)
+    return bool(
+        used.sum() >= max(_LEAST_SEEN, _LEAST_SHARE * len(used)) and np.median(body.sigma[used]) < _MOST_SIGMA
+    )

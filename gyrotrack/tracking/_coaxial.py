@@ -14,14 +14,21 @@ from gyrotrack.tracking._registration import every, explained, follow, learn, ro
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
-_COARSE = 48.0  # samples of a radius
-# share of the change of brightness left by the first rotation that the second one must explain, as any rotation must,
-# and of the whole change. One body, with light fixed in the image or a displaced hub: less than 0.2, and 0.03
-_OF_REST, _OF_ALL = 0.4, 0.05
-# standard deviation of the difference of both angles over that of the larger one, from which the motions differ. What a
-# displaced hub leaves of one body turns with it (up to 0.1)
+_COARSE = 48.0
+"""Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
+marks of the second body."""
+_OF_REST = 0.4
+"""Smallest share of the change left by the first rotation that the second one explains [1]. Measured: one body with
+light fixed in the image, or a displaced hub: less than 0.2."""
+_OF_ALL = 0.05
+"""Smallest share of the whole change that the second rotation explains [1]. Measured: one body with light fixed in the
+image, or a displaced hub: less than 0.03."""
 _APART = 0.2
-_LEAST_RANGE = 2e-3  # range of an angle [rad] below which nothing turns
+"""Standard deviation of the difference of two angles over the larger one, from which the motions differ [1]. Measured:
+what a displaced hub leaves of one body turns with it, up to 0.1."""
+_LEAST_RANGE = 2e-3
+"""Range of an angle below which nothing turns [rad]. Chosen: a smaller value takes noise for a body, a larger one
+overlooks small oscillations."""
 
 
 @dataclass(frozen=True)

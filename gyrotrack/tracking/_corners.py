@@ -34,7 +34,12 @@ from gyrotrack.tracking._polar import Windows
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
-FACTOR_R, FACTOR_1, FACTOR_2 = 30.0, 150.0, 150.0  # the factors of the paper's formula
+FACTOR_R = 30.0
+"""Factor of u_r in the uncertainty of the paper [rad]. Source: formula of the paper, see the module docstring."""
+FACTOR_1 = 150.0
+"""Factor of u_1 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+FACTOR_2 = 150.0
+"""Factor of u_2 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +109,14 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
     return np.asarray(np.sqrt((FACTOR_R * u_r) ** 2 + (FACTOR_1 * u_1) ** 2 + (FACTOR_2 * u_2) ** 2))
 
 
-# number of bands into which the rows of a side, and the columns of the near edge, are averaged
-SIDE_BANDS, NEAR_BANDS = 4, 5
-_LEAST_FALL = 1e-9  # fall of grey below which an edge is flat: rounding
+SIDE_BANDS = 4
+"""Number of bands into which the rows of a side are averaged [1]. Chosen: fewer leave the line without redundancy, more
+have noisier edges."""
+NEAR_BANDS = 5
+"""Number of bands into which the columns of the near edge are averaged [1]. Chosen: a parabola has 3 coefficients;
+fewer leave no redundancy, more have noisier edges."""
+_LEAST_FALL = 1e-9
+"""Fall of the score below which an edge is flat [1]. Derived: rounding of floating-point numbers."""
 
 
 def near_corners(
@@ -133,12 +143,20 @@ def near_corners(
     return radius, angle
 
 
+_SIDE_FROM = 0.12
+"""Begin of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a smaller
+value includes the rounded corner, a larger one extrapolates farther."""
+_SIDE_TO = 0.85
+"""End of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a larger
+value includes the far corner, a smaller one gives a noisy direction."""
+
+
 def _side_edges(
     window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
     """Fit angle = base + lean (r - inner) to each side over the inner part of the marker."""
     length = outer - inner
-    rows = np.flatnonzero((radii >= inner + 0.12 * length) & (radii <= inner + 0.85 * length))
+    rows = np.flatnonzero((radii >= inner + _SIDE_FROM * length) & (radii <= inner + _SIDE_TO * length))
     if len(rows) < 2:
         rows = (
             np.flatnonzero((radii >= inner) & (radii <= outer)) if length > 0 else np.array([len(radii) // 2])
@@ -153,13 +171,21 @@ def _side_edges(
     return _lines(left, r), _lines(right, r)
 
 
+_NEAR_WITHIN = 0.8
+"""Part of the half width within which the near edge is fitted [1]. Chosen: a larger value includes the rounded corners,
+a smaller one gives a noisy curve."""
+_EDGE_SEEN = 0.6
+"""Smallest share of bands in which the near edge is seen [1]. Chosen: a smaller value extrapolates, a larger one omits
+partly covered edges."""
+
+
 def _near_edge(
     window: Windows, radii: Floats, angles: Floats, half: Floats, middle: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within 0.8 of the half width."""
+    """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within `_NEAR_WITHIN` of the half width."""
     known = np.isfinite(half)
     typical, centre = median_of(half[known]), median_of(middle[known])
-    columns = np.flatnonzero(np.abs(angles - centre) < 0.8 * typical)
+    columns = np.flatnonzero(np.abs(angles - centre) < _NEAR_WITHIN * typical)
     nothing = np.full(len(half), np.nan)
     if len(columns) < 3:
         columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
@@ -172,7 +198,7 @@ def _near_edge(
     phi = mixing @ angles
     degree = 2 if len(phi) >= 5 else 0
     known = np.isfinite(edge)
-    seen = known.mean(axis=1) > 0.6
+    seen = known.mean(axis=1) > _EDGE_SEEN
     mean = np.where(known, edge, 0.0).sum(axis=1, keepdims=True) / np.maximum(
         known.sum(axis=1, keepdims=True), 1
     )
@@ -193,10 +219,18 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
     return mixing
 
 
+_DARKEST = -0.3
+"""Smallest score of what is beyond an edge, 0 on the background and 1 on the marker [1]. Chosen: a smaller value lets a
+shadow displace the edge, a larger one ignores dark surroundings."""
+_BRIGHTEST = 0.6
+"""Largest score of what is beyond an edge [1]. Chosen: a larger value takes the marker itself for its surroundings, a
+smaller one ignores a coloured bar."""
+
+
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
     """Return edges (n, k), half way to the background, on curves (n, k, size) that start in the marker at `first`."""
     outwards = values[:, :, first::step]
-    beyond = float(np.clip(median_of(outwards[:, :, -2:]), -0.3, 0.6))
+    beyond = float(np.clip(median_of(outwards[:, :, -2:]), _DARKEST, _BRIGHTEST))
     level = 0.5 * (1.0 + beyond)
     place = kernels.crossings(values, first, step, level, _LEAST_FALL)
     return np.asarray(axis[first] + step * (axis[1] - axis[0]) * place)

@@ -24,39 +24,83 @@ Bools = npt.NDArray[np.bool_]
 Frames = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
 
-_PAIRS = 16  # pairs of frames that are compared
-_LAGS = (1, 2, 4, 8)  # frames between the two of a pair: the first in which the features move measurably
-_STEP = 1.0  # displacement of a feature that counts as motion [px]
-# largest displacement of a feature at rest [px]; those of noisy films have up to 0.1
+_PAIRS = 16
+"""Pairs of frames that are compared [1]. Chosen: fewer decide by chance, more cost time."""
+_LAGS = (1, 2, 4, 8)
+"""Frames between the two of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
+longer ones lose features of fast bodies."""
+_STEP = 1.0
+"""Displacement of a feature that counts as motion [px]. Chosen: a smaller value includes noise, a larger one needs
+longer lags."""
 _AT_REST = 0.3
-_FEWEST = 12  # features of a pair, and of one motion
-_NEAR = 0.8  # largest distance of a feature from its rigid motion [px]
-_MOST = 0.75  # share of the pairs that must agree
-# share of all features that move with the camera, and of the picture within them
-_WITH_CAMERA, _WHOLE = 0.7, 0.4
-# rms residual of the displacements of the picture from those about one hub, relative to their rms, from which the
-# picture does not turn about a hub, and from which it is not a suspended body, whose hub moves less than its rim
-# (a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to 0.97)
-_NO_HUB, MOSTLY_TRANSLATES = 0.3, 0.7
-# share of the features that move which the first motion leaves, and share of these that the second one explains
-_SECOND, _EXPLAINED = 0.25, 0.5
-_OTHER_TURN, _LEAST_TURN = (
-    0.3,
-    2e-3,
-)  # relative difference of the rotations of two bodies, and the smallest [rad]
-# spread of a fixed point from pair to pair, and distance of two of them, relative to the reach of the features
-_LINKED, _COAXIAL = 0.25, 0.15
-# a cut: the change of a frame over the largest other one within this number of frames, its least size in grey levels,
-# and the share of it by which the mean pictures of the frames before and after differ
-_CUT, _CUT_REACH, _CUT_LEAST, _REMAINS = 2.5, 12, 6.0, 0.5
-_SHOT = 12  # frames of the shortest shot
-# detail along the circles of a ring over that across them, below which the picture is smeared, in noise-free gradients
+"""Largest displacement of a feature at rest [px]. Measured: features at rest in noisy films: up to 0.1 px."""
+_FEWEST = 12
+"""Smallest number of features of a pair, and of one motion [features]. Chosen: fewer agree by chance, more leave bodies
+without texture undiagnosed."""
+_NEAR = 0.8
+"""Largest distance of a feature from its rigid motion [px]. Chosen: a smaller value rejects blurred features, a larger
+one joins two motions."""
+_MOST = 0.75
+"""Smallest share of the pairs that agree [1]. Chosen: a smaller value refuses films for single pairs, a larger one
+overlooks a motion in part of the film."""
+_WITH_CAMERA = 0.7
+"""Smallest share of all features that move with the camera [1]. Chosen: a smaller value takes a large body for the
+camera, a larger one overlooks parallax."""
+_WHOLE = 0.4
+"""Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
+large body for the camera, a larger one overlooks a camera before blank walls."""
+_NO_HUB = 0.3
+"""Residual (rms) of the displacements of the picture from those about one hub over their rms, from which it does not
+turn about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held
+by hand."""
+MOSTLY_TRANSLATES = 0.7
+"""Residual as for `_NO_HUB` from which the picture is not that of a suspended body, whose hub moves less than its rim
+[1]. Measured: a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to
+0.97."""
+_SECOND = 0.25
+"""Smallest share of the features that move which the first motion does not explain [1]. Chosen: a smaller value finds a
+second body in outliers, a larger one overlooks a small one."""
+_EXPLAINED = 0.5
+"""Smallest share of the features left by the first motion that the second one explains [1]. Chosen: a smaller value
+finds a second body in outliers, a larger one overlooks a blurred one."""
+_OTHER_TURN = 0.3
+"""Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value divides a deformed picture,
+a larger one overlooks links of similar speed."""
+_LEAST_TURN = 2e-3
+"""Smallest rotation of each of two bodies [rad]. Chosen: a smaller value takes translation for rotation, a larger one
+overlooks slow bodies."""
+_LINKED = 0.25
+"""Spread of a fixed point from pair to pair over the reach of the features, from which the hub moves [1]. Chosen: a
+smaller value takes noise for a link, a larger one overlooks links."""
+_COAXIAL = 0.15
+"""Distance of two fixed points over the reach of the features, below which they coincide [1]. Chosen: a smaller value
+refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
+_CUT = 2.5
+"""Change of a frame at a cut over the largest other one near it [1]. Chosen: a smaller value finds a cut in a flash, a
+larger one overlooks a cut."""
+_CUT_REACH = 12
+"""Distance within which the other changes are compared [frames]. Chosen: a smaller value compares few, a larger one
+includes other cuts."""
+_CUT_LEAST = 6.0
+"""Smallest change of a frame at a cut [grey levels]. Chosen: a smaller value finds cuts in noise, a larger one
+overlooks cuts between similar shots."""
+_REMAINS = 0.5
+"""Smallest difference of the mean pictures before and after a cut, relative to its change [1]. Chosen: a fast body
+changes every frame, but not the mean of several; a larger value overlooks cuts."""
+_SHOT = 12
+"""Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
+titles."""
 _SMEARED = 0.12
+"""Detail along the circles of a ring over that across them, in noise-free gradients, below which the picture is smeared
+[1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with rings
+blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link, in this order, by their positions in the first frame: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
-_FAINT = 3.0  # rms change of the picture in a ring, in standard deviations of the noise, below which it shows no detail
+_FAINT = 3.0
+"""Change (rms) of the picture in a ring below which it shows no detail, in standard deviations of the noise [1].
+Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one blames them wrongly."""
 
 
 class RefusedFilmError(TrackingError):

@@ -136,7 +136,9 @@ def _paper_sigma(own: list[Floats]) -> Floats:
 
 
 BODIES = (None, "casing", "rotor", "both")
-LEAST_TURN = 0.5  # smallest range of an angle [rad] for which a body counts as turning
+LEAST_TURN = 0.5
+"""Smallest range of an angle for which a body counts as turning [rad]. Chosen: a smaller value reports noise as a
+rotation, a larger one warns about slow bodies."""
 
 
 def extract(
@@ -305,11 +307,15 @@ def _recording(
     )
 
 
-_BODY = (
-    1.5  # radius of the bodies, for example the ring of the casing, relative to the outer end of the markers
-)
-LEAST_TRACKED = 0.8  # smallest share of frames with an angle for a recording without a doubt
-_STEPS = 12  # frames over which the speed on either side of a gap is measured
+_BODY = 1.5
+"""Radius of the bodies, for example the ring of the casing, relative to the outer end of the markers [1]. Chosen: a
+smaller value takes the rim for the background, a larger one leaves no background."""
+LEAST_TRACKED = 0.8
+"""Smallest share of frames with an angle for a recording without a doubt [1]. Chosen: a smaller value accepts poor
+films, a larger one doubts films with a hand at the start."""
+_STEPS = 12
+"""Frames over which the speed on either side of a gap is measured [frames]. Chosen: fewer measure noise, more include a
+change of the speed."""
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
@@ -326,6 +332,11 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
     return tuple(found)
 
 
+_GAP = 3.5
+"""Time between two angles from which turns may be lost [periods]. Chosen: a smaller value doubts single missing frames,
+a larger one overlooks lost turns."""
+
+
 def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[str]:
     """Return doubts about a track by its frames: too few of `count`, or gaps with an undetermined number of turns.
 
@@ -339,7 +350,7 @@ def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[
         )
     step = np.diff(track.time)
     period = float(np.median(step)) if len(step) else np.inf
-    gaps = [int(k) for k in np.flatnonzero(step > 3.5 * period) if k >= _STEPS and k + _STEPS < len(step)]
+    gaps = [int(k) for k in np.flatnonzero(step > _GAP * period) if k >= _STEPS and k + _STEPS < len(step)]
     rates = [
         (track.angle[k] - track.angle[k - _STEPS]) / (track.time[k] - track.time[k - _STEPS])
         - (track.angle[k + 1 + _STEPS] - track.angle[k + 1])

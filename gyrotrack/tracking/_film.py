@@ -28,19 +28,37 @@ from gyrotrack.video._fields import field, first_field
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
-_MOST = 400  # features of a frame at most
-_FEWEST = 6  # smallest number of inliers; fewer features may belong to a small body
-_ALIKE = 0.7  # largest residual [px] of a feature of the background from the motion of the picture
-_STILL = 0.35  # largest displacement [px] of a feature of the background for a camera at rest
-_OFTEN = 0.8  # smallest share of frames in which a feature of the background is an inlier
-_MOST_ROLL = 0.05  # largest roll of the camera [rad]; a body that turns farther is not the background
-# smallest distance of two features that determine the roll, relative to the size of the picture
+_MOST = 400
+"""Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few in the background."""
+_FEWEST = 6
+"""Smallest number of inliers [features]. Chosen: fewer may belong to a small body, more refuse plain backgrounds."""
+_ALIKE = 0.7
+"""Largest residual of a feature of the background from the motion of the picture [px]. Chosen: a smaller value rejects
+features blurred by the codec, a larger one accepts slow bodies."""
+_STILL = 0.35
+"""Largest displacement of a feature of the background for a camera at rest [px]. Chosen: a smaller value measures a
+motion that is noise, a larger one ignores a shaking camera."""
+_OFTEN = 0.8
+"""Smallest share of frames in which a feature of the background is an inlier [1]. Chosen: a hand or the body may
+occlude it; a smaller value accepts a body at rest at times."""
+_MOST_ROLL = 0.05
+"""Largest roll of the camera [rad]. Chosen: a body that turns farther is not the background; a smaller value refuses
+cameras that roll."""
 _APART = 0.15
-_TRIES = 300  # random pairs: with nine outliers in ten, one without is among them in 95 %
-# smallest share of the picture within the features; the ball of a pendulum before a blank wall covers less
+"""Smallest distance of two features that determine the roll, relative to the size of the picture [1]. Chosen: a smaller
+value gives a noisy roll, a larger one leaves few pairs."""
+_TRIES = 300
+"""Number of random pairs of features [1]. Derived: with nine outliers in ten, a pair without is among them in 1 -
+0.99^300 = 95 %."""
 _WIDEST_BODY = 0.05
-_CLEAR = 5.0  # smallest significant motion of the camera in standard uncertainties
-_LEAST = 0.15  # rms displacement [px] below which a camera counts as at rest, the size of tracking errors
+"""Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum before a
+blank wall covers less; a larger value refuses narrow backgrounds."""
+_CLEAR = 5.0
+"""Smallest significant motion of the camera in standard uncertainties [1]. Chosen: a smaller value corrects noise, a
+larger one leaves a shake."""
+_LEAST = 0.15
+"""Displacement (rms) below which a camera counts as at rest [px]. Chosen: the size of tracking errors; a smaller value
+resamples frames for nothing, a larger one leaves a shake."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +138,13 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003),
     )
     moved: Floats = np.asarray(found[:, 0] - places, dtype=np.float64)
-    moved[(status.ravel() == 0) | (error.ravel() > 20.0)] = np.nan
+    moved[(status.ravel() == 0) | (error.ravel() > _DISSIMILAR)] = np.nan
     return moved
+
+
+_DISSIMILAR = 20.0
+"""Difference of the surroundings of a feature in two frames from which it is lost [grey levels]. Chosen: a smaller
+value loses features in flicker, a larger one keeps occluded ones."""
 
 
 def background(
@@ -195,6 +218,11 @@ def camera_shake(
     return _rigid(places, (tracked(reference, places, frame) for frame in frames))
 
 
+_MEASURED = 0.9
+"""Smallest share of the frames in which the motion of the camera is measured [1]. Chosen: a smaller value interpolates
+over long gaps, a larger one leaves a shake uncorrected."""
+
+
 def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | None:
     """Fit displacement and roll of the picture in each frame by least squares without outliers."""
     centre = places.mean(axis=0).astype(np.float64)
@@ -223,7 +251,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
         turns.append(turn)
     shift, roll = np.array(shifts), np.array(turns)
     known = np.isfinite(roll)
-    if known.mean() < 0.9:
+    if known.mean() < _MEASURED:
         return None
     at = np.arange(len(roll))
     roll = np.interp(at, at[known], roll[known])
@@ -262,9 +290,15 @@ class Tilt:
         return np.column_stack([linear, centre - linear @ centre])
 
 
-_HELD = 600_000_000  # largest size of the decoded pictures that are kept in temporary files [bytes]
-_FILE = 32_000_000  # ... of this size
-_RELEASES = 2  # ... parts in which each of them is read
+_HELD = 600_000_000
+"""Largest size of the decoded pictures that are kept in temporary files [bytes]. Chosen: disk; longer films are decoded
+for each pass."""
+_FILE = 32_000_000
+"""Size of one temporary file [bytes]. Chosen: memory; a larger file occupies more pages, a smaller one opens more
+files."""
+_RELEASES = 2
+"""Number of parts of a temporary file after which its pages are released [1]. Chosen: memory; more release earlier and
+cost time."""
 
 
 class Film:
@@ -452,7 +486,8 @@ def reduced(frame: Plane, factor: int) -> Plane:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-_EXAMINED = 12  # frames that show whether a film is interlaced
+_EXAMINED = 12
+"""Frames that show whether a film is interlaced [frames]. Chosen: fewer may show no motion, more cost time."""
 
 
 def _interlacing(path: Path) -> int | None:
@@ -466,7 +501,12 @@ def _interlacing(path: Path) -> int | None:
     return first_field(frames)
 
 
-_COLOUR, _FEWEST_COLOURED = 24.0, 12  # chroma of a coloured pixel, and their smallest number in a frame
+_COLOUR = 24.0
+"""Smallest chroma of a coloured pixel [grey levels]. Chosen: a smaller value finds colour in tinted light, a larger one
+overlooks faint markers."""
+_FEWEST_COLOURED = 12
+"""Smallest number of coloured pixels in a frame of a coloured film [pixels]. Chosen: a smaller value finds colour in
+noise, a larger one overlooks small markers."""
 
 
 def is_coloured(path: Path, frames: int = 12) -> bool:
@@ -479,11 +519,20 @@ def is_coloured(path: Path, frames: int = 12) -> bool:
     return False
 
 
-_DARK, _BRIGHT = 32, 235  # grey levels between which brightness is proportional to a power of the light
-_FEWEST_PIXELS, _SAMPLED = 50, 8000  # smallest and typical number of pixels for the gain of a frame
-# factor by which the standard deviation of the typical pixel in time must fall for a gain to be applied: the flicker
-# exceeds all other changes
+_DARK = 32
+"""Grey level above which brightness is proportional to a power of the light [grey levels]. Chosen: a smaller value
+includes pixels of the black level, a larger one leaves few."""
+_BRIGHT = 235
+"""Grey level below which brightness is proportional to a power of the light [grey levels]. Source: white of limited
+range in ITU-R BT.601; brighter pixels are saturated."""
+_FEWEST_PIXELS = 50
+"""Smallest number of pixels for the gain of a frame [pixels]. Chosen: fewer give a noisy gain, more leave dark films
+uncorrected."""
+_SAMPLED = 8000
+"""Typical number of pixels for the gain of a frame [pixels]. Chosen: more cost time, fewer give a noisier gain."""
 _FLICKERS = 1.5
+"""Factor by which the standard deviation of the typical pixel in time falls for a gain to be applied [1]. Chosen: the
+flicker exceeds all other changes then; a smaller value amplifies noise, a larger one leaves flicker."""
 
 
 class _Flicker:
@@ -532,7 +581,9 @@ class _Flicker:
         return (best, gain / gain.mean()) if variance[None] > _FLICKERS**2 * variance[best] else None
 
 
-_ROUNDING = 1.0 / 12.0  # variance of a brightness in whole grey levels
+_ROUNDING = 1.0 / 12.0
+"""Variance of a brightness in whole grey levels [grey levels squared]. Derived: a uniform distribution of width 1 has
+the variance 1 / 12."""
 
 
 def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
@@ -544,12 +595,20 @@ def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> 
     return float(np.mean(np.abs(after - np.float32(gain) * before)))
 
 
-_NEIGHBOURS, _MOVING = 9, 7  # frames about one, and the rank of the change that is typical of them
-_REPEATED = 0.1  # largest change of a repeated frame, relative to the typical one
+_NEIGHBOURS = 9
+"""Frames of the running quantile about a frame [frames]. Chosen: more follow changes of the speed late, fewer are
+dominated by repeats."""
+_MOVING = 7
+"""Rank of the change among `_NEIGHBOURS` frames that is typical of them [1]. Chosen: a lower rank is a repeat where few
+frames are new, a higher one is an outlier."""
+_REPEATED = 0.1
+"""Largest change of a repeated frame, relative to the typical one [1]. Chosen: a smaller value keeps repeats that were
+encoded again, a larger one drops frames of slow motion."""
 
 
-# different frames of a film from which a motion is measured: a quadratic in time, and its residuals
 FEWEST_FRAMES = 10
+"""Smallest number of different frames from which a motion is measured [frames]. Chosen: a quadratic in time has 3
+parameters; fewer leave few residuals, more refuse short films."""
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:

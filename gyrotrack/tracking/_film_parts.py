@@ -58,13 +58,24 @@ from gyrotrack.video._time_base import Timing
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-PART = 2500  # largest number of frames of a part, up to the distance of key frames
-LEAST_PART = 400  # smallest number of frames of a part, from which illumination and templates can be learnt
-OVERLAP = 64  # frames that two neighbouring parts share
-# smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the parts
-# are tracked, and largest number of such parts
-LEARNT, MOST_LEARNT = 256, 8
-_RATE = 24  # frames on either side of a seam whose mean speed continues the angle
+PART = 2500
+"""Largest number of frames of a part, up to the distance of key frames [frames]. Chosen: more leave few parts for
+processes, fewer learn templates from less."""
+LEAST_PART = 400
+"""Smallest number of frames of a part [frames]. Chosen: illumination and templates can be learnt from them; fewer give
+noisy ones, more leave few parts."""
+OVERLAP = 64
+"""Frames that two neighbouring parts share [frames]. Chosen: fewer leave the turns between parts uncertain, more are
+tracked twice."""
+LEARNT = 256
+"""Smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the
+parts are tracked [frames]. Chosen: fewer give noisy maps, more delay the start."""
+MOST_LEARNT = 8
+"""Largest number of parts from whose beginnings illumination and occlusion are learnt [1]. Chosen: the cost does not
+grow with the film; more cost time, fewer give noisier maps."""
+_RATE = 24
+"""Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
+include a change of it."""
 _STAMPS = "stamps"
 _TEXTURE = "texture/angle"
 

@@ -35,11 +35,18 @@ from gyrotrack.video._time_base import FrameTimes
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# smallest score of an angle at which the body counts as seen, relative to the height of one marker
 LEAST_SCORE = 0.4
-MARGIN = 0.05  # largest distance of a marker from its prediction [rad]
-CHECK_EVERY = 2  # every n-th frame is used to check the prediction
-COVERAGE_FACTOR = 3.0  # factor on the standard uncertainty of a prediction, which must be within the margin
+"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker [1]. Chosen: a
+smaller value follows noise, a larger one loses shaded markers."""
+MARGIN = 0.05
+"""Largest distance of a marker from its prediction [rad]. Chosen: a smaller value falls back to whole rings more often,
+a larger one unrolls more samples."""
+CHECK_EVERY = 2
+"""Distance of the frames that are used to check the prediction [frames]. Chosen: a larger value notices a loss later, a
+smaller one costs time."""
+COVERAGE_FACTOR = 3.0
+"""Factor on the standard uncertainty of a prediction, which must be within the margin [1]. Chosen: three standard
+deviations; a smaller value cuts markers off, a larger one searches whole rings."""
 
 
 class BodyTracker:
@@ -234,11 +241,20 @@ Rows = dict[str, npt.NDArray[Any]]
 
 Progress = Callable[[int, int | None], None]
 
-BATCH = 512  # frames that are measured together
-HOLD = 64  # frames in memory at a time, in which a body that is not found at its prediction is searched
-HELD_BYTES = 24_000_000  # memory of the frames that are held: a limit of memory
-SLOW = 3.0 * LEAST_SCATTER  # smallest step of the fastest body [rad] for which equal frames count as repeated
-_MOVE = 0.6  # distance of the disc from the centre of the rings [px] beyond which the rings are moved
+BATCH = 512
+"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more let templates age and take more
+memory."""
+HOLD = 64
+"""Frames in memory at a time, in which a body that is not found at its prediction is searched [frames]. Chosen: fewer
+prevent a lock, more take memory."""
+HELD_BYTES = 24_000_000
+"""Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""
+SLOW = 3.0 * LEAST_SCATTER
+"""Smallest step of the fastest body for which equal frames count as repeated [rad]. Derived: three times the lower
+limit of the scatter of a coarse angle."""
+_MOVE = 0.6
+"""Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: a smaller value
+moves them by noise, a larger one displaces the markers in their windows."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,12 @@ from gyrotrack.tracking._silhouettes import (
 
 Floats = npt.NDArray[np.float64]
 
-_SHOWN = 0.8  # share of the frames in which a long body must be seen
-_EDGE = 0.3  # rough uncertainty of the end of a silhouette [px]
+_SHOWN = 0.8
+"""Smallest share of the frames in which a long body is seen [1]. Chosen: a smaller value accepts other objects, a
+larger one refuses films with a hand."""
+_EDGE = 0.3
+"""Rough standard uncertainty of the end of a silhouette [px]. Chosen: about the standard deviation of a uniform
+distribution of width 1 px, 0.29 px; the scatter replaces it if larger."""
 
 
 @dataclass(frozen=True)

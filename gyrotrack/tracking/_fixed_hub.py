@@ -17,15 +17,28 @@ from gyrotrack.tracking._registration import Area, Ring, Template, learn, regist
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
-_FRAMES = 40  # frames in which the displacement is fitted
-# largest step of an iteration per axis [px], number of iterations, and the step that ends them: the displacement may
-# exceed the width of the details
-_STEP, _STEPS, _SETTLED = 2.0, 8, 0.05
-# displacement of a body on an axle in four frames of five, in px, and over the mean radius of the ring. Real films: up
-# to 0.7 px; drawn hubs that wobble by 1 to 2 px: 1.8 px; a ball that is thrown again and again: 2.5 px; a block on a
-# spring: 3.1 px (2 % of the radius); three bodies of changing size: more than 6 px (9 %)
-_DRIFT, _DRIFT_SHARE, _MOST_FRAMES = 2.3, 0.015, 0.8
-REFUSED = 2.0  # displacement over this limit from which no body is on an axle
+_FRAMES = 40
+"""Frames in which the displacement is fitted [frames]. Chosen: fewer give an uncertain quantile, more cost time."""
+_STEP = 2.0
+"""Largest step of an iteration per axis [px]. Chosen: a smaller value needs more iterations, a larger one leaves the
+range of the linear model."""
+_STEPS = 8
+"""Largest number of iterations [iterations]. Chosen: 8 steps of 2 px reach 16 px, beyond the width of the details;
+fewer stop early, more cost time."""
+_SETTLED = 0.05
+"""Step that ends the iterations [px]. Chosen: a larger value stops early, a smaller one costs time."""
+_DRIFT = 2.3
+"""Largest displacement of a body on an axle, in four frames of five [px]. Measured: real films: up to 0.7 px; drawn
+hubs that wobble by 1 to 2 px: 1.8; a ball that is thrown again and again: 2.5; a block on a spring: 3.1."""
+_DRIFT_SHARE = 0.015
+"""Largest displacement of a body on an axle, relative to the mean radius of the ring [1]. Measured: a block on a
+spring: 0.02; three bodies of changing size: 0.09."""
+_MOST_FRAMES = 0.8
+"""Quantile of the displacements of a body that is compared with `_DRIFT` and `_DRIFT_SHARE` [1]. Chosen: a larger value
+is dominated by bad frames, a smaller one hides short motions."""
+REFUSED = 2.0
+"""Displacement over its limit from which no body is on an axle [1]. Chosen: a smaller value refuses wobbling hubs, a
+larger one measures bodies that translate."""
 
 
 def drift(
@@ -49,10 +62,10 @@ def drift(
     return float(np.quantile(off, _MOST_FRAMES)), limit
 
 
-# error of the angles by the difference of the inner and the outer half of a ring (see `hub_error`) over their standard
-# deviation, from which both do not turn as one body. Real discs, drawn rods, bobs and wheels: up to 0.007; double
-# pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11
 _RIGID = 0.02
+"""Error of the angles by the difference of both halves of a ring (`hub_error`) over their standard deviation, from
+which they do not turn as one body [1]. Measured: real discs, drawn rods, bobs and wheels: up to 0.007; double pendulums
+within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
 
 
 def halves_differ(angle: Floats, error: float) -> float | None:
@@ -64,9 +77,9 @@ def halves_differ(angle: Floats, error: float) -> float | None:
     return share if share > _RIGID else None
 
 
-# share of the change of brightness that a rotation explains in the frames of the search, less that in the whole film,
-# from which it is not about one hub throughout. Real films on an axle: up to 0.07; a drawn pole on a cart: 0.23
 _FALLS = 0.15
+"""Share of the change that a rotation explains in the frames of the search, less that in the whole film, from which
+there is not one hub throughout [1]. Measured: real films on an axle: up to 0.07; a drawn pole on a cart: 0.23."""
 
 
 def hub_doubt(searched: float, film: float) -> str | None:

@@ -21,16 +21,21 @@ from gyrotrack.tracking._fusion import wrapped
 from gyrotrack.tracking._marker_tracker import plausible
 from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
+from gyrotrack.video._decoder import REGULAR
 from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-AROUND = 20  # frames to each side from which the typical step of a body is determined
-# smallest step of a body, in standard deviations of its steps, for which a repetition can be detected: half a step,
-# below which the body counts as unmoved, is then three standard deviations
+AROUND = 20
+"""Frames to each side from which the typical step of a body is determined [frames]. Chosen: fewer give a noisy step,
+more include a change of the speed."""
 CLEAR = 6.0
-FEWEST = 4  # steps from which a scatter is known
+"""Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
+half a step, below which the body counts as unmoved, is then three standard deviations."""
+FEWEST = 4
+"""Smallest number of steps from which a scatter is known, and of runs from which a period is [1]. Chosen: fewer give a
+scatter by chance, more leave repeats undetected."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ def _period(runs: list[tuple[int, int]]) -> float:
     if len(first) < FEWEST:
         return float("nan")
     apart = np.diff(first)
-    regular = (np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8
+    regular = (np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR
     return float(np.polyfit(np.arange(len(first)), first, 1)[0]) if regular else float("nan")
 
 

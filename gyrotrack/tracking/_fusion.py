@@ -53,10 +53,14 @@ from gyrotrack.tracking._orbit import CELL
 Floats = npt.NDArray[np.float64]
 
 TURN = 2.0 * np.pi
+"""A full turn [rad]. Derived: 2 pi."""
 ALL = slice(None)
-# angular rate [rad/s] at which an amplitude of the acceleration of 10 rad/s^2 (large unbalance) is 2 mrad
 FAST = 70.0
-_LEFT = 0.2  # least share of the scatter of a marker that is its own
+"""Angular rate from which real motion is not confused with errors by place [rad/s]. Derived: an amplitude of the
+acceleration of 10 rad/s2, a large unbalance, is 10 / 70^2 = 2 mrad there."""
+_LEFT = 0.2
+"""Smallest share of the scatter of a marker that it does not share with the others [1]. Chosen: a smaller value gives a
+marker too much weight, a larger one keeps the error of the times."""
 
 
 class Residuals:
@@ -235,8 +239,14 @@ def _weight(sigma: Floats) -> Floats:
     return np.where(known, (median_of(sigma[known]) / np.where(known, sigma, 1.0)) ** 2, 0.0)
 
 
-KNOTS = 72  # knots of a closed curve: every 5 degrees
-_BEND, _SIZE = 4e-3, 3e-2
+KNOTS = 72
+"""Knots of a closed curve [1]. Chosen: every 5 degrees; fewer smooth the edge of the bar, more are noisy."""
+_BEND = 4e-3
+"""Standard deviation of the second differences of a closed curve [rad]. Chosen: a smaller value smooths the edge of the
+bar, a larger one fits noise."""
+_SIZE = 3e-2
+"""Standard deviation of a closed curve [rad]. Chosen: a smaller value leaves large errors, a larger one lets unseen
+angles take any value."""
 
 
 @dataclass(frozen=True)
@@ -318,9 +328,14 @@ def once_a_turn(curve: Floats) -> complex:
     return complex(first.imag, first.real)
 
 
-LEAST_TURNING = 0.5  # smallest share of frames within whole turns for which errors by place are known
-MOST_FRAMES = 2000  # number of frames from which errors of the view are learnt
-LEAST_FAST = 0.2  # smallest share of fast frames for which curves are learnt from these alone
+LEAST_TURNING = 0.5
+"""Smallest share of frames within whole turns for which errors by place are known [1]. Chosen: a smaller value states
+errors of few turns, a larger one states none for short films."""
+MOST_FRAMES = 2000
+"""Number of frames from which errors of the view are learnt [frames]. Chosen: time; fewer leave them noisier."""
+LEAST_FAST = 0.2
+"""Smallest share of fast frames for which curves are learnt from these alone [1]. Chosen: a smaller value learns from
+few frames, a larger one from slow frames, in which motion resembles errors."""
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:
@@ -394,8 +409,12 @@ def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) 
     return max(1.0 - noise / max(size, 1e-12), 0.0)
 
 
-VIEW_ORDERS = range(1, 3)  # harmonics of errors of the view: an offset of the axis, a tilt of the camera
-_VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # standard deviations that are tried, in typical ones
+VIEW_ORDERS = range(1, 3)
+"""Orders of the harmonics of errors of the view [periods per turn]. Derived: an offset of the axis causes order 1, a
+tilt of the camera order 2."""
+_VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Standard deviations of errors of the view that are tried, in typical ones [1]. Chosen: by factors of two; finer steps
+cost time, a smaller range limits the errors."""
 
 
 def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Floats | None:
@@ -483,7 +502,9 @@ def places_passed(state: Residuals) -> float:
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
 
-PLACE_ORDERS = range(1, 7)  # orders of the harmonics of errors by place, of about equal size (see `CELL`)
+PLACE_ORDERS = range(1, 7)
+"""Orders of the harmonics of errors by place [periods per turn]. Chosen: they count as equally large; more orders
+shorten the correlation length `CELL`, fewer lengthen it."""
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
@@ -529,8 +550,9 @@ def _curve(
     return closed_curve(over, off, weight)
 
 
-# turns from which the uncertainty of the curves is neglected: it decreases with the number of turns
 MOST_TURNS = 30.0
+"""Turns from which the uncertainty of the curves is neglected [turns]. Chosen: it decreases with the number of turns;
+fewer understate the uncertainty, more cost time."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
@@ -589,7 +611,8 @@ def _without_common(mounts: dict[str, float]) -> Floats:
     return np.stack([np.concatenate(list(curves.values())) for curves in kept], axis=1)
 
 
-ROUNDS = 5  # passes of the fusion
+ROUNDS = 5
+"""Passes of the fusion [iterations]. Chosen: fewer stop before curves and motion agree, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -682,13 +705,16 @@ def join(
     return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 
-# uncertainty of a frame, relative to the median of its neighbours, from which it has no angle. Such a frame shows a
-# small part of one marker. It carries 1/100 of the information of a typical frame, and its errors, those of the edge
-# of the object that hides the marker, are not normally distributed
 WEAKEST_BODY = 10.0
-_NEIGHBOURS = 101  # frames of the running median of u
-# leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough
+"""Uncertainty of a frame, relative to the median of its neighbours, from which it has no angle [1]. Chosen: it shows a
+small part of one marker and has 1/100 of the information; errors of the edge that hides the marker are not normally
+distributed; a larger value admits these, a smaller one omits angles."""
+_NEIGHBOURS = 101
+"""Frames of the running median of the uncertainty [frames]. Chosen: fewer follow a hand, more ignore a change of the
+light."""
 UNCONFIRMED = 0.9
+"""Leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough
+[1]. Chosen: a smaller value omits frames beside gaps, a larger one admits wrong matches."""
 
 
 def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:

@@ -33,8 +33,6 @@ from gyrotrack.video._container import Frame
 
 Floats = npt.NDArray[np.float64]
 
-_TOGETHER = 64  # frames measured at a time, whose windows fit into the cache of the processor
-
 
 class DiscWindow:
     """A small chroma window about the disc, collected for a batch of frames."""
@@ -84,16 +82,29 @@ class DiscWindow:
 
 Complexes = npt.NDArray[np.complex128]
 
-HOLE = 8  # correlation length of the errors of a compressed film [frames]
-_HALVES = (24, 48, 96, 192)  # half lengths of the windows of a spectrum [frames]
-# half widths [frames] for a hub that moves fast, as in a hand-held film; see `marked_paths`
+HOLE = 8
+"""Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value takes correlated errors for a
+path, a larger one smooths a fast path."""
+_HALVES = (24, 48, 96, 192)
+"""Half widths of the local parabolas of a path that cross-validation compares [frames]. Chosen: by factors of two; a
+shorter one follows noise, a longer one smooths a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
-_ALTERNATIVES = 48  # frames from which the radii of the markers select one of these paths
-_PARTIAL_STEP = 6.0  # displacement of a partly covered disc over the typical one from frame to frame
-_LINE_POWER = 7.0  # power of a line over the floor of its spectrum: noise exceeds it in 0.1 %
-_PIECES = 64  # windows that are transformed together: a limit of memory
-# lower limit of the uncertainty [px]: encoders keep a slowly moving disc fixed in the picture
+"""Half widths for a hub that moves fast, as in a hand-held film; 0 for one that moves from frame to frame [frames].
+Chosen: by factors of two; see `marked_paths`."""
+_ALTERNATIVES = 48
+"""Frames from which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: fewer select by noise,
+more smooth the hub of a short film."""
+_PARTIAL_STEP = 6.0
+"""Displacement of a partly covered disc over the typical one from frame to frame [1]. Chosen: a smaller value discards
+good views, a larger one keeps displaced ones."""
+_LINE_POWER = 7.0
+"""Power of a line over the floor of its spectrum [1]. Derived: the power of noise is exponentially distributed; it
+exceeds 7 in exp(-7) = 0.1 %."""
+_PIECES = 64
+"""Windows that are transformed together [1]. Chosen: memory; fewer cost time."""
 LEAST_SIGMA = 0.05
+"""Lower limit of the uncertainty of the centre [px]. Chosen: encoders keep a slowly moving disc fixed in the picture; a
+smaller value understates that error."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +151,9 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     return paths
 
 
-_SHAKES = 5.0  # motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR`
+_SHAKES = 5.0
+"""Motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR` [1]. Chosen: a smaller
+value warns of wobbling hubs, a larger one overlooks a hand-held camera."""
 
 
 def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
@@ -232,18 +245,28 @@ def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexe
     return np.asarray(np.where(np.isfinite(fitted), fitted, z))
 
 
+_TRIMMED = 0.95
+"""Share of the smallest errors that enter the mean [1]. Chosen: a smaller value ignores fast parts of the path, a
+larger one is dominated by outliers."""
+
+
 def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
     """Return the trimmed mean square error of the prediction of points from others at least `HOLE` frames away."""
     error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
     inner = slice(half // 2, len(z) - half // 2)
     core = np.sort(error[inner][weight[inner] > 0])
-    return float(core[: max(int(0.95 * len(core)), 1)].mean()) if len(core) else float("inf")
+    return float(core[: max(int(_TRIMMED * len(core)), 1)].mean()) if len(core) else float("inf")
+
+
+_FEWEST_OF_LINES = 96
+"""Smallest number of frames whose spectrum shows lines [frames]. Chosen: fewer give an uncertain floor, more smooth the
+precession of short films."""
 
 
 def _lines(rest: Complexes) -> Complexes:
     """Return the spectral lines of a series by short-time Fourier transform (Hann windows, half overlapping)."""
     n = len(rest)
-    if n < 96:
+    if n < _FEWEST_OF_LINES:
         return np.zeros(n, dtype=np.complex128)
     size = 64 if n < 1024 else 128
     hop = size // 2
@@ -280,18 +303,36 @@ def _floor(power: Floats) -> Floats:
     return np.asarray(np.median(around, axis=0) / np.log(2.0) + 1e-9)
 
 
+_MOST_LAGS = 48
+"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut a slow correlation
+off."""
+_CORRELATED = 0.1
+"""Smallest correlation that enters the sum [1]. Chosen: a smaller value sums noise, a larger one understates the
+uncertainty."""
+
+
 def _path_sigma(left: Complexes, half: int) -> float:
     """Return the standard uncertainty of the smoothed path: rms residual, reduced by averaging correlated noise."""
     rms = float(np.sqrt(np.mean(np.abs(left) ** 2) / 2.0))
-    lags = min(48, len(left) // 4)
+    lags = min(_MOST_LAGS, len(left) // 4)
     base = float(np.mean(np.abs(left) ** 2)) + 1e-12
     chain = [float(np.mean((left[k:] * left[: len(left) - k].conj()).real)) / base for k in range(1, lags)]
-    length = 1.0 + 2.0 * sum(c for c in chain if c > 0.1)
+    length = 1.0 + 2.0 * sum(c for c in chain if c > _CORRELATED)
     return max(rms * float(np.sqrt(min(length / (1.1 * half), 1.0))), LEAST_SIGMA)
 
 
-_TURNS_PER_KNOT, _MOST_KNOTS = 1.0, 400
-_RIDGE = 1e-9  # ridge of the normal equations: rounding
+_TURNS_PER_KNOT = 1.0
+"""Distance of the knots of a path without a disc [turns]. Derived: half a turn determines both coordinates of the
+centre; one turn has a reserve."""
+_MOST_KNOTS = 400
+"""Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
+_RIDGE = 1e-9
+"""Ridge of the normal equations [1]. Derived: rounding; it keeps undetermined knots at their place."""
+
+
+_FEWEST_PLACES = 12
+"""Smallest number of places of markers that determine the path of a centre [1]. Chosen: fewer fit noise, more refuse
+short films."""
 
 
 def wandering_centre(
@@ -307,7 +348,7 @@ def wandering_centre(
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
     use = weight & np.isfinite(place).all(axis=1)
-    if use.sum() < 12:
+    if use.sum() < _FEWEST_PLACES:
         return CentrePath(path, np.full(n, np.nan), 0)
     knots = 1 if still else _knots(place - path, use)
     error = float("nan")
@@ -388,9 +429,12 @@ def _rows(
             yield part, at, np.stack([*two, *shape], axis=1)
 
 
-# half width [frames] of the window in which the error of the centre is assumed to be constant
 _REFINED_HALF = 18
-EXPECTED_ERROR = 0.1  # standard deviation [px] of the prior of the error of the centre
+"""Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: some dozen
+frames determine it; a smaller value is noisy, a larger one smooths a wobble."""
+EXPECTED_ERROR = 0.1
+"""Standard deviation of the prior of the error of the centre [px]. Measured: centre of a red disc in rendered clips
+(H.264, crf 20): 0.09 to 0.10 px per axis."""
 
 
 @dataclass(frozen=True)
@@ -399,6 +443,14 @@ class Radii:
 
     direction: Floats
     excess: Floats
+
+
+_FEWEST_RADII = 20
+"""Smallest number of radii of a marker from which their scatter is known [1]. Chosen: fewer give a scatter by chance,
+more ignore markers in short films."""
+LEAST_RADIUS_SCATTER = 0.02
+"""Lower limit of the scatter of the radii of a marker [px]. Chosen: a smaller value gives drawn films too much weight,
+a larger one ignores precise radii."""
 
 
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
@@ -411,9 +463,12 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     normal, right = np.zeros((3, count)), np.zeros((2, count))
     for wanted in markers:
         known = np.isfinite(wanted.excess) & np.isfinite(wanted.direction)
-        if known.sum() < 20:
+        if known.sum() < _FEWEST_RADII:
             continue
-        scatter, limits = max(spread(wanted.excess[known]), 0.02), _limits(wanted.excess[known])
+        scatter, limits = (
+            max(spread(wanted.excess[known]), LEAST_RADIUS_SCATTER),
+            _limits(wanted.excess[known]),
+        )
         for part in row_blocks(count):
             weight = known[part] / scatter**2
             angle = np.where(known[part], wanted.direction[part], 0.0)

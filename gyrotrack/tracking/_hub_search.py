@@ -23,19 +23,37 @@ from gyrotrack.tracking._registration import TURN, Picture, Ring
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
-_PAIRS = 40  # pairs of frames of each lag
-_LAGS = (1, 4, 16)  # distances of the frames of a pair, for fast and slow bodies
-_FIRST = 5  # one in this number of pairs shows whether the others are needed
-# residual of the displacements from those about one hub over the displacements (medians) of these first pairs, beyond
-# which they have no common hub: 1 without any rotation, 0.07 to 0.5 for bodies whose features show their hub
+_PAIRS = 40
+"""Pairs of frames of each lag [1]. Chosen: fewer give an uncertain hub, more cost time."""
+_LAGS = (1, 4, 16)
+"""Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; longer ones lose features, shorter ones
+show no rotation."""
+_FIRST = 5
+"""Distance of the pairs that show whether the others are needed [pairs]. Chosen: a larger value decides by few pairs, a
+smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-_FEWEST_PAIRS = 4  # pairs with a rotation that a hub needs
-_FEATURES = 400  # features of a frame at most
-_STRAY = 8.0  # residual from the similarity at which a feature is discarded [px]
-_NEAR = 640.0  # width of the picture over the largest residual of an inlier
-_FEWEST = 12  # features that a similarity needs
-_UNIFORM = 1.5  # grey levels by which a bar at the side of a picture may vary
-FARTHEST = 6.0  # largest distance of the hub in picture sizes; beyond it the curvature is not measurable
+"""Residual of the displacements from those about one hub over the displacements (medians), beyond which pairs have no
+common hub [1]. Measured: bodies whose features show their hub: 0.07 to 0.5; without any rotation it is 1."""
+_FEWEST_PAIRS = 4
+"""Smallest number of pairs with a rotation that a hub needs [pairs]. Chosen: fewer agree by chance, more omit the
+hub."""
+_FEATURES = 400
+"""Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""
+_STRAY = 8.0
+"""Residual from the similarity at which a feature is discarded [px]. Chosen: a smaller value discards features of a
+soft body, a larger one keeps features of the background."""
+_NEAR = 640.0
+"""Width of the picture over the largest residual of an inlier [1]. Chosen: 2 px in 1280 px; a larger value rejects
+blurred features, a smaller one joins two motions."""
+_FEWEST = 12
+"""Smallest number of features that a similarity needs [features]. Chosen: fewer agree by chance, more omit small
+bodies."""
+_UNIFORM = 1.5
+"""Largest variation of a bar at the side of a picture [grey levels]. Chosen: a smaller value keeps bars that were
+encoded, a larger one cuts off a blank wall."""
+FARTHEST = 6.0
+"""Largest distance of the hub [picture sizes]. Chosen: the curvature is not measurable beyond it; a larger value
+accepts translation, a smaller one refuses long pendulums."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +174,11 @@ def distance_from(
     )
 
 
-# ratio of the axes of a moving area from which on it may be a circle, and down to which a tilt is tried
-_ROUND, _FLATTEST = 0.95, 0.25
+_ROUND = 0.95
+"""Ratio of the axes of a moving area from which it may be a circle [1]. Chosen: a smaller value leaves tilts
+uncorrected, a larger one tries tilts of circles."""
+_FLATTEST = 0.25
+"""Ratio of the axes down to which a tilt is tried [1]. Derived: the cosine of a tilt of 75.5 degrees."""
 
 
 def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Proposal | None:

@@ -29,20 +29,40 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Plane = npt.NDArray[np.uint8]
 
-# relative standard deviation of a distance up to which it is constant: a rod seen within 18 degrees of its plane of
-# motion is shorter by up to 5 %
 _RIGID = 0.05
-_MOVES = 2.0  # smallest extent of a path, in radii of the body
-_ROUGH = 0.5  # standard uncertainty of the centre of a silhouette [px]
-_REACH = 2.0  # largest distance of a body from where its last step leads, in radii
-_LOST = 2  # frames in a row that may miss a body, which another one occludes
-_FEWEST = 20  # positions that show the motion
-_PARTS = 6  # compact parts of a frame that are considered
-# radii, over that of the rim of a body, where the body itself and a link beyond it are seen
-_RIM, _BEYOND = (0.8, 1.0), (1.3, 1.5)
-# half width of a direction [rad]; share of the frames in which a link is seen at least, and of these in which one
-# direction of the body shows it at most. Links of drawn double pendulums: 0.4 to 0.6; a part of the body: 1
-_DIRECTION, _SHOWN, _TURNS_WITH = 0.14, 0.6, 0.75
+"""Relative standard deviation of a distance up to which it is constant [1]. Derived: a rod within 18 degrees of its
+plane of motion is shorter by up to 1 - cos 18 degrees = 5 %."""
+_MOVES = 2.0
+"""Smallest extent of a path [radii]. Chosen: a smaller value takes noise for a motion, a larger one refuses small
+oscillations."""
+_ROUGH = 0.5
+"""Standard uncertainty of the centre of a silhouette [px]. Chosen: a smaller value rejects the arc of a blurred body, a
+larger one leaves the pivot undetermined."""
+_REACH = 2.0
+"""Largest distance of a body from the extrapolation of its last step [radii]. Chosen: a smaller value loses fast
+bodies, a larger one confuses them."""
+_LOST = 2
+"""Frames in a row in which a body may be occluded by another one [frames]. Chosen: fewer end the paths early, more
+confuse bodies."""
+_FEWEST = 20
+"""Smallest number of positions that show the motion [1]. Chosen: fewer agree by chance, more refuse short paths."""
+_PARTS = 6
+"""Compact parts of a frame that are considered [1]. Chosen: time; fewer lose bodies among shadows."""
+_RIM = (0.8, 1.0)
+"""Inner and outer radius at which the body itself is seen [radii]. Chosen: nearer to the hub all directions are
+covered, farther out the body ends."""
+_BEYOND = (1.3, 1.5)
+"""Inner and outer radius at which a link beyond the body is seen [radii]. Chosen: nearer to the rim blur is seen,
+farther out a short link ends."""
+_DIRECTION = 0.14
+"""Half width of a direction [rad]. Chosen: 8 degrees; a smaller value separates a part of the body from itself, a
+larger one joins a link to it."""
+_SHOWN = 0.6
+"""Smallest share of the frames in which a link is seen [1]. Chosen: a smaller value finds links in shadows, a larger
+one overlooks links that cross the body."""
+_TURNS_WITH = 0.75
+"""Largest share of the frames with a link in which one direction of the body shows it [1]. Measured: links of drawn
+double pendulums: 0.4 to 0.6; a part of the body: 1."""
 
 
 def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]) -> Floats:

@@ -103,10 +103,17 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
     return out
 
 
-LARGEST = 24.0  # upper limit of the excess of a squared misfit
-FEWEST = 30  # frames from which a scatter is measured
+LARGEST = 24.0
+"""Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
+FEWEST = 30
+"""Frames from which a scatter is measured [frames]. Chosen: the scatter of 30 frames is known within 13 %; fewer give a
+share by chance."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
-_FAULT = 5.0  # standard deviations from which an angle is a fault
+"""Shares of the excess misfit in the variance that are tried [1]. Chosen: steps of 26 %; finer ones do not change the
+uncertainty by more than some percent."""
+_FAULT = 5.0
+"""Residual from which an angle is a fault, in standard deviations [1]. Chosen: a smaller value discards good angles, a
+larger one lets faults raise the share."""
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
@@ -125,9 +132,12 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
     return float(_SHARES[int(np.argmin(unlikely))])
 
 
-# misfit that illumination alone can cause; occlusion of a tenth of a marker causes more
 LARGEST_MISFIT = 0.12
-WEAKEST = 4.0  # factor on the uncertainty beyond which a partly occluded marker is not used
+"""Misfit of a profile, relative to its height, that illumination alone can cause [1]. Chosen: occlusion of a tenth of a
+marker causes more; a larger value accepts it, a smaller one rejects glare."""
+WEAKEST = 4.0
+"""Factor on the uncertainty beyond which a partly occluded marker is not used [1]. Chosen: it carries 1/16 of the
+information; a larger value admits the errors of an edge, a smaller one discards angles."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +152,17 @@ class Candidate:
     mount: float  # start value of its mount angle, as seen [rad]
 
 
+_LOWEST = 0.5
+"""Smallest plausible height of a marker over its median [1]. Chosen: a smaller value keeps half-covered markers, a
+larger one omits shaded ones."""
+_HIGHEST = 2.0
+"""Largest plausible height of a marker over its median [1]. Chosen: a larger value keeps glare, a smaller one omits
+markers in bright light."""
+_POOR = 6.0
+"""Misfit from which a profile is implausible, in robust standard deviations above the typical one [1]. Chosen: a
+smaller value omits good angles, a larger one keeps disturbed ones."""
+
+
 def plausible(seen: MarkerObservations) -> Mask:
     """Return the frames in which a marker has a plausible height and profile."""
     known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
@@ -149,10 +170,10 @@ def plausible(seen: MarkerObservations) -> Mask:
     if not whole.any():
         return whole
     height = float(np.median(seen.gain[whole]))
-    known &= (seen.gain > 0.5 * height) & (seen.gain < 2.0 * height)
+    known &= (seen.gain > _LOWEST * height) & (seen.gain < _HIGHEST * height)
     typical = float(np.median(seen.misfit[whole]))
     scatter = 1.4826 * float(np.median(np.abs(seen.misfit[whole] - typical)))
-    return np.asarray(known & (seen.misfit < max(typical + 6.0 * scatter, LARGEST_MISFIT)))
+    return np.asarray(known & (seen.misfit < max(typical + _POOR * scatter, LARGEST_MISFIT)))
 
 
 def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float) -> Candidate:
@@ -171,8 +192,11 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
     return float(np.median(values[whole])) if whole.any() else 1.0
 
 
-ROUNDS = 8  # iterations of a match
-FINENESS = 8  # displacements per sample at which the template is tabulated; it is interpolated linearly
+ROUNDS = 8
+"""Iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; more cost time."""
+FINENESS = 8
+"""Displacements per sample at which the template is tabulated [1]. Chosen: linear interpolation between 1/8 of a
+sample; fewer bias the angle, more take memory."""
 
 
 @dataclass(frozen=True)
@@ -257,14 +281,19 @@ def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmet
     return np.asarray((template - foot) / (top - foot)) if top - foot > 1e-3 else None
 
 
+_CLIPPED = 2.5
+"""Deviation from which a sample does not enter the mean profile, in standard deviations [1]. Chosen: a smaller value
+narrows the distribution, a larger one admits hands and glare."""
+
+
 def _clipped_mean(values: Floats, seen: Mask) -> Floats:
-    """Return the mean of each column over its seen values within 2.5 standard deviations; NaN if there are none."""
+    """Return the mean of each column over its seen values without outliers; NaN if there are none."""
     for _ in range(2):
         count = seen.sum(axis=0)
         safe = np.maximum(count, 1)
         mean = np.where(seen, values, 0.0).sum(axis=0) / safe
         off = np.where(seen, values - mean, 0.0)
-        seen = seen & (np.abs(off) <= 2.5 * np.sqrt((off**2).sum(axis=0) / safe) + 1e-9)
+        seen = seen & (np.abs(off) <= _CLIPPED * np.sqrt((off**2).sum(axis=0) / safe) + 1e-9)
     count = seen.sum(axis=0)
     mean = np.where(seen, values, 0.0).sum(axis=0) / np.maximum(count, 1)
     return np.where(count > 0, mean, np.nan)
@@ -276,7 +305,26 @@ def flat_top(half_width: float, length: int) -> Floats:
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))
 
 
-MOST_SHAPES = 96  # largest number of frames of a batch from which the template is learnt
+MOST_SHAPES = 96
+"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: time; fewer give a noisier
+template."""
+
+
+_OFF_MIDDLE = 0.25
+"""Largest distance of the middle of the corners from the fine angle, in half widths [1]. Chosen: a smaller value omits
+corners of blurred markers, a larger one keeps those of other edges."""
+_OFF_MIDDLE_BY = 0.01
+"""Distance by which the middle of the corners may exceed `_OFF_MIDDLE` [rad]. Chosen: for narrow markers; a smaller
+value omits their corners, a larger one keeps those of other edges."""
+_OTHER_WIDTH = 0.3
+"""Largest relative difference of the half width of the corners from the typical one [1]. Chosen: a smaller value omits
+corners of blurred markers, a larger one keeps those of other edges."""
+_OFF_EDGE = 0.35
+"""Largest distance of the corners from the near edge, in lengths of the marker [1]. Chosen: a smaller value omits
+corners of an oblique view, a larger one keeps those of other edges."""
+_OFF_EDGE_BY = 2.0
+"""Distance by which the corners may exceed `_OFF_EDGE` [px]. Chosen: one sample of the chroma; a smaller value omits
+corners of short markers, a larger one keeps those of other edges."""
 
 
 class MarkerTracker:
@@ -437,8 +485,10 @@ class MarkerTracker:
         usual = median_of(half[known])
         length = self.marker.outer - self.marker.inner
         with np.errstate(invalid="ignore"):
-            likely = (np.abs(middle - fine) < 0.25 * usual + 0.01) & (np.abs(half - usual) < 0.3 * usual)
-            likely &= np.abs(radius.mean(axis=1) - self.marker.inner) < 0.35 * length + 2.0
+            likely = (np.abs(middle - fine) < _OFF_MIDDLE * usual + _OFF_MIDDLE_BY) & (
+                np.abs(half - usual) < _OTHER_WIDTH * usual
+            )
+            likely &= np.abs(radius.mean(axis=1) - self.marker.inner) < _OFF_EDGE * length + _OFF_EDGE_BY
         return np.asarray(likely[:, None])
 
 
@@ -450,13 +500,35 @@ def _some(use: Mask, most: int) -> Mask:
     return few
 
 
+_LEAST_GAIN = 0.25
+"""Smallest height, relative to the template, of a profile that enters a template [1]. Chosen: a smaller value admits
+noise, a larger one fails where the light falls."""
+_MOST_GAIN = 4.0
+"""Largest height, relative to the template, of a profile that enters a template [1]. Chosen: a larger value admits
+glare, a smaller one fails where the light rises."""
+_MOST_WEAKNESS = 4.0
+"""Largest factor on the uncertainty of a profile that enters a template [1]. Chosen: a larger value admits covered
+markers, a smaller one leaves few profiles."""
+_FEWEST_WHOLE = 6
+"""Smallest number of unoccluded profiles for which the others are not used [frames]. Chosen: fewer give a noisy
+template, more admit covered markers."""
+_OF_TYPICAL = 0.6
+"""Smallest height of a profile that enters a template over the median of all [1]. Chosen: a smaller value admits shaded
+markers, a larger one leaves few profiles."""
+_OF_MISFIT = 1.2
+"""Largest misfit of a profile that enters a template over the median of all [1]. Chosen: a larger value admits
+disturbed profiles, a smaller one leaves few."""
+
+
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
     """Return the frames that may enter a template: large gain, and a typical misfit at most."""
-    usable = known & (found.gain > 0.25) & (found.gain < 4.0) & (found.weakness < 4.0)
+    usable = (
+        known & (found.gain > _LEAST_GAIN) & (found.gain < _MOST_GAIN) & (found.weakness < _MOST_WEAKNESS)
+    )
     good = whole & usable
-    if good.sum() < 6:
+    if good.sum() < _FEWEST_WHOLE:
         good = usable
     if not good.any():
         return good
-    good = good & (found.gain > 0.6 * median_of(found.gain[good]))
-    return good & (found.misfit <= 1.2 * median_of(found.misfit[good]) + 1e-3)
+    good = good & (found.gain > _OF_TYPICAL * median_of(found.gain[good]))
+    return good & (found.misfit <= _OF_MISFIT * median_of(found.misfit[good]) + 1e-3)

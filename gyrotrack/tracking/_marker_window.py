@@ -24,7 +24,11 @@ Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
-CHROMA_PIXEL, LUMA_PIXEL = 2.0, 1.5  # spacing of the samples [luma px]
+CHROMA_PIXEL = 2.0
+"""Spacing of the samples of a coloured marker in the luma [px]. Derived: one sample of chroma in 4:2:0 is 2 px of
+luma."""
+LUMA_PIXEL = 1.5
+"""Spacing of the samples of a white marker [px]. Chosen: a smaller value costs time, a larger one loses detail."""
 
 
 def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> int:
@@ -155,7 +159,9 @@ class MarkerStrip:
         return ground
 
 
-LAYERS = 3  # parts of the radius for which the occlusion is measured separately
+LAYERS = 3
+"""Parts of the radius for which the occlusion is measured separately [1]. Chosen: fewer take a partly covered marker
+for a dim one, more have noisy heights."""
 
 
 class MarkerWindow:
@@ -258,9 +264,15 @@ class AngleMap:
         return height
 
 
-# relative heights below which a marker counts as occluded, and above which as free of shadows
-HIDDEN, CLEAR = 0.55, 0.95
-WIDEST_EDGE = 8  # largest width of the blurred edge or the shadow of an occluding object, in columns
+HIDDEN = 0.55
+"""Height relative to the expected one below which a marker counts as occluded; lower limit of the illumination [1].
+Chosen: a smaller value keeps half-covered markers, a larger one discards shaded ones."""
+CLEAR = 0.95
+"""Height above which a marker counts as free of shadows [1]. Chosen: a smaller value keeps blurred edges, a larger one
+discards markers in uneven light."""
+WIDEST_EDGE = 8
+"""Largest width of the blurred edge or the shadow of an occluding object [columns]. Chosen: a smaller value keeps
+biased angles, a larger one discards open ones."""
 
 
 def even_light(light: AngleMap, reach: int) -> Floats:
@@ -280,7 +292,9 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
-FEWEST_PLACES = 64  # frames from which the gaps between random angles are not wider than a marker
+FEWEST_PLACES = 64
+"""Frames from which the gaps between random angles are not wider than a marker [frames]. Chosen: fewer have wide gaps
+by chance, more leave the gaps of short films unnoticed."""
 
 
 def places_apart(column: Integers, columns: int) -> int:
@@ -335,8 +349,11 @@ def _blurred(rows: Floats, half: int) -> Floats:
 
 Mask = npt.NDArray[np.bool_]
 
-_COLUMNS = 360  # columns of the map per turn: one degree
+_COLUMNS = 360
+"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; fewer blur the edge of the bar, more are
+seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
+"""Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` over a turn."""
 
 
 class Occlusion:

@@ -42,46 +42,106 @@ Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
 Progress = Callable[[int, int | None], None]
 
-# range of the angles [rad] in which features are followed: a wider one is left to registration about a hub
-_LEAST_RANGE, _WIDEST = 0.01, 2.0
-_LENIENT = 2.0  # factor by which the lower limits of range and travel are smaller in reduced frames
-_EXPLAINED = 0.4  # share of the change of brightness about the path that the rotation must explain
-# the same for a body whose outline is the path: of a rigid body, rotation explains nearly all of the change. Real pucks
-# and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck: 0.56 to 0.63
+_LEAST_RANGE = 0.01
+"""Smallest range of the angles in which features are followed [rad]. Chosen: a smaller value follows noise, a larger
+one overlooks a suspended table."""
+_WIDEST = 2.0
+"""Largest range of the angles in which features are followed [rad]. Chosen: a wider one is left to registration about a
+hub; features are lost by larger rotations."""
+_LENIENT = 2.0
+"""Factor by which the lower limits of range and travel are smaller in reduced frames [1]. Chosen: a smaller factor
+refuses films that the full frames show, a larger one examines more of them."""
+_EXPLAINED = 0.4
+"""Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
+accepts bodies that only translate, a larger one refuses uneven light."""
 _RIGID = 0.7
-# the same for rough angles, from which registration differs by less than 0.1: others are not registered
+"""Smallest explained share for a body whose path is that of its outline; rotation explains nearly all of the change of
+a rigid body [1]. Measured: real pucks and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck:
+0.56 to 0.63."""
 _ROUGHLY_RIGID = 0.5
-_COARSE, _MIDDLE = 48.0, 100.0  # samples of a radius, at most: for rough angles, and for the final ones
-_LEARNT = 150  # frames from which the template is learnt
-_ROUNDS = 10  # largest number of iterations between template and poses ...
-_SETTLED = 1e-3  # ... until the angles change by less than this share of the motion
-_HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the body
-_LARGEST_STEP = 2.0  # px that a registration may correct the path by
+"""Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
+share by less than 0.1; the films are not recorded."""
+_COARSE = 48.0
+"""Resolution for rough angles, at most [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
+marks of the body."""
+_MIDDLE = 100.0
+"""Resolution for the final angles, at most [samples per radius]. Chosen: a larger value costs time, a smaller one loses
+detail."""
+_LEARNT = 150
+"""Frames from which the template is learnt [frames]. Chosen: fewer give a noisier template, more cost time."""
+_ROUNDS = 10
+"""Largest number of iterations between template and poses [iterations]. Chosen: fewer stop before path and template
+agree, more cost time."""
+_SETTLED = 1e-3
+"""Change of the angles, relative to the motion, that ends the iterations [1]. Chosen: a larger value stops early, a
+smaller one costs time."""
+_HIDDEN = 6.0
+"""Mean square residual over its median from which a frame does not show the body [1]. Chosen: a smaller value omits
+frames of uneven light, a larger one keeps frames with a hand."""
+_LARGEST_STEP = 2.0
+"""Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
+follows wrong fits."""
 
-_BACKGROUND = 60  # frames of which the background is the median
-_LAG = 4  # frames between which the picture of a moving body changes
-_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
-_FAINTEST = 0.1  # ... and the share of the strongest contrast
-_FEWEST = 12  # frames of a path
-_SMALLEST = 24.0  # area of a body [px2]
-_REGIONS = 50  # largest regions of a frame that are considered
-_LOST = 5  # frames without the body after which a path ends; colliding bodies start new paths
-_AREA = 0.3  # relative change of the area from which bodies touch or are occluded
-_GATE = 0.7  # largest distance of a body from its prediction in diameters
-_TRAVEL = 0.5  # diameters that a free body moves at least
-# share of the change of the film that is in the frames of the path: what is seen for less is not the motion of the film
+_BACKGROUND = 60
+"""Frames of which the background is the median [frames]. Chosen: memory and time; fewer keep a slow body in the
+background."""
+_LAG = 4
+"""Frames between which the picture of a moving body changes [frames]. Chosen: fewer show less motion than noise, more
+shift the ends of the motion."""
+_CONTRAST = 6.0
+"""Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
+finds noise, a larger one loses faint bodies."""
+_FAINTEST = 0.1
+"""Smallest difference of a body from the background, relative to the strongest contrast [1]. Chosen: a smaller value
+includes shadows, a larger one loses dark parts of the body."""
+_FEWEST = 12
+"""Smallest number of frames of a path [frames]. Chosen: fewer accept short-lived objects, more lose fast bodies."""
+_SMALLEST = 24.0
+"""Smallest area of a body [px2]. Chosen: a smaller value follows noise, a larger one loses small bodies."""
+_REGIONS = 50
+"""Largest number of regions of a frame that are considered, the largest first [1]. Chosen: time; fewer lose bodies in
+noisy films."""
+_LOST = 5
+"""Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; fewer split a
+path at each occlusion, more join different bodies."""
+_AREA = 0.3
+"""Relative change of the area from which bodies touch or are occluded [1]. Chosen: a smaller value discards frames of
+uneven light, a larger one keeps touching bodies."""
+_GATE = 0.7
+"""Largest distance of a body from its prediction [diameters]. Chosen: a smaller value loses fast bodies, a larger one
+confuses neighbours."""
+_TRAVEL = 0.5
+"""Smallest motion of a free body [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one omits
+short paths."""
 _OF_FILM = 0.25
-_SLIDING = 1.0  # px in `_LAG` frames from which a body is in motion, or ...
-_TURNING = 3.0  # ... rms change of its picture over the noise, and ...
-_TURNED = 0.2  # ... over its largest change; codec artefacts of a body at rest exceed the noise
-_STEADY = 9  # frames of a window in which most must show the motion
-_WITHIN = 0.9  # share of the radius within which the picture is that of the body alone
-_BODIES = 4  # paths of which the rotation is measured, at most
-# largest rotation per frame [rad]: beyond it, the picture of a disc with two similar sides fits either sense
+"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: what is seen for less is not
+the motion of the film; a larger value omits one body of several."""
+_SLIDING = 1.0
+"""Displacement in `_LAG` frames from which a body is in motion [px]. Chosen: a smaller value includes rest, a larger
+one cuts slow ends."""
+_TURNING = 3.0
+"""Change (rms) of the picture of a body over the noise from which it is in motion [1]. Chosen: a smaller value includes
+rest, a larger one cuts slow ends."""
+_TURNED = 0.2
+"""Change (rms) of the picture of a body, relative to its largest change, from which it is in motion [1]. Chosen:
+changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
+_STEADY = 9
+"""Frames of a window in which most show the motion [frames]. Chosen: fewer end the motion at a single frame, more blur
+its ends."""
+_WITHIN = 0.9
+"""Share of the radius within which the picture is that of the body alone [1]. Chosen: a larger value includes the
+background, a smaller one loses marks near the rim."""
+_BODIES = 4
+"""Largest number of paths of which the rotation is measured [1]. Chosen: time; fewer may omit the body that turns."""
 _FASTEST = 0.25 * TURN
-_SUDDEN = 0.1 * TURN  # largest difference of the rotation in one frame from that in its neighbours [rad]
-# smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle
+"""Largest rotation per frame [rad per frame]. Derived: beyond a quarter of a turn a disc with two similar sides fits
+either sense."""
+_SUDDEN = 0.1 * TURN
+"""Largest difference of the rotation in one frame from that in its neighbours [rad]. Chosen: a smaller value refuses
+collisions, a larger one accepts another orientation of the template."""
 _TURNS = 5.0
+"""Smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle [1]. Chosen: a
+smaller value reports noise, a larger one omits small rotations."""
 
 
 def track_by_features(

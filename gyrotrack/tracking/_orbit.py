@@ -36,14 +36,22 @@ class Orbit:
     spread: float
 
 
+_FEWEST = 5
+"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: fewer agree by
+chance, more refuse films with occlusions."""
+_LEAST_SPREAD = 1.5
+"""Smallest angle that the inliers of a common centre cover [rad]. Chosen: a quarter of a turn; a smaller value leaves
+the centre undetermined, a larger one refuses short films."""
+
+
 def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbit | None:
     """Find the common centre of the circles of groups (colours) of points, (n, 2) [px], robust against outliers.
 
-    Random triples of points of one group define circles. The centre is selected whose inliers (radius within 5 % of the
-    mode of their group) lie in most directions, since objects at rest are inliers of every centre, but in one direction
-    only. It is refined by least squares over the inliers; None if these are too few or cover less than 1.5 rad.
+    Random triples of points of one group define circles. The centre is selected whose inliers (see `_agreeing`) lie in
+    most directions, since objects at rest are inliers of every centre, but in one direction only. It is refined by
+    least squares over the inliers; None if these are too few or cover less than `_LEAST_SPREAD`.
     """
-    if len(points) < 5:
+    if len(points) < _FEWEST:
         return None
     rng = np.random.default_rng(0)
     best: tuple[int, npt.NDArray[np.bool_]] | None = None
@@ -59,16 +67,16 @@ def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbi
         around = _directions(points, group, trial, inlier)
         if best is None or around > best[0]:
             best = (around, inlier)
-    if best is None or best[0] < 5:
+    if best is None or best[0] < _FEWEST:
         return None
     inlier = best[1]
     for _ in range(3):
         centre, radii = fit_common_centre(points[inlier], group[inlier])
         inlier = _agreeing(points, group, centre)
-        if inlier.sum() < 5:
+        if inlier.sum() < _FEWEST:
             return None
     spread = covered_angle(_angles(points[inlier], centre))
-    if spread < 1.5:
+    if spread < _LEAST_SPREAD:
         return None
     return Orbit((float(centre[0]), float(centre[1])), radii, int(inlier.sum()), spread)
 
@@ -87,12 +95,20 @@ def orbits_about(points: Floats, group: Integers, hub: tuple[float, float]) -> O
     return Orbit(hub, radii, int(inlier.sum()), spread)
 
 
+_SMALLEST = 16.0
+"""Smallest square of the longest side of three points that determine a circle [px2]. Chosen: 4 px; a smaller value is
+dominated by noise, a larger one refuses small orbits."""
+_COLLINEAR = 0.05
+"""Smallest cross product of two sides over the square of the longest one, for three points that determine a circle [1].
+Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
+
+
 def circumcentre(triple: Floats) -> Floats | None:
     """Return the centre of the circle through three points, (3, 2); None if they are nearly collinear."""
     a, b = triple[1] - triple[0], triple[2] - triple[0]
     cross = a[0] * b[1] - a[1] * b[0]
     size = max(float(a @ a), float(b @ b), float((b - a) @ (b - a)))
-    if size < 16.0 or abs(cross) < 0.05 * size:
+    if size < _SMALLEST or abs(cross) < _COLLINEAR * size:
         return None
     offset = np.array([b[1] * (a @ a) - a[1] * (b @ b), a[0] * (b @ b) - b[0] * (a @ a)]) / (2.0 * cross)
     return np.asarray(triple[0] + offset, dtype=np.float64)
@@ -119,6 +135,20 @@ def covered_angle(angle: Floats) -> float:
     return float(2.0 * np.pi - gaps.max())
 
 
+_WITHIN_SHARE = 0.05
+"""Largest relative difference of the radius of an inlier from the mode of its group [1]. Chosen: a smaller value
+refuses oblique views, a larger one accepts random points."""
+_WITHIN = 1.5
+"""Lower limit of the largest difference of the radius of an inlier from the mode of its group [px]. Chosen: a smaller
+value rejects blurred blobs, a larger one accepts random points near the centre."""
+_LEAST_RADIUS = 6.0
+"""Smallest radius of an orbit [px]. Chosen: a smaller value finds the disc at the centre, a larger one refuses small
+bodies."""
+_LEAST_ANGLE = 0.5
+"""Smallest angle that the inliers of a group cover [rad]. Chosen: an object at rest covers less; a larger value refuses
+slow bodies."""
+
+
 def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np.bool_]:
     radius = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1])
     inlier = np.zeros(len(points), dtype=np.bool_)
@@ -127,8 +157,12 @@ def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np
         if not mine.any():
             continue
         typical = _mode(radius[mine])
-        agree = mine & (np.abs(radius - typical) < max(1.5, 0.05 * typical)) & (typical > 6.0)
-        if agree.any() and covered_angle(_angles(points[agree], centre)) > 0.5:
+        agree = (
+            mine
+            & (np.abs(radius - typical) < max(_WITHIN, _WITHIN_SHARE * typical))
+            & (typical > _LEAST_RADIUS)
+        )
+        if agree.any() and covered_angle(_angles(points[agree], centre)) > _LEAST_ANGLE:
             inlier |= agree
     return inlier
 
@@ -153,12 +187,20 @@ def _mode(values: Floats) -> float:
     return float(0.5 * (core[(half - 1) // 2] + core[half // 2]))
 
 
-MOST_OBSERVATIONS = 2000  # observations of an orbit: more do not reduce its error by place
-LEAST_OBSERVATIONS = 30  # the fewest
-# correlation length of errors by place [rad]; their sixth harmonic is as large as the first
+MOST_OBSERVATIONS = 2000
+"""Largest number of observations of an orbit [1]. Chosen: more cost time and do not reduce its error by place."""
+LEAST_OBSERVATIONS = 30
+"""Smallest number of observations of an orbit [1]. Chosen: fewer let a few outliers decide, more leave short films
+without a fit."""
 CELL = np.pi / 6.0
-LEAST_COVER = 5.0  # part of the turn that an orbit must cover [rad]
-_ROUNDS = 6  # smallest angle [rad] covered by the observations for which the orbit of a marker is fitted
+"""Correlation length of errors by place [rad]. Derived: harmonics of orders 1 to 6 of equal size have 12 independent
+values in a turn."""
+LEAST_COVER = 5.0
+"""Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
+larger one fits few orbits."""
+_ROUNDS = 6
+"""Iterations of a fit of offset and flattening [iterations]. Chosen: fewer stop before outliers and shape agree, more
+cost time."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +294,9 @@ def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
     return found
 
 
-_HIGHER = range(3, 7)  # orders of harmonics of radii that neither an offset nor a tilt causes
+_HIGHER = range(3, 7)
+"""Orders of the harmonics of the radii that neither an offset nor a tilt causes [periods per turn]. Derived: an offset
+causes order 1 and a tilt order 2; errors by place have orders up to 6."""
 
 
 def higher_harmonics(theta: Floats, radius: Floats) -> Floats:

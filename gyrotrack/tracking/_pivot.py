@@ -106,10 +106,15 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
     return Orbit(np.asarray(fit.x), covariance)
 
 
-CELLS = 12  # parts of an arc, of which each has one error by place
-_FEWEST_IN_CELL = 3  # angles of a part of an arc that determine its error
-# smallest curvature of a path that determines a hub, in standard uncertainties
+CELLS = 12
+"""Parts of an arc, each with one error by place [1]. Derived: that of a full orbit has 12 independent values, see
+`_orbit.CELL`."""
+_FEWEST_IN_CELL = 3
+"""Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: fewer give an error by
+chance, more leave short arcs without one."""
 STRAIGHT = 4.0
+"""Smallest curvature of a path that determines a hub, in standard uncertainties [1]. Chosen: a smaller value gives a
+hub with an unbounded uncertainty, a larger one refuses short arcs."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,11 @@ class Arc:
         return self.curvature > STRAIGHT * self.curvature_u
 
 
+_OUTLIER = 5.0
+"""Distance from the circle from which a position is an outlier, in robust standard deviations [1]. Chosen: a smaller
+value rejects good positions, a larger one keeps other matches."""
+
+
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
@@ -174,7 +184,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     rest = distance(best)
     # outliers, for example frames in which something else was matched, have been given little weight
     typical = max(1.4826 * float(np.median(np.abs(rest / s))), 1e-12)
-    use = np.abs(rest / s) < 5.0 * typical
+    use = np.abs(rest / s) < _OUTLIER * typical
 
     def of_used(c: Floats) -> Floats:
         return np.asarray(normalised(c)[use])

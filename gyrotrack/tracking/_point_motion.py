@@ -21,32 +21,68 @@ from gyrotrack.tracking._tracked import white_noise
 
 Floats = npt.NDArray[np.float64]
 
-# standard uncertainty of a hub that is given, per axis [px], and over its distance: a place that was clicked, or
-# extrapolated from the thread to outside the picture (the prior of a displaced hub of `apps._motion.VIEW`)
-HUB_U, HUB_SHARE = 1.0, 0.02
-# standard deviation of the tilt of a camera by hand [rad]. Seen at a tilt phi, a circle is an ellipse with the axes a
-# and a cos(phi); a short arc of it resembles a circle whose radius is larger by 1 / cos(phi), or smaller by cos(phi)^2
+HUB_U = 1.0
+"""Standard uncertainty of a hub that is given, per axis [px]. Chosen: the accuracy of a click; a smaller value
+overrules the arc, a larger one ignores the given hub."""
+HUB_SHARE = 0.02
+"""Standard uncertainty of a hub that is given, relative to its distance [1]. Chosen: a hub outside the picture is
+extrapolated from the thread; it is the prior of a displaced hub in `apps._motion.VIEW`."""
 TILT = 0.35
-_VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2  # rms of phi^2 / 2: relative error of all angles
-_VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2  # rms of phi^2: relative error of radius over distance of the hub
-_TILT_U = 0.05  # standard uncertainty of a tilt that is given [rad]
-_WIDE = 0.5 * TURN  # range of the angle [rad] from which an ellipse differs from a circle
-# distance from the arc, in standard deviations of the residuals and at least [px], beyond which a frame shows something
-# else, and the smallest share of frames on the arc
-_OFF, _OFF_LEAST, _ON = 8.0, 0.5, 0.8
-_COMPARED = 300  # frames in which another rotation about the pivot is searched for
-_STILL, _STILL_NOISE = 1.0, 12.0  # smallest extent of a path [px], and in standard deviations of its noise
-# smallest error by place of a learnt picture and background: of interpolation and blur [px], and over the noise of a
-# position (rendered bobs: 0.003 to 0.005 px, and 0.3 to 0.8)
-_BY_PLACE, _LEARNT = 0.005, 0.4
-# distance of the hub of the arc from the given one from which it is doubted, in standard deviations
+"""Standard deviation of the tilt of a camera by hand [rad]. Chosen: 20 degrees; a smaller value understates the error
+of the angles of short arcs, a larger one overstates it."""
+_VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2
+"""Relative error of all angles by the tilt [1]. Derived: the rms of phi^2 / 2 for normal phi; seen at a tilt phi, a
+circle is an ellipse with the axes a and a cos(phi)."""
+_VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2
+"""Relative error of the radius over the distance of the hub by the tilt [1]. Derived: the rms of phi^2 for normal phi;
+a short arc of the ellipse has the radius a / cos(phi) or a cos(phi)^2."""
+_TILT_U = 0.05
+"""Standard uncertainty of a tilt that is given [rad]. Chosen: 3 degrees; a smaller value understates the error of the
+angles, a larger one overstates it."""
+_WIDE = 0.5 * TURN
+"""Range of the angle from which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value drops the
+error of the tilt too early, a larger one keeps it."""
+_OFF = 8.0
+"""Distance from the arc, in standard deviations of the residuals, beyond which a frame shows something else [1].
+Chosen: a smaller value discards good frames, a larger one keeps wrong matches."""
+_OFF_LEAST = 0.5
+"""Lower limit of the distance from the arc beyond which a frame shows something else [px]. Chosen: a smaller value
+discards good frames of sharp films, a larger one keeps wrong matches."""
+_ON = 0.8
+"""Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
+occlusions."""
+_COMPARED = 300
+"""Frames in which another rotation about the pivot is searched for [frames]. Chosen: time; fewer show little motion."""
+_STILL = 1.0
+"""Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small
+oscillations."""
+_STILL_NOISE = 12.0
+"""Smallest extent of a path in standard deviations of its noise [1]. Chosen: a smaller value measures noise, a larger
+one refuses small oscillations."""
+_BY_PLACE = 0.005
+"""Smallest error by place of a learnt picture and background, by interpolation and blur [px]. Measured: rendered bobs:
+0.003 to 0.005 px."""
+_LEARNT = 0.4
+"""Smallest error by place of a learnt picture and background over the noise of a position [1]. Measured: rendered bobs:
+0.3 to 0.8."""
 _CONTRADICTS = 3.0
-# a point that was not selected: share of the frames in which it must be found, largest radial scatter over the extent
-# of its path, and reversals, or turns, from which it moves about a pivot (a thrown ball does not retrace its path)
-_ALWAYS, _ROUND, _REVERSALS, _TURNS = 0.9, 0.03, 2, 1.2
-# step of the angle from frame to frame over its median from which the point jumps (the next throw of a ball): a
-# pendulum passes its middle at 1.4 times the median step
+"""Distance of the hub of the arc from the given one from which it is doubted, in standard deviations [1]. Chosen:
+three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""
+_ALWAYS = 0.9
+"""Smallest share of the frames in which a point that was not selected is found [1]. Chosen: a smaller value accepts
+other objects, a larger one refuses films with occlusions."""
+_ROUND = 0.03
+"""Largest radial scatter of a point that was not selected over the extent of its path [1]. Chosen: a smaller value
+refuses blurred bobs, a larger one accepts other paths."""
+_REVERSALS = 2
+"""Number of passages that the path of a point that was not selected exceeds to be that of an oscillation [1]. Chosen: a
+thrown ball does not retrace its path; a larger value refuses short films."""
+_TURNS = 1.2
+"""Turns from which a point that was not selected moves about a pivot [turns]. Chosen: a thrown ball does not retrace
+its path; a smaller value accepts it, a larger one refuses short films."""
 _JUMP = 5.0
+"""Step of the angle from frame to frame over its median from which the point jumps, for example the next throw of a
+ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows jumps."""
 
 
 @dataclass(frozen=True)
@@ -199,10 +235,15 @@ class SecondLink:
     path: PointPath
 
 
-# relative scatter of the distance of two points of one rigid link, at most; standard deviation of the displacement of a
-# point that is followed from the axis of the joint, per axis (markers of drawn links: 0.2 to 1.6 px), and standard
-# uncertainty of its place on a link that turns [px]
-_RIGID, OFF_AXIS, _ON_LINK = 0.05, 1.0, 0.1
+_RIGID = 0.05
+"""Largest relative scatter of the distance of two points of one rigid link [1]. Chosen: as `_links._RIGID`; a smaller
+value refuses views beside the axis, a larger one joins two bodies."""
+OFF_AXIS = 1.0
+"""Standard deviation of the displacement of a point that is followed from the axis of the joint, per axis [px].
+Measured: markers of drawn links: 0.2 to 1.6 px."""
+_ON_LINK = 0.1
+"""Standard uncertainty of the place of a point on a link that turns [px]. Chosen: a smaller value understates the error
+of short links, a larger one overstates it."""
 
 
 def follow_second_link(
@@ -434,9 +475,15 @@ def about_pivot(
     )
 
 
-# largest gap of an orbit that shows a tilt [rad], largest rms deviation of its points from the ellipse over its radius,
-# and the part of that of the circle
-_GAP, _ELLIPSE, _BETTER = 0.25 * TURN, 0.03, 0.5
+_GAP = 0.25 * TURN
+"""Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse
+undetermined, a smaller one refuses few positions."""
+_ELLIPSE = 0.03
+"""Largest deviation (rms) of the points of an orbit from the ellipse over its radius [1]. Chosen: a smaller value
+refuses blurred points, a larger one accepts other paths."""
+_BETTER = 0.5
+"""Largest ratio of the deviation of an orbit from the ellipse to that from a circle [1]. Chosen: a smaller value leaves
+small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
@@ -460,8 +507,11 @@ def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
     return orbit
 
 
-_FEWEST_ORBIT = 6  # a quarter of the positions of an orbit at least
-_FLATTEST = 0.6  # largest stretch: a tilt of 75 degrees
+_FEWEST_ORBIT = 6
+"""Smallest number of positions per quarter of an orbit, and of frames with both points of a link [1]. Chosen: fewer
+leave no redundancy, more refuse short films."""
+_FLATTEST = 0.6
+"""Largest stretch of an orbit, (a - b) / (a + b) [1]. Derived: a tilt of 75 degrees."""
 
 
 def _about_tilted_axis(

@@ -48,32 +48,83 @@ Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
-_CORE = 0.7  # part of the largest distance from the edge within which the middle of a part is averaged
-_LATE = 0.1  # share of the frames before the one in which it is seen first, at most
-_REACH = 12.0  # largest distance of a spot from the point that was given [px]
-_PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)  # radii of a patch without an outline [px]
-_SHARP = 0.05  # standard uncertainty of the position that a patch must allow [px]
-_MATCHED = 0.35  # mean square difference of a match over the contrast of the patch, at most
-_ANCHORED = 0.5  # ... over this limit, up to which the template is not renewed
-# smallest mean square difference from the background of a match over that of the patch in the first frame
+_CORE = 0.7
+"""Part of the largest distance from the edge within which the middle of a part is averaged [1]. Chosen: a smaller value
+includes joined rods, a larger one averages few pixels."""
+_LATE = 0.1
+"""Largest share of the frames before the one in which a spot is seen first [1]. Chosen: a smaller value refuses films
+with a hand at the start, a larger one skips motion."""
+_REACH = 12.0
+"""Largest distance of a spot from the point that was given [px]. Chosen: the accuracy of a click; a smaller value
+misses the spot, a larger one takes another body."""
+_PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)
+"""Radii of a patch without an outline that are tried, the smallest first [px]. Chosen: by factors of about 1.4; larger
+ones include the background, smaller ones lack detail."""
+_SHARP = 0.05
+"""Standard uncertainty of the position that a patch allows [px]. Chosen: a smaller value selects large patches, a
+larger one follows patches without detail."""
+_MATCHED = 0.35
+"""Largest mean square difference of a match over the contrast of the patch [1]. Chosen: a smaller value loses a patch
+that turns, a larger one matches other objects."""
+_ANCHORED = 0.5
+"""Mean square difference of a match over its limit, up to which the template is not renewed [1]. Chosen: a smaller
+value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-_TEMPLATE = 12.0  # radius to which the picture of a large patch is reduced, by a whole factor [px]
-_COARSE = 5.0  # radius of a spot in the reduced picture that is searched as a whole [px]
-_FOLLOWED = 90  # frames in which the paths of two bodies show whether they are links
-_FOUND = 0.6  # smallest share of the frames in which a patch is found
-_LEARNT = 200  # frames from which the picture of the patch is learnt, at most
-_ROUNDS, _TURN_ROUNDS = 4, 3
-_STEPS, _SMALL_STEP = 8, 0.005  # Gauss-Newton steps, and the step that ends them [px]
-_LARGEST = 0.5  # largest displacement by Gauss-Newton steps [radii of the patch]
-# standard deviation of the coefficients of the second derivatives [px2]: L^2 / 24 for a motion blur of L = 8 px
+"""Smallest mean square difference from the background of a match over that of the patch in the first frame [1]. Chosen:
+a smaller value matches the background, a larger one loses a patch in shadow."""
+_TEMPLATE = 12.0
+"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
+precision."""
+_COARSE = 5.0
+"""Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: time; a smaller one loses the spot
+among similar ones."""
+_FOLLOWED = 90
+"""Frames in which the paths of two bodies show whether they are links [frames]. Chosen: time; fewer show little
+motion."""
+_FOUND = 0.6
+"""Smallest share of the frames in which a patch is found [1]. Chosen: a smaller value measures few frames, a larger one
+refuses films with occlusions."""
+_LEARNT = 200
+"""Largest number of frames from which the picture of the patch is learnt [frames]. Chosen: fewer give a noisier
+picture, more cost time."""
+_ROUNDS = 4
+"""Alternations of learning a patch and its places [iterations]. Chosen: fewer stop before they agree, more cost
+time."""
+_TURN_ROUNDS = 3
+"""Alternations of the path and the rotation of a patch [iterations]. Chosen: fewer stop before they agree, more cost
+time."""
+_STEPS = 8
+"""Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: fewer stop early, more cost time."""
+_SMALL_STEP = 0.005
+"""Gauss-Newton step that ends the registration of a patch [px]. Chosen: a larger value stops early, a smaller one costs
+time."""
+_LARGEST = 0.5
+"""Largest displacement by Gauss-Newton steps [radii]. Chosen: a smaller value omits frames with a rough start, a larger
+one accepts other objects."""
 _BLUR = 2.7
+"""Standard deviation of the coefficients of the second derivatives [px2]. Derived: L^2 / 24 for a motion blur of L = 8
+px."""
 _BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
-_ROBUST = 4.0  # residual in standard deviations from which a pixel is rejected in part (P. Huber, 1964)
-_TURNS_WITH = 0.95  # residual of a patch that turns about the hub over that of one that does not
-_UNSEEN = 1e9  # variance of a pixel that no frame shows [grey levels squared]
-# standard uncertainty of a rough position [px], and largest radial scatter of a rough path over its extent
-_ROUGH, _ROUGHLY_ROUND = 0.5, 0.06
-HIDDEN = 6.0  # mean square residual over its median from which a frame does not show the patch
+"""Prior precision of the parameters of a step: displacement (x, y) and second derivatives [1/px4]. Derived: `_BLUR`^-2;
+displacements are free."""
+_ROBUST = 4.0
+"""Residual from which a pixel is rejected in part, in standard deviations [1]. Source: weights of P. Huber, Ann. Math.
+Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
+_TURNS_WITH = 0.95
+"""Residual of a patch that turns about the hub over that of one that does not, up to which it turns [1]. Chosen: a
+smaller value keeps the orientation of a bob on a rod, a larger one turns round bobs by noise."""
+_UNSEEN = 1e9
+"""Variance of a pixel that no frame shows [grey levels squared]. Chosen: large against any other variance; such a pixel
+has no weight."""
+_ROUGH = 0.5
+"""Standard uncertainty of a rough position [px]. Chosen: a smaller value refuses rough paths, a larger one accepts
+other motions."""
+_ROUGHLY_ROUND = 0.06
+"""Largest radial scatter of a rough path over its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller value
+refuses blurred bobs, a larger one costs time on other paths."""
+HIDDEN = 6.0
+"""Mean square residual over its median from which a frame does not show the patch [1]. Chosen: a smaller value omits
+frames of uneven light, a larger one keeps frames with a hand."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,9 @@ from gyrotrack.video._container import Frame, Plane
 
 Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
-# position of the first chroma sample in luma px (x, y): on the left column, between two rows
 CHROMA_SHIFT = (0.0, 0.5)
+"""Position (x, y) of the first chroma sample in the luma: on the left column, between two rows [px]. Source:
+chroma_sample_loc_type 0 of ITU-T H.264, the default of its decoders."""
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,8 @@ _HUE_DEGREES: dict[str, float] = {
     "blue": 333.0,
     "magenta": 52.0,
 }
+"""Directions of the names of the colours in the chroma plane (U, V) [degrees]. Derived: red, yellow, cyan and magenta
+of ITU-R BT.601, orange between red and yellow; green is 4 degrees nearer to yellow, blue 18 degrees nearer to cyan."""
 
 
 def chroma_direction(colour: str, hue: float | None = None) -> tuple[float, float]:
@@ -92,10 +94,15 @@ def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, floa
     return score
 
 
-# smallest length of the chroma vector (of 255) of a colour with a hue
 _LEAST_CHROMA = 14.0
-_BRIGHT = 110.0  # grey level from which a patch without a hue is white
-_LEAST_AREA = 3  # of a patch of colour [px]
+"""Smallest length of the chroma vector of a colour with a hue [grey levels]. Chosen: a smaller value names the tint of
+a lamp, a larger one calls faint colours white."""
+_BRIGHT = 110.0
+"""Luma from which a patch without a hue is white [grey levels]. Chosen: a smaller value calls metal white, a larger one
+calls shaded paper dark."""
+_LEAST_AREA = 3
+"""Smallest area of a patch of colour [pixels]. Chosen: a smaller value finds noise, a larger one loses small
+markers."""
 
 
 def colour_name(red: float, green: float, blue: float) -> str:

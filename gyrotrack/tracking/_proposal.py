@@ -49,12 +49,23 @@ from gyrotrack.video._decoder import frames_at
 Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
-BINS = 120  # bins of the hue: every 3 degrees
-APART = np.deg2rad(24.0)  # smallest difference between two hues that count as different [rad]
+BINS = 120
+"""Bins of the histogram of the hue [1]. Chosen: 3 degrees; fewer join similar colours, more have noisy heights."""
+APART = np.deg2rad(24.0)
+"""Smallest difference between two hues that count as different [rad]. Chosen: a smaller value divides one marker in
+two, a larger one joins orange and red."""
 SECTOR = np.deg2rad(45.0)
-LEAST_CHANGE = 6.0  # smallest change of chroma of a moving colour [grey levels]
-LEAST_SHARE = 0.004  # smallest share of a hue in the total change of chroma
-MOST = 8  # colours that are proposed
+"""Half width of the sector of a hue [rad]. Derived: a name of a colour covers 45 degrees on either side, see
+`_profile`."""
+LEAST_CHANGE = 6.0
+"""Smallest change of chroma of a moving colour [grey levels]. Chosen: a smaller value finds noise, a larger one loses
+faint markers."""
+LEAST_SHARE = 0.004
+"""Smallest share of a hue in the total change of chroma [1]. Chosen: a smaller value proposes reflections, a larger one
+loses small markers."""
+MOST = 8
+"""Largest number of colours that are proposed [1]. Chosen: more cost time, fewer lose markers in coloured
+surroundings."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +135,24 @@ def apart(a: float, b: float) -> float:
     return float(abs(np.angle(np.exp(1j * (a - b)))))
 
 
-# random triples of points for a centre; more than for a known profile, as most points may be outliers
 TRIALS = 1500
-# smallest contrast times share of samples of a second patch of a hue, relative to the first one
+"""Random triples of points for a centre [1]. Chosen: more than for a known profile, as most points may be outliers;
+fewer may miss the centre."""
 _AMBIGUOUS = 0.35
-_SAME_HUE = 18.0  # difference of equal hues [degrees]
+"""Smallest contrast times share of samples of a second patch of a hue, relative to the first one [1]. Chosen: a smaller
+value doubts reflections, a larger one confuses two marks of one colour."""
+_SAME_HUE = 18.0
+"""Largest difference of equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper, a
+larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
-# smallest chroma of a disc [grey levels]; metal reflects the colour of its surroundings faintly
+"""Hues with which a disc is searched for [degrees]. Chosen: a finer step costs time, a coarser one loses contrast; the
+hue is then measured."""
 _LEAST_DISC = 14.0
-_OFF_CENTRE = 0.3  # largest distance of a disc from the centre of the orbits, relative to the smallest radius
+"""Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly; a larger
+value loses faint discs."""
+_OFF_CENTRE = 0.3
+"""Largest distance of a disc from the centre of the orbits, relative to the smallest radius [1]. Chosen: a smaller
+value loses discs under an oblique view, a larger one accepts a marker."""
 
 
 def find_orbit(
@@ -145,10 +165,17 @@ def find_orbit(
     return orbits_about(place, label_of, hub) if hub else common_centre(place, label_of, trials=TRIALS)
 
 
+_LEAST_SCORE = 4.0
+"""Smallest score of a blob [grey levels]. Chosen: a smaller value accepts noise, a larger one loses faint markers."""
+_OF_PEAK = 0.4
+"""Smallest score of a blob over the typical 90th percentile of its colour [1]. Chosen: a smaller value joins blobs with
+their surroundings, a larger one divides them."""
+
+
 def _blobs(moving: MovingColour, hue: float) -> list[list[Blob]]:
     scores = moving.scores(hue)
     peaks = [float(np.percentile(score[score > 0], 90)) for score in scores if np.any(score > 0)]
-    threshold = max(4.0, 0.4 * float(np.median(peaks))) if peaks else np.inf
+    threshold = max(_LEAST_SCORE, _OF_PEAK * float(np.median(peaks))) if peaks else np.inf
     return [find_blobs(score, threshold, most=3) for score in scores]
 
 
@@ -244,9 +271,18 @@ def _without(rings: Rings, seen: SampledMarker) -> Rings:
 
 Mask = npt.NDArray[np.bool_]
 
-EVEN = 0.6  # smallest share of the observations that are in phase with a steady rotation
-_REST_STEP, _MOVED = 2e-3, 0.25
-_FEWEST = 8  # observations from which a rotation is tested
+EVEN = 0.6
+"""Smallest share of the observations that are in phase with a steady rotation [1]. Chosen: a smaller value accepts
+random patches, a larger one rejects occluded markers."""
+_REST_STEP = 2e-3
+"""Largest step of a group at rest [rad per frame]. Chosen: a smaller value reports noise as a rotation, a larger one
+hides a slow body."""
+_MOVED = 0.25
+"""Largest deviation of a group at rest from its mean angle [rad]. Chosen: a smaller value reports noise as a rotation,
+a larger one hides an oscillation."""
+_FEWEST = 8
+"""Smallest number of observations from which a rotation is tested [1]. Chosen: fewer are in phase by chance, more
+reject occluded markers."""
 
 
 @dataclass(frozen=True)
@@ -279,6 +315,11 @@ class Group:
         return sum(c.contrast * float(c.sampled.clear.mean()) for c in self.members)
 
 
+_IN_PHASE = 0.35
+"""Largest distance of an angle from a steady rotation that is in phase with it [rad]. Chosen: a smaller value rejects
+changes of the speed, a larger one accepts random angles."""
+
+
 def rotation(angle: Floats, use: Mask) -> SteadyRotation:
     """Find the step for which most angles of consecutive frames, (n,) in rad, are in phase."""
     frame = np.flatnonzero(use)
@@ -290,7 +331,7 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
     step = float(steps[np.argmax(power)])
     start = float(np.angle(np.sum(phasor * np.exp(-1j * step * frame))))
     off = np.abs(np.angle(phasor * np.exp(-1j * (start + step * frame))))
-    return SteadyRotation(step, float(np.mean(off < 0.35)))
+    return SteadyRotation(step, float(np.mean(off < _IN_PHASE)))
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
@@ -413,9 +454,12 @@ def left_out(candidate: Candidate) -> str:
     return f"A {candidate.colour} patch does not move steadily about the centre and is omitted."
 
 
-# contrast of a white patch from which it is reported, relative to the smallest contrast of a marker
 _FAINT = 0.3
-SPREAD = 24  # frames from the whole film in addition to its first ones, for bodies at rest at the start
+"""Contrast of a white patch from which it is reported, relative to the smallest contrast of a marker [1]. Chosen: a
+smaller value reports noise, a larger one leaves a faint marker unexplained."""
+SPREAD = 24
+"""Frames from the whole film in addition to its first ones [frames]. Chosen: fewer may miss bodies at rest at the
+start, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -528,6 +572,14 @@ def _samples(video: Path) -> Samples:
     return Samples((*first.frames[: first.head], *keys), first.head)
 
 
+_THINNER = 0.4
+"""Smallest size of a white marker over that of the others of its body [1]. Chosen: the inverse of `_THICKER`; a smaller
+value accepts reflections, a larger one refuses other shapes."""
+_THICKER = 2.5
+"""Largest size of a white marker over that of the others of its body [1]. Chosen: a smaller value refuses other shapes,
+a larger one accepts reflections."""
+
+
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
     """Find a white marker on the rotor; a faint one is returned without a profile."""
     group = bodies.get("rotor")
@@ -541,8 +593,8 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         marker = find_white(samples, range(samples.head), ring, proposed, others, least)
         if marker is None or not is_marker_sized(marker):
             continue
-        alike = 0.4 < (marker.outer - marker.inner) / float(np.median(lengths)) < 2.5
-        alike &= 0.4 < marker.half_width / float(np.median(widths)) < 2.5
+        alike = _THINNER < (marker.outer - marker.inner) / float(np.median(lengths)) < _THICKER
+        alike &= _THINNER < marker.half_width / float(np.median(widths)) < _THICKER
         if alike and least < LEAST_CONTRAST:
             return marker
         if alike:

@@ -29,10 +29,18 @@ Bools = npt.NDArray[np.bool_]
 Area = tuple[int, int, int, int]
 
 TURN = 2 * np.pi
-_PHASES = 8  # copies of the template shifted by fractions of a column
-_ITERATIONS = 6  # Gauss-Newton steps of a frame
-_ROUNDS = 2  # alternations of body and fixed picture
-_CLOSE = 1e-3  # columns; a step below this ends the iteration
+"""A full turn [rad]. Derived: 2 pi."""
+_PHASES = 8
+"""Copies of the template shifted by fractions of a column [1]. Chosen: linear steps within 1/16 of a column; fewer need
+more iterations, more take memory."""
+_ITERATIONS = 6
+"""Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: fewer stop early, more cost time."""
+_ROUNDS = 2
+"""Alternations of body and fixed picture [iterations]. Chosen: fewer leave a part of one in the other, more cost
+time."""
+_CLOSE = 1e-3
+"""Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
+costs time."""
 ALL = slice(None)
 
 
@@ -408,10 +416,19 @@ def _energy(spectrum: npt.NDArray[np.complex64], factor: npt.NDArray[np.float32]
     return float((spectrum.real**2 + spectrum.imag**2).sum(axis=0) @ factor)
 
 
-# Equal parts of a body, for example the spokes of a wheel, are equally probable places for each of them. From this
-# number of steps on, a change of the step by more than this part of it, and by more than this number of columns, must
-# raise the correlation by this part of its maximum.
-_STEADY, _JUMP, _LEAST_JUMP, _UNLIKELY = 2, 1.5, 6.0, 0.3
+_STEADY = 2
+"""Number of steps from which a change of the step is judged [steps]. Chosen: fewer judge a noisy step, more follow the
+next spoke at the start."""
+_JUMP = 1.5
+"""Change of the step over the step beyond which it needs a higher correlation [1]. Chosen: equal parts of a body, for
+example spokes, are equally probable places for each of them; a smaller value refuses reversals, a larger one follows
+the next spoke."""
+_LEAST_JUMP = 6.0
+"""Smallest change of the step beyond which it needs a higher correlation [columns]. Chosen: a smaller value refuses
+changes of slow bodies, a larger one follows the next spoke."""
+_UNLIKELY = 0.3
+"""Part of the maximum by which a change of the step raises the correlation at least [1]. Chosen: a smaller value
+follows the next spoke, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
@@ -463,8 +480,9 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
     return angle * ring.step
 
 
-# largest number of frames from which a template is learnt for a comparison, and that are compared
 _COMPARED = 100
+"""Largest number of frames from which a template is learnt for a comparison, and that are compared [frames]. Chosen:
+time; fewer decide by noise."""
 
 
 def every(count: int) -> int:

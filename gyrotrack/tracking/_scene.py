@@ -84,17 +84,26 @@ class Scene:
         return tuple(body for body in ("casing", "rotor") if self.of(body))
 
 
-HEAD = 48  # number of consecutive first frames; at 0.2 rad per frame they cover more than a turn
-# number of key frames from which the rest of a film is sampled by these alone, which are decoded fastest
+HEAD = 48
+"""Number of consecutive first frames [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more than a turn."""
 KEYS = 20
-LATER = 32  # number of samples from the rest of a film with fewer key frames
-# largest number of frames of 1280 x 720 px that are decoded for these; more if frames are smaller
+"""Number of key frames from which the rest of a film is sampled by these alone [frames]. Chosen: key frames are decoded
+fastest; fewer give a poor background."""
+LATER = 32
+"""Number of samples from the rest of a film with fewer key frames [frames]. Chosen: more cost time, fewer give a poor
+background."""
 DECODED = 240
-FEWEST = 8  # frames of a film at least
-_BLOB_WIDTH = 400  # width of the chroma plane from which blobs are searched at half size [px]
+"""Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
+[frames]. Chosen: time; fewer sample the film less evenly."""
+FEWEST = 8
+"""Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
+_BLOB_WIDTH = 400
+"""Width of the chroma plane from which blobs are searched at half size [px]. Chosen: time; a smaller value loses small
+markers."""
 
 
-_BLOCK = 8  # frames in a file
+_BLOCK = 8
+"""Frames in a temporary file [frames]. Chosen: memory; more occupy more pages, fewer open more files."""
 
 
 class FrameStore:

@@ -24,20 +24,48 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
-_BACKGROUND, _COMPARED = 60, 30  # frames of which the background is the median, and that are compared with it
-_BAND = 32  # rows of the picture of which the median is taken at a time
-_CONTRAST = 6.0  # standard deviations of the noise by which a body differs from the background at least ...
-_FAINTEST = 0.15  # ... and the share of the strongest contrast of the frame
-_SMALLEST = 1.5  # smallest radius of a spot [px]
-_OPENED = 0.6  # radius of the opening that removes a string from a bob, over the radius of the bob
-AS_LARGE = 0.7  # relative radius of the inscribed circle from which a second spot makes the choice ambiguous
-_PARTS = 50  # largest number of separate parts of a frame that are compared
-ALIKE = 1.4  # largest ratio of the radii of one body in two frames
-_SEEN = 0.8  # share of the frames in which a body is seen
-_ALONE = 0.5  # share of what differs from the background that belongs to the body
-_LEAVES = 2.0  # extent of the path, in radii, from which a body leaves its place
-_ROUND = 0.06  # largest scatter about the arc over the extent of the path
-_OPEN = 0.5 * TURN  # largest range of the direction from the pivot on an open arc [rad]
+_BACKGROUND = 60
+"""Frames of which the background is the median [frames]. Chosen: memory and time; fewer keep a slow body in the
+background."""
+_COMPARED = 30
+"""Frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, for time; fewer give uncertain
+shares."""
+_BAND = 32
+"""Rows of the picture of which the median is taken at a time [rows]. Chosen: memory; more rows need more of it."""
+_CONTRAST = 6.0
+"""Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
+finds noise, a larger one loses faint bodies."""
+_FAINTEST = 0.15
+"""Smallest difference of a body from the background, relative to the strongest contrast of the frame [1]. Chosen: a
+smaller value includes shadows, a larger one loses dark parts of the body."""
+_SMALLEST = 1.5
+"""Smallest radius of a spot [px]. Chosen: a smaller value finds noise, a larger one loses small bobs."""
+_OPENED = 0.6
+"""Radius of the opening that removes a string from a bob, over the radius of the bob [1]. Chosen: a smaller value keeps
+a thick rod, a larger one removes bobs that are not round."""
+AS_LARGE = 0.7
+"""Relative radius of the inscribed circle from which a second spot makes the choice ambiguous [1]. Chosen: a smaller
+value refuses films with other objects, a larger one may choose the wrong body."""
+_PARTS = 50
+"""Largest number of separate parts of a frame that are compared [1]. Chosen: time; fewer lose bodies in noisy films."""
+ALIKE = 1.4
+"""Largest ratio of the radii of one body in two frames [1]. Chosen: a smaller value loses blurred bodies, a larger one
+confuses bodies."""
+_SEEN = 0.8
+"""Smallest share of the frames in which a body is seen [1]. Chosen: a smaller value accepts other objects, a larger one
+refuses films with a hand."""
+_ALONE = 0.5
+"""Smallest share of what differs from the background that belongs to the body [1]. Chosen: a smaller value accepts a
+part of a larger body, a larger one refuses bobs with shadows."""
+_LEAVES = 2.0
+"""Smallest extent of the path on which a body leaves its place [radii]. Chosen: a smaller value accepts a wobble, a
+larger one refuses small oscillations."""
+_ROUND = 0.06
+"""Largest scatter about the arc over the extent of the path [1]. Chosen: a smaller value refuses blurred bobs, a larger
+one accepts other paths."""
+_OPEN = 0.5 * TURN
+"""Largest range of the direction from the pivot on an open arc [rad]. Chosen: half a turn; a smaller value refuses wide
+oscillations, a larger one accepts orbits, whose pivot is in the picture."""
 
 
 @dataclass(frozen=True)
@@ -234,11 +262,24 @@ def _unlike(spot: Spot, radius: float) -> float:
     return abs(math.log(max(spot.radius, 1e-9) / radius))
 
 
-# a long body: smallest ratio of the moments of its axes, its area over that of the ellipse of the same moments, and
-# the smallest part of the largest piece that counts (a bar over the middle parts it)
-_LONG, _FILLED, _PIECE = 2.0, 1.4, 0.2
-# smallest tilt of its axis [rad], largest scatter about the ellipse over the radius, and largest gap of the orbit [rad]
-_TILTED, _ELLIPSE, _GAP = 0.4, 0.06, 0.25 * TURN
+_LONG = 2.0
+"""Smallest ratio of the moments of the axes of a long body [1]. Chosen: a smaller value accepts discs under an oblique
+view, a larger one loses short rods."""
+_FILLED = 1.4
+"""Largest area of the ellipse of the same moments over the area of a long body [1]. Chosen: a straight bar has pi / 3 =
+1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
+_PIECE = 0.2
+"""Smallest part of a silhouette that counts, relative to the largest one [1]. Chosen: a bar over the middle divides it;
+a smaller value includes noise, a larger one loses an end."""
+_TILTED = 0.4
+"""Smallest tilt of the axis of a long body [rad]. Chosen: a smaller value takes a disturbed circle for a tilt, a larger
+one leaves a biased angle."""
+_ELLIPSE = 0.06
+"""Largest scatter about the ellipse over the radius [1]. Chosen: a smaller value refuses blurred ends, a larger one
+accepts other motions."""
+_GAP = 0.25 * TURN
+"""Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse undetermined, a smaller
+one refuses few positions."""
 _SIDES = ("light", "dark")
 
 
@@ -297,10 +338,17 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
     return None
 
 
-# a common point of the axes of a long body: frames that are compared and that show it at least, largest distance of the
-# axes from it over their median length, and the smallest spread of their directions, the mean square of the sine from
-# the main one
-_AXES, _FEWEST_AXES, _MEET, _SPREAD = 60, 8, 0.03, 0.01
+_AXES = 60
+"""Frames in which the axes of a long body are compared [frames]. Chosen: time; fewer give an uncertain point."""
+_FEWEST_AXES = 8
+"""Smallest number of frames that show an axis [frames]. Chosen: fewer meet by chance, more refuse a rod that is at rest
+for most of a film."""
+_MEET = 0.03
+"""Largest distance of the axes from their common point over their median length [1]. Chosen: a smaller value refuses
+bent rods, a larger one accepts rods without a hub on their axis."""
+_SPREAD = 0.01
+"""Smallest spread of the directions of the axes, the mean square of the sine from the main one [1]. Chosen: an rms
+rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small oscillations."""
 
 
 def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:

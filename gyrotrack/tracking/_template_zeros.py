@@ -30,17 +30,33 @@ from gyrotrack._smoothing import median_of, spread
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-FEWEST_TEMPLATES = 5  # from which the variance of the steps between zeros can be estimated
+FEWEST_TEMPLATES = 5
+"""Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: fewer
+give a variance by chance, more ignore the drift in short films."""
 _ORDERS = range(1, 13)
-_AVERAGED_OUT = 0.2  # |<exp(i k a)>| of a batch up to which the amplitude of the harmonic k is measured in it
-_STEADY = 0.01  # root mean square change of speed between batches, over the speed, of a steady body
-_MOTION = 4  # degree of the polynomial that describes the angle in a batch
-_FEWEST_FRAMES = 32  # of a batch in which the mean difference is used
-_FAR = 5.0  # robust standard deviations of a batch beyond which a difference is an outlier
-# steps q, p times the root mean square change of speed, and common errors x that are tried, over the typical
-# uncertainty of a mean
+"""Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; fewer
+leave errors of several equal marks in the zeros."""
+_AVERAGED_OUT = 0.2
+"""Mean of exp(i k a) in a batch, absolute, up to which the amplitude of the harmonic k is measured in it [1]. Chosen: a
+smaller value uses few batches, a larger one includes the zero in the amplitude."""
+_STEADY = 0.01
+"""Change of speed (rms) between batches over the speed of a steady body [1]. Chosen: a smaller value fits p to noise, a
+larger one ignores the change of motion blur."""
+_MOTION = 4
+"""Degree of the polynomial that describes the angle in a batch [1]. Chosen: a smaller value leaves changes of the
+speed, a larger one fits noise."""
+_FEWEST_FRAMES = 32
+"""Smallest number of frames of a batch in which the mean difference is used [frames]. Chosen: fewer have an uncertain
+variance, more omit the last batch."""
+_FAR = 5.0
+"""Difference in a batch from which it is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects
+good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
+"""Steps q, and p times the change of speed (rms), that are tried, over the typical uncertainty of a mean [1]. Chosen:
+factors of 2; finer ones cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
+"""Common errors x that are tried, over the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
+time, a smaller range limits the error."""
 
 
 @dataclass(frozen=True)

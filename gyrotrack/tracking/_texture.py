@@ -39,39 +39,80 @@ Singles = npt.NDArray[np.float32]
 Complexes = npt.NDArray[np.complex128]
 
 TURN = 2.0 * np.pi
+"""A full turn [rad]. Derived: 2 pi."""
 
-ZONES = 8  # more zones separate errors more finely, and each determines the angle less well
-ROWS = 4  # of a zone; a bar or a rim extends over many pixels in radius
-COLUMNS = 360  # of a turn; motion blur and the lens smooth details below a degree
-MARGIN = 6  # columns beyond a turn on both sides, for rotations before the registration
-REACH = (MARGIN - 1) * TURN / COLUMNS  # largest such rotation [rad]
-# radius of the first zone relative to the outer end of the markers: nearer to the hub, pixels hardly move
+ZONES = 8
+"""Zones of the radius [1]. Chosen: more separate errors more finely, and each determines the angle less well."""
+ROWS = 4
+"""Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; fewer lose texture, more cost
+time."""
+COLUMNS = 360
+"""Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; fewer lose
+detail, more cost time."""
+MARGIN = 6
+"""Columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: fewer lose frames with
+a poor prediction, more cost time."""
+REACH = (MARGIN - 1) * TURN / COLUMNS
+"""Largest rotation before the registration [rad]. Derived: `MARGIN` less one column for the interpolation."""
 INNERMOST = 0.15
-OUTERMOST = 1.35  # radius of the last zone relative to it: the rim of the body is beyond the markers
-FEWEST, LEARNT = 48, 256  # frames from which templates are learnt: the first ones of a film, and later ones
-LEAST_REACH = 0.7  # smallest radius inside the picture, relative to the outer end of the markers
-LEAST_VARIANCE = 0.25  # of a grey level: that of its rounding and a little noise
-FINENESS = 32  # parts of a column to which OpenCV interpolates
-# mean square residual of a zone, relative to the typical one, from which a frame does not enter its template, and from
-# which the zone has no angle: another body below that stands still for some frames changes a zone less than a hand does
-UNUSUAL, LARGEST_MISFIT = 4.0, 25.0
-LARGEST_TURN = 0.02  # largest error of the rough angles [rad]: two pixels at a radius of a hundred
-LEAST_CONTRAST = 0.5  # of a zone relative to its template, below which it is covered
-LEAST_ZONES = 3  # zones with information about the angle, from which their errors are known
-# frames that are averaged to find slow errors of a zone. Such errors act as a torque, unlike those that differ from
-# frame to frame, and count as often as they are alike
+"""Radius of the first zone relative to the outer end of the markers [1]. Chosen: nearer to the hub, pixels hardly move;
+a larger value loses texture."""
+OUTERMOST = 1.35
+"""Radius of the last zone relative to the outer end of the markers [1]. Chosen: the rim of the body is beyond the
+markers; a larger value includes the background."""
+FEWEST = 48
+"""Smallest number of frames from which the first templates are learnt [frames]. Chosen: fewer give noisy templates,
+more leave short films without texture."""
+LEARNT = 256
+"""Smallest number of frames from which later templates are learnt [frames]. Chosen: fewer give noisy templates, more
+keep an old one."""
+LEAST_REACH = 0.7
+"""Smallest radius inside the picture, relative to the outer end of the markers [1]. Chosen: a smaller value uses a
+small part of the body, a larger one omits bodies near the border."""
+LEAST_VARIANCE = 0.25
+"""Lower limit of the variance of a sample [grey levels squared]. Chosen: its rounding has 1 / 12, noise the rest; a
+smaller value gives saturated samples too much weight, a larger one ignores the noise."""
+FINENESS = 32
+"""Parts of a column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
+UNUSUAL = 4.0
+"""Mean square residual of a zone, relative to the typical one, from which a frame does not enter its template [1].
+Chosen: a smaller value discards good frames, a larger one admits a hand."""
+LARGEST_MISFIT = 25.0
+"""Mean square residual of a zone, relative to the typical one, from which the zone has no angle [1]. Chosen: another
+body below that stands still for some frames changes a zone less than a hand does; a smaller value omits these
+frames."""
+LARGEST_TURN = 0.02
+"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond it the picture is not
+linear in the angle."""
+LEAST_CONTRAST = 0.5
+"""Contrast of a zone, relative to its template, below which it is covered [1]. Chosen: a smaller value fits a hand of
+one brightness, a larger one omits zones in shadow."""
+LEAST_ZONES = 3
+"""Smallest number of zones with information about the angle, from which their errors are known [1]. Derived: the
+differences of three angles determine three variances."""
 TOGETHER = 16
-MANY_TURNS = 3.0  # from which errors that repeat with the turn are distinguishable from a motion
-# standard uncertainty of the centre of a ring in luma [px]: centres are measured in chroma, whose samples are displaced
-# by half a pixel in each direction between the conventions of encoders
+"""Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and count as
+often as they are equal; fewer leave them hidden in noise, more leave few averages."""
+MANY_TURNS = 3.0
+"""Turns from which errors that repeat with the turn are distinguishable from a motion [turns]. Chosen: fewer remove
+motion, more leave such errors in the weights."""
 CENTRE_ERROR = 0.3
-_ROUNDS = 2  # passes of the template: the second one uses the angles of the first
-_LEAST_SHARE = 0.1  # smallest variance of a zone relative to that of its differences
-# of the polynomial that describes the motion in a batch: the first that is sufficient, or the last one over many turns.
-# A motion that remained would seem correlated with the errors of some zones
+"""Standard uncertainty of the centre of a ring in the luma [px]. Derived: it is measured in the chroma, whose
+conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
+_ROUNDS = 2
+"""Passes of the template [iterations]. Chosen: the second one uses the angles of the first; more cost time."""
+_LEAST_SHARE = 0.1
+"""Smallest variance of a zone relative to that of its differences [1]. Chosen: a smaller value gives one zone all the
+weight, a larger one makes the zones equal."""
 DEGREES = (3, 6, 12)
-FAR = 5.0  # robust standard deviations to which outliers are limited
-SHRINKAGE = 0.1  # relative increase of variances that are estimated from some hundred frames
+"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the first that is sufficient, or the last
+one over many turns; a motion that remained would seem correlated with the errors of some zones."""
+FAR = 5.0
+"""Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
+frames, a larger one keeps disturbed ones."""
+SHRINKAGE = 0.1
+"""Relative increase of variances that are estimated from some hundred frames [1]. Chosen: a smaller value gives weights
+by chance, a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)

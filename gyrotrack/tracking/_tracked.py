@@ -11,7 +11,9 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 
 Floats = npt.NDArray[np.float64]
 
-_MANY_TURNS = 3.0  # number of turns from which an error once per turn is distinguishable from a motion
+_MANY_TURNS = 3.0
+"""Turns from which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer remove uncertainty
+that is real, more overstate it."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
     return min(found) if found else float("nan")
 
 
+_SIGNIFICANT = 3.0
+"""Smallest error by a displaced hub that counts, in standard errors [1]. Chosen: a smaller value states noise as an
+error, a larger one hides a displaced hub."""
+
+
 def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
     """Return the rms error of the angles that a displaced hub causes [rad], by the two `halves` (2, n) of the ring.
 
@@ -83,7 +90,7 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
     rest = apart - rows @ found
     variance = np.linalg.pinv(rows.T @ rows)[:free, :free] * float(np.var(rest))
-    if float(np.sum(found[:free] ** 2)) < 9.0 * float(np.trace(variance)):
+    if float(np.sum(found[:free] ** 2)) < _SIGNIFICANT**2 * float(np.trace(variance)):
         return 0.0
     return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
 

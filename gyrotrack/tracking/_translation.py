@@ -17,13 +17,24 @@ Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
-# range of the angle [rad] from which rotation does not resemble translation
 WIDEST = 3.0
-_FRAMES = 24  # frames that are compared
-_FEWEST = 30  # pixels that change
-_SMOOTHED = 5  # width of the smoothing before an alignment [px]
-_STEPS, _SMALL_STEP = 30, 1e-3  # iterations of an alignment, and the change of its correlation that ends them
-_GAIN = 0.5  # residual of translation over that of rotation, up to which the body does not turn
+"""Range of the angle from which rotation does not resemble translation [rad]. Chosen: about half a turn; a smaller
+value skips the test of carts, a larger one costs time."""
+_FRAMES = 24
+"""Frames that are compared [frames]. Chosen: fewer decide by noise, more cost time."""
+_FEWEST = 30
+"""Smallest number of pixels that change [pixels]. Chosen: fewer decide by noise, more skip the test of small bodies."""
+_SMOOTHED = 5
+"""Width of the smoothing before an alignment [px]. Chosen: a smaller value fails for large displacements, a larger one
+loses detail."""
+_STEPS = 30
+"""Largest number of iterations of an alignment [iterations]. Chosen: fewer stop early, more cost time."""
+_SMALL_STEP = 1e-3
+"""Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
+time."""
+_GAIN = 0.5
+"""Residual of translation over that of rotation, up to which the body does not turn [1]. Chosen: a larger value refuses
+bodies that turn little, a smaller one measures carts."""
 
 
 def translates(

@@ -106,8 +106,9 @@ def orientation_of(frame: Any, stream: Any) -> Orientation:
     return replace(_ORIENTATIONS.get(signs, Orientation()), aspect=aspect)
 
 
-# most extreme shape of a pixel that a film is shown with; anamorphic films have 4:3
 _WIDEST_PIXEL = 4.0
+"""Most extreme width of a pixel over its height, or the inverse, with which a film is shown [1]. Chosen: anamorphic
+films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
 
 
 def _pixel_aspect(stream: Any) -> float:
@@ -137,9 +138,11 @@ def _view(plane: Any) -> Plane:
     return np.ndarray((plane.height, plane.width), np.uint8, plane, 0, (plane.line_size, 1))
 
 
-# largest picture that is decoded: 8000 x 8000; a small file can declare far more than memory holds
 MAX_PIXELS = 64_000_000
-MIN_SIDE = 32  # smallest side of a picture in which markers can be distinguished
+"""Largest picture that is decoded [pixels]. Chosen: memory; a small file can declare far more than memory holds."""
+MIN_SIDE = 32
+"""Smallest side of a picture in which markers can be distinguished [px]. Chosen: a smaller value accepts icons, a
+larger one refuses cropped films."""
 
 # Without these lists a text file named .mp4 can make the library open other files or the network.
 _CONTAINER_OPTIONS = {
@@ -251,10 +254,15 @@ def _declared_duration(container: Any, stream: Any) -> float:
     return float(container.duration / av.time_base)
 
 
+_MISSING = 1.2
+"""Largest ratio of the nominal rate to the average one that missing frames explain [1]. Chosen: a smaller value uses a
+rate biased by missing frames, a larger one the inverse of an unusual time base."""
+
+
 def _nominal_rate(stream: Any) -> Any:
     """Return the rate of a stream; the average is biased by missing frames, the nominal one by unusual time bases."""
     average, nominal = stream.average_rate, stream.base_rate
-    if average and nominal and 1.0 <= float(nominal / average) < 1.2:
+    if average and nominal and 1.0 <= float(nominal / average) < _MISSING:
         return nominal
     return average or stream.guessed_rate
 
@@ -369,17 +377,27 @@ def _stated_rate(path: Path, container: Any, stream: Any) -> float | None:
     return _tagged_rate(container.metadata) or _tagged_rate(stream.metadata) or _sony_rate(path)
 
 
+_SLOWEST = 1.0
+"""Smallest capture rate of a tag that is plausible [1/s]. Chosen: a smaller value accepts empty tags, a larger one
+ignores time lapses."""
+_FASTEST = 1.0e6
+"""Largest capture rate of a tag that is plausible [1/s]. Chosen: a larger value accepts damaged tags, a smaller one
+ignores fast cameras."""
+
+
 def _tagged_rate(metadata: Any) -> float | None:
     for tag in _RATE_TAGS:
         with contextlib.suppress(KeyError, ValueError, TypeError):
             value = float(metadata[tag])
-            if 1.0 <= value <= 1.0e6:
+            if _SLOWEST <= value <= _FASTEST:
                 return value
     return None
 
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
-_LONGEST_XML = 2**20  # bytes of a description that are read: a limit of memory
+_LONGEST_XML = 2**20
+"""Largest part of a description that is read [bytes]. Chosen: memory; a longer description may hold the capture rate
+beyond it."""
 
 
 def _sony_rate(path: Path) -> float | None:
@@ -392,7 +410,7 @@ def _sony_rate(path: Path) -> float | None:
     if path.suffix.lower() in {".mp4", ".mov", ".m4v"} and path.is_file():
         texts += _meta_boxes(path)
     rates = (float(m[1]) for m in map(_SONY_RATE.search, texts) if m)
-    return next((rate for rate in rates if 1.0 <= rate <= 1.0e6), None)
+    return next((rate for rate in rates if _SLOWEST <= rate <= _FASTEST), None)
 
 
 def _meta_boxes(path: Path) -> list[bytes]:

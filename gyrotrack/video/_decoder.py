@@ -39,10 +39,16 @@ from gyrotrack.video._time_base import stamp_warnings
 
 T = TypeVar("T")
 
-CHUNK = 8  # frames transferred at a time; waking a thread for each one would take longer than its decoding
-_CHUNK_BYTES = 5_000_000  # ... unless they are large: several chunks are in memory at a time
-WAITING = 2  # largest number of waiting chunks
-_PATIENCE = 0.05  # time after which a waiting thread looks whether it is to stop [s]
+CHUNK = 8
+"""Frames that are transferred at a time [frames]. Chosen: waking a thread for each one would take longer than its
+decoding; more take memory."""
+_CHUNK_BYTES = 5_000_000
+"""Largest size of the frames that are transferred at a time [bytes]. Chosen: memory; several chunks exist at a time."""
+WAITING = 2
+"""Largest number of waiting chunks [1]. Chosen: memory; fewer let the decoder wait."""
+_PATIENCE = 0.05
+"""Time after which a waiting thread checks whether it is to stop [s]. Chosen: a longer time delays the end, a shorter
+one costs time."""
 
 
 class ReadAhead(Generic[T]):
@@ -100,8 +106,11 @@ class ReadAhead(Generic[T]):
             return
 
 
-_STAMP_S = 2e-3  # resolution of timestamps in whole ms
-_NO_STAMP = -(1 << 63)  # the value of FFmpeg for a missing timestamp
+_STAMP_S = 2e-3
+"""Difference of the declared duration that rounding of timestamps explains [s]. Derived: twice the resolution of
+timestamps in whole ms."""
+_NO_STAMP = -(1 << 63)
+"""Value for a missing timestamp [ticks]. Source: AV_NOPTS_VALUE of FFmpeg."""
 
 
 @dataclass(frozen=True)
@@ -320,14 +329,26 @@ def _decoded(
         return
 
 
-# largest difference of a repeated frame from the previous one, relative to the recent typical difference
 SAME = 0.3
-SMALL = 0.35  # size of a packet, relative to its neighbours, below which it has little information
-_AROUND = 31  # packets of a running quantile
-_LARGE = 80  # the quantile [percent]
-_ROWS = 12  # rows of a frame that are compared
-_MOST = 0.8  # quantile of the differences that a repeated frame must fall below
-_FEWEST = 5  # repeats from which their spacing is judged
+"""Largest difference of a repeated frame from the previous one, relative to the recent typical difference [1]. Chosen:
+a smaller value keeps repeats that were encoded again, a larger one drops frames of slow motion."""
+SMALL = 0.35
+"""Size of a packet, relative to its neighbours, below which it has little information [1]. Chosen: a smaller value
+overlooks repeats, a larger one reports predicted frames."""
+_AROUND = 31
+"""Length of a running quantile [packets or frames]. Chosen: more follow changes of the film late, fewer are dominated
+by repeats."""
+_LARGE = 80
+"""Quantile of the sizes that is typical of new frames [percent]. Chosen: a lower one is that of repeats where most
+frames are repeated, a higher one that of scene changes."""
+_ROWS = 12
+"""Rows of a frame that are compared [rows]. Chosen: fewer overlook a small motion, more cost time."""
+_MOST = 0.8
+"""Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower one is
+that of repeats, a higher one that of a cut."""
+_FEWEST = 5
+"""Smallest number of repeats from which their spacing is judged [1]. Chosen: fewer are regular by chance, more leave
+short films uncorrected."""
 
 Rows = npt.NDArray[np.uint8]
 
@@ -402,7 +423,12 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return place[np.diff(place, prepend=-2) > 1]
 
 
+REGULAR = 0.8
+"""Smallest share of the distances of repeats that are equal, for repeats that are periodic [1]. Chosen: a smaller value
+finds a period in chance, a larger one needs all repeats to be detected."""
+
+
 def _regular(start: npt.NDArray[np.int64]) -> bool:
     """Return whether runs are periodic up to one frame of rounding, as after a conversion."""
     apart = np.diff(start)
-    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > 0.8)
+    return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR)

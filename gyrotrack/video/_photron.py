@@ -20,10 +20,17 @@ from gyrotrack._errors import VideoError
 from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIX = ".cih"
-_LONGEST_HEADER = 2**16  # [bytes]; those of cameras have 3 to 10 kB
-_LARGEST_SIDE = 2**15  # [px]; sensors have at most 4096
-_FASTEST = 1e8  # [1/s]
-_PACKED, _WORDS = (8, 10, 12), 16  # bits of a pixel
+_LONGEST_HEADER = 2**16
+"""Largest size of a header [bytes]. Chosen: headers of cameras have 3 to 10 kB; a larger value reads files that are not
+headers."""
+_LARGEST_SIDE = 2**15
+"""Largest side of a picture [px]. Chosen: sensors have at most 4096 px; a larger value accepts damaged headers."""
+_FASTEST = 1e8
+"""Largest capture rate [1/s]. Chosen: a larger value accepts damaged headers, a smaller one refuses fast cameras."""
+_PACKED = (8, 10, 12)
+"""Sizes of pixels that are packed [bits]. Source: headers written by PFV and by the PDC library of Photron."""
+_WORDS = 16
+"""Size of pixels that are words [bits]. Source: headers written by PFV and by the PDC library of Photron."""
 _AGAIN = "Save the film again as MRAW, or as an uncompressed AVI."
 
 

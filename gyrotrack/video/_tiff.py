@@ -20,12 +20,17 @@ from gyrotrack._errors import VideoError
 from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIXES = (".tif", ".tiff")
-_SAMPLED = 20  # pictures from which the range of the brightness is taken
+_SAMPLED = 20
+"""Pictures from which the range of the brightness is taken [pictures]. Chosen: time; fewer may saturate a picture that
+is brighter."""
 _INTERVAL = re.compile(r"finterval=([0-9.eE+-]+)")
 _INCREMENT = re.compile(r'TimeIncrement="([0-9.eE+-]+)"')
 _UNIT = re.compile(r'TimeIncrementUnit="([^"]+)"')
 _SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "min": 60.0}
-_FASTEST = 1e8  # [1/s]
+"""Units of the time between two pictures [s]. Source: names of units in OME and ImageJ."""
+_FASTEST = 1e8
+"""Largest capture rate [1/s]. Chosen: a larger value accepts damaged descriptions, a smaller one refuses fast
+cameras."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from gyrotrack._errors import UsageError, VideoError
 from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
-# container rates [fps] below this may be slow motion, and require the capture rate to be given
 SLOWEST_PLAIN_RATE = 100.0
+"""Container rate below which a film may be in slow motion, and needs the capture rate [1/s]. Chosen: slow motion is
+stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one requires the rate needlessly."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,26 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
     return CaptureRate(info.container_fps, "container")
 
 
+_SAME_RATE = 1.0e-3
+"""Largest relative difference of two rates that count as equal [1]. Chosen: a smaller value warns of rounded rates, a
+larger one hides a wrong rate."""
+
+
 def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
     found = []
-    if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > 1.0e-3:
+    if np.isfinite(info.container_fps) and abs(fps / info.container_fps - 1.0) > _SAME_RATE:
         found.append(
             f"The container plays at {info.container_fps:g} fps; "
             f"times are from the capture rate of {fps:g} fps ({source})."
         )
-    if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > 1.0e-3:
+    if info.tag_fps is not None and abs(fps / info.tag_fps - 1.0) > _SAME_RATE:
         found.append(f"The tag of the camera states {info.tag_fps:g} fps, not {fps:g} fps.")
     return tuple(found)
 
 
-# largest unit of timestamps that measure time; a container with a larger one counts frames [s]
 COARSEST_TICK = 1e-3
+"""Largest unit of timestamps that measure time [s]. Chosen: a container with a larger unit counts frames; a smaller
+value discards stamps in whole ms."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
@@ -125,12 +132,19 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
-LIVE = 0.05  # share by which the stamps' rate may differ from the capture rate in a film that was not slowed down
-# largest residual of equally spaced stamps about a line, in periods, if their tick is finer than that
+LIVE = 0.05
+"""Largest relative difference of the stamps' rate from the capture rate in a film that was not slowed down [1]. Chosen:
+a smaller value discards stamps of a camera with a varying rate, a larger one uses those of an edited film."""
 EVEN = 5e-3
-_ROUNDED = 0.75  # residual of rounded stamps [ticks]: half a tick, and a margin
-_ODD = 0.01  # share of stamps that may be wrong
-_HALF = 20  # stamps on either side of a local fit
+"""Largest residual of equally spaced stamps about a line, if their tick is finer [periods]. Chosen: a smaller value
+takes jitter for a varying rate, a larger one counts frames of such a camera."""
+_ROUNDED = 0.75
+"""Largest residual of rounded stamps [ticks]. Derived: half a tick, and a margin of a quarter."""
+_ODD = 0.01
+"""Largest share of stamps that are wrong [1]. Chosen: a smaller value discards stamps for single faults, a larger one
+uses damaged ones."""
+_HALF = 20
+"""Stamps on either side of a local fit [frames]. Chosen: fewer leave jitter, more smooth a change of the rate."""
 
 
 @dataclass(frozen=True)

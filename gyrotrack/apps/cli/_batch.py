@@ -196,6 +196,9 @@ def config_command(
     ] = None,
     *,
     everything: Annotated[bool, option("--all", "Also show options at their defaults.")] = False,
+    tracking: Annotated[
+        bool, option("--tracking", "Show the numbers by which films are tracked instead.")
+    ] = False,
     as_json: shared.Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
@@ -204,11 +207,24 @@ def config_command(
     --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, your own. A gyrotrack.toml in this folder may not set
     addresses, ports, certificates, --force or paths outside of the folder.
 
+    --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: derived,
+    measured, a source, or chosen. They are part of the program; no file changes them.
+
     Example: gyrotrack config extract
     """
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import options_of
 
+    out = Output(as_json=as_json)
+    if tracking:
+        if name is not None or everything:
+            raise UsageError("--tracking shows no options of commands.", "Omit the command and --all.")
+        from gyrotrack._tracking_settings import tracking_settings
+
+        numbers = tracking_settings()
+        out.result({"tracking": numbers.to_json()})
+        out.show(str(numbers))
+        return
     chosen = [e for e in COMMANDS if name in {None, e.name}]
     if not chosen:
         raise UsageError(f"There is no command '{str(name)[:40]}'.", "`gyrotrack --help` lists them.")
@@ -226,7 +242,6 @@ def config_command(
                 plain = default.value if isinstance(default, Enum) else default
                 shown = None if plain is inspect.Parameter.empty else plain
                 rows.setdefault(entry.name, {})[key] = {"value": shown, "from": "default"}
-    out = Output(as_json=as_json)
     out.result({"file": settings.path, "settings": rows})
     lines = [f"file: {settings.path or 'none'}"]
     for section, keys in rows.items():

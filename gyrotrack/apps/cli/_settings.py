@@ -54,7 +54,7 @@ _COMPUTE = (
     "inertia inertia_casing inertia_rotor joint json keep_all label law likelihood links loss marker model "
     "omega_casing omega_rotor per_case point profile pulses_per_turn quiet recordings resume rotor rotor_fps "
     "rotor_start scale seed set share sigma size speed_scale start_u strength surface table tilt timeout times to "
-    "torque_noise torque_time until verbose verify window window_length"
+    "torque_noise torque_time tracking until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (

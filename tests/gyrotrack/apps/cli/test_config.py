@@ -104,3 +104,21 @@ def test_a_file_says_what_made_it(gyrotrack, here):
         environment = json.loads(file.attrs["environment"])
         assert file.attrs["command"].startswith("gyrotrack simulate -o a.h5")
     assert {"gyrotrack", "python", "platform", "numpy", "h5py"} <= set(environment)
+
+
+def test_numbers_of_tracking(gyrotrack, here):
+    said = gyrotrack("config", "--tracking")
+    assert said.code == 0
+    assert "gyrotrack.tracking._film_tracker\n" in said.out
+    assert "  BATCH = 512 [frames]\n    Frames that are measured together\n    chosen: " in said.out
+    rows = gyrotrack("config", "--tracking", "--json").json["tracking"]
+    batch = next(r for r in rows if r["name"] == "BATCH")
+    assert (batch["module"], batch["value"], batch["unit"]) == (
+        "gyrotrack.tracking._film_tracker",
+        512,
+        "frames",
+    )
+    for words in (["extract"], ["--all"]):
+        said = gyrotrack("config", "--tracking", *words)
+        assert said.code == 2
+        assert "--tracking shows no options of commands." in said.err
