@@ -225,10 +225,11 @@ def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
             m: replace(own, angle=own.angle + shake.roll, centre=shake.still(own.centre))
             for m, own in body.markers.items()
         }
-        texture = body.texture and replace(
-            body.texture, angle=body.texture.angle + shake.roll, centre=shake.still(body.texture.centre)
-        )
-        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers, texture=texture)
+        rings = {
+            kind: ring and replace(ring, angle=ring.angle + shake.roll, centre=shake.still(ring.centre))
+            for kind, ring in (("texture", body.texture), ("aligned", body.aligned))
+        }
+        bodies[name] = replace(body, coarse=body.coarse + shake.roll, markers=markers, **rings)
     return replace(seen, bodies=bodies, disc=None if seen.disc is None else shake.still(seen.disc))
 
 

@@ -77,7 +77,6 @@ _RATE = 24
 """Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
 include a change of it."""
 _STAMPS = "stamps"
-_TEXTURE = "texture/angle"
 
 
 def available_cores() -> int:
@@ -457,12 +456,14 @@ def track_film(
             )
             for marker in scene.of(name)
         }
-        texture = None
-        if f"{name}/{_TEXTURE}" in rows:
-            texture = TextureObservations(
-                **{f.name: rows.pop(f"{name}/texture/{f.name}") for f in fields(TextureObservations)}
+        rings = [
+            TextureObservations(
+                **{f.name: rows.pop(f"{name}/{kind}/{f.name}") for f in fields(TextureObservations)}
             )
-        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers, texture)
+            for kind in _film_tracker.RINGS
+            if f"{name}/{kind}/angle" in rows
+        ]
+        bodies[name] = BodyObservations(rows.pop(f"{name}/coarse"), markers, *rings)
     times, warnings = timing.of(seconds, tick), film_warnings(info, seconds, *kept.damage)
     return FilmObservations(bodies, rows.get("disc"), seconds, times, warnings, work.size, rows["again"])
 
@@ -479,7 +480,8 @@ def _columns(scene: Scene, work: FilmTracker) -> dict[str, tuple[tuple[int, ...]
                 found[f"{name}/{marker.name}/{f.name}"] = shape, "|b1" if f.name == "open" else "<f8"
         for f in fields(TextureObservations) if name in work.textures else ():
             pair = f.name in {"centre", "first", "second"}
-            found[f"{name}/texture/{f.name}"] = (2,) if pair else (), "<f8"
+            for kind in _film_tracker.RINGS:
+                found[f"{name}/{kind}/{f.name}"] = (2,) if pair else (), "<f8"
     return found | ({"disc": ((2,), "<f8")} if work.disc is not None else {})
 
 
@@ -584,13 +586,12 @@ class _PartResults:
                             key = f"{name}/{marker.name}/{column}"
                             rows[key] = rows[key] + (turns if rows[key].ndim == 1 else turns[:, None])
                     rows[f"{name}/coarse"] = coarse
-                    if (key := f"{name}/{_TEXTURE}") in rows:
+                    for key in _ring_angles(name, rows):
                         rows[key] = rows[key] + turns
-                        rows[key] = rows[key] + zero_between(*textures[name], frame, rows[key])
+                        rows[key] = rows[key] + zero_between(*textures[key], frame, rows[key])
                 if np.isfinite(coarse).any():
                     last[name] = frame, coarse
-                if (key := f"{name}/{_TEXTURE}") in rows:
-                    textures[name] = frame, rows[key]
+                textures |= {key: (frame, rows[key]) for key in _ring_angles(name, rows)}
             own = self._own(index, stamps)
             rows[_STAMPS] = stamps
             if not out:
@@ -610,6 +611,10 @@ class _PartResults:
             return rows, rows.pop(_STAMPS)
         found = self._memory.pop(index)
         return dict(found.rows), found.stamps
+
+
+def _ring_angles(body: str, rows: Rows) -> list[str]:
+    return [key for kind in _film_tracker.RINGS if (key := f"{body}/{kind}/angle") in rows]
 
 
 def zero_between(frame: Floats, angle: Floats, next_frame: Floats, next_angle: Floats) -> float:

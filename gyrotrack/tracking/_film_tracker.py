@@ -241,6 +241,8 @@ Rows = dict[str, npt.NDArray[Any]]
 
 Progress = Callable[[int, int | None], None]
 
+RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
+
 BATCH = 512
 """Frames that are measured together [frames]. Chosen: fewer give noisy templates, more let templates age and take more
 memory."""
@@ -264,17 +266,19 @@ class BodyObservations:
     coarse: Floats
     markers: dict[str, MarkerObservations]
     texture: TextureObservations | None = None
+    aligned: TextureObservations | None = None  # of a slow body, about the view that its ring shows
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
         """Place the frames at `index` of `count` frames; the others are NaN or False."""
         markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
-        texture = self.texture and self.texture.spread_out(index, count)
-        return BodyObservations(spread_out(self.coarse, index, count), markers, texture)
+        rings = (ring and ring.spread_out(index, count) for ring in (self.texture, self.aligned))
+        return BodyObservations(spread_out(self.coarse, index, count), markers, *rings)
 
     def picked(self, index: npt.NDArray[np.int64]) -> BodyObservations:
         """Return the frames `index`."""
         markers = {name: m.picked(index) for name, m in self.markers.items()}
-        return BodyObservations(self.coarse[index], markers, self.texture and self.texture.picked(index))
+        rings = (ring and ring.picked(index) for ring in (self.texture, self.aligned))
+        return BodyObservations(self.coarse[index], markers, *rings)
 
 
 @dataclass(frozen=True)
@@ -397,10 +401,11 @@ class FilmTracker:
             if name == "casing":
                 casing = coarse
             if name in self.textures:
-                found = self.textures[name].measure(self.filled, _by_markers(coarse, markers, body))
-                rows |= {
-                    f"{name}/texture/{f.name}": getattr(found, f.name) for f in fields(TextureObservations)
-                }
+                rings = self.textures[name].measure(self.filled, _by_markers(coarse, markers, body))
+                for kind, ring in zip(RINGS, rings, strict=True):
+                    rows |= {
+                        f"{name}/{kind}/{f.name}": getattr(ring, f.name) for f in fields(TextureObservations)
+                    }
         if self.disc is not None:
             rows["disc"] = self.disc.centres(self.filled)
             self._move(rows["disc"])

@@ -338,7 +338,7 @@ class TestTexture:
         texture = TextureObservations(
             true - 0.3 + texture_sigma * rng.standard_normal(n),
             texture_sigma * column, 0.1 * texture_sigma * column, column,
-            np.tile(CENTRE, (n, 1)), np.tile([periodic, 0.0], (n, 1)), self.moments(n),
+            np.tile(CENTRE, (n, 1)), np.tile([periodic, 0.0], (n, 1)), self.moments(n), 0.0 * column,
         )  # fmt: skip
         flat = Flattening({}, 0.0, 0.0)
         return true, marker, by_texture(marker, texture, path(n, 0.0), flat, true, 250.0, 1e-5)
@@ -370,7 +370,7 @@ class TestTexture:
         seen = np.where(np.arange(self.N) < 500, np.nan, true - 0.3)
         texture = TextureObservations(
             seen, 5e-4 * column, 5e-5 * column, column,
-            np.tile(CENTRE, (self.N, 1)), np.zeros((self.N, 2)), np.zeros((self.N, 2)),
+            np.tile(CENTRE, (self.N, 1)), np.zeros((self.N, 2)), np.zeros((self.N, 2)), 0.0 * column,
         )  # fmt: skip
         found = by_texture(marker, texture, path(self.N, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-5)
         assert (found.angle[:500] == marker.angle[:500]).all()

@@ -171,7 +171,14 @@ def test_frames_with_the_same_moments_have_one_template():
     angle = np.array([np.nan, 0.0, 0.1, np.nan, 0.2, 0.3, 0.4])
     moment = np.array([0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 2.0])
     seen = TextureObservations(
-        angle, column, column, column, np.zeros((7, 2)), np.stack([moment, 0 * moment], 1), np.zeros((7, 2))
+        angle,
+        column,
+        column,
+        column,
+        np.zeros((7, 2)),
+        np.stack([moment, 0 * moment], 1),
+        np.zeros((7, 2)),
+        np.zeros(7),
     )
     assert seen.template.tolist() == [0, 0, 0, 0, 0, 1, 1]
 

@@ -38,13 +38,13 @@ def frames_of(pictures):
     return [Frame(k, k, p, grey, grey) for k, p in enumerate(levels)]
 
 
-def measured(angle, start, pictures, *, batches=1, centre=HUB):
-    """Track frames whose angles are known roughly (`start`), in equal batches."""
+def measured(angle, start, pictures, *, batches=1, centre=HUB, kind=0):
+    """Track frames whose angles are known roughly (`start`), in equal batches; `kind` 1: about the own view."""
     tracker = TextureTracker(centre, OUTER, SIZE, len(angle) // batches)
     frames, found = frames_of(pictures), []
     for part in np.array_split(np.arange(len(angle)), batches):
         tracker.take(frames[part[0] : part[-1] + 1], 0, start[part] + 0.02)
-        found.append(tracker.measure(len(part), start[part]))
+        found.append(tracker.measure(len(part), start[part])[kind])
     return TextureObservations(*(np.concatenate([getattr(f, n) for f in found]) for n in vars(found[0])))
 
 
@@ -103,9 +103,9 @@ class TestAngle:
         tracker = TextureTracker(HUB, OUTER, SIZE, 260)
         frames = frames_of(pictures)
         tracker.take(frames[:260], 0, angle[:260])
-        first = tracker.measure(260, angle[:260])
+        first, _ = tracker.measure(260, angle[:260])
         tracker.take(frames[260:], 0, angle[260:])
-        last = tracker.measure(40, angle[260:])
+        last, _ = tracker.measure(40, angle[260:])
         assert np.isfinite(last.angle).all()
         assert abs(np.mean(last.angle - angle[260:]) - np.mean(first.angle - angle[:260])) < 0.3e-3
 

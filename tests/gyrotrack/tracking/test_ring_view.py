@@ -1,0 +1,220 @@
+"""Centre, flattening and static light of a ring, on pictures drawn with a known view."""
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _ring_view as ring_view
+from gyrotrack.tracking import _texture as texture
+from gyrotrack.tracking._body_angles import _ALMOST_ALL, _best_ring
+from gyrotrack.tracking._film_tracker import BodyObservations
+from gyrotrack.tracking._ring_view import View, ViewResponse, slope, static_light, without_light
+from gyrotrack.tracking._texture import TextureObservations
+
+from .test_texture import HUB, measured, picture
+
+TURN = 2.0 * np.pi
+COLUMNS = 360
+THETA = np.arange(COLUMNS) * TURN / COLUMNS
+RADIUS = np.linspace(20.0, 90.0, texture.ZONES * texture.ROWS)
+
+
+def spots(displacement=(0.0, 0.0), flattening=(0.0, 0.0), angle=0.0, light=0.0):
+    """Return the polar picture of a body of soft oblique spots, in its own coordinates, seen in a view."""
+    a = THETA + angle
+    r, a = np.meshgrid(RADIUS, a, indexing="ij")
+    x, y = r * np.cos(a) - displacement[0], r * np.sin(a) - displacement[1]
+    p, q = flattening
+    u, v = np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = c * u + s * v, c * v - s * u
+    grey = np.full(r.size, 90.0)
+    for k, (at, far) in enumerate(((0.3, 35.0), (1.9, 60.0), (3.0, 78.0), (4.4, 45.0), (5.5, 70.0))):
+        du, dv = along - far * np.cos(at), across - far * np.sin(at)
+        tilt = at + 0.6 + 0.5 * k
+        long, short = np.cos(tilt) * du + np.sin(tilt) * dv, np.cos(tilt) * dv - np.sin(tilt) * du
+        grey += 80.0 * np.exp(-0.5 * (long / 14.0) ** 2 - 0.5 * (short / 7.0) ** 2)
+    return (grey.reshape(r.shape) + light * np.cos(a - 0.7)).astype(np.float32)
+
+
+def view_of(angles, displacement, flattening, light=0.0, *, known=None):
+    strips = np.stack([spots(displacement, flattening, a, light) for a in angles])
+    zones, turned, _ = texture.learn_zones(strips, angles, RADIUS)
+    response = ViewResponse.of(zones.picture, zones.basis, zones.weight, RADIUS)
+    left = [
+        texture._fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
+        for z, seen in enumerate(texture._by_zone(strips))
+    ]
+    use = np.isfinite(turned) if known is None else known
+    return View.of(response, left, zones.weight, angles, use, 16.0), response, turned
+
+
+class TestSlope:
+    def test_it_is_the_derivative_by_the_angle(self):
+        waves = np.stack([np.cos(3.0 * THETA), np.sin(7.0 * THETA)])
+        assert slope(waves) == pytest.approx(
+            np.stack([-3.0 * np.sin(3.0 * THETA), 7.0 * np.cos(7.0 * THETA)]), abs=1e-3
+        )
+
+
+class TestStaticLight:
+    ANGLES = np.linspace(0.0, 3.0 * TURN, 90, endpoint=False)
+
+    def test_it_is_what_does_not_turn(self):
+        strips = np.stack([spots(angle=a, light=6.0) for a in self.ANGLES])
+        found = static_light(strips, self.ANGLES)
+        assert found == pytest.approx(np.tile(6.0 * np.cos(THETA - 0.7), (len(RADIUS), 1)), abs=0.3)
+
+    def test_without_it_the_pictures_are_those_of_the_body(self):
+        strips = np.stack([spots(angle=a, light=6.0) for a in self.ANGLES])
+        found = without_light(strips, static_light(strips, self.ANGLES), self.ANGLES)
+        assert np.abs(found - spots()).max() < 0.5
+
+    def test_a_body_without_light_keeps_its_picture(self):
+        strips = np.stack([spots(angle=a) for a in self.ANGLES])
+        assert np.abs(static_light(strips, self.ANGLES)).max() < 0.2
+
+
+class TestResponse:
+    @pytest.mark.parametrize(
+        ("displacement", "flattening"),
+        [
+            ((0.3, 0.0), (0.0, 0.0)),
+            ((0.0, 0.3), (0.0, 0.0)),
+            ((0.0, 0.0), (4e-3, 0.0)),
+            ((0.0, 0.0), (0.0, 4e-3)),
+        ],
+    )
+    def test_a_view_turns_a_zone_as_it_says(self, displacement, flattening):
+        weight = np.ones((texture.ZONES, texture.ROWS * COLUMNS), dtype=np.float32)
+        body = spots().reshape(texture.ZONES, -1)
+        basis = np.stack([texture._basis(body[z], weight[z]) for z in range(texture.ZONES)])
+        response = ViewResponse.of(body, basis, weight, RADIUS)
+        angles = np.array([0.4, 2.0, 3.7])
+        expected = response.seen(np.array([*displacement, *flattening]), angles)
+        for k, angle in enumerate(angles):
+            seen = spots(displacement, flattening, angle).reshape(texture.ZONES, -1)
+            for z in range(2, texture.ZONES):
+                turned = texture._fitted(seen[z][None], body[z], basis[z], weight[z])[0][0, 0]
+                assert turned == pytest.approx(expected[z, k], abs=7e-4)
+
+    def test_edges_along_the_radius_respond_by_the_mean_of_their_directions(self):
+        narrow = np.exp(-0.5 * ((THETA - 1.0) / 0.1) ** 2)
+        body = np.tile(100.0 * narrow, (len(RADIUS), 1)).astype(np.float32).reshape(texture.ZONES, -1)
+        weight = np.ones_like(body)
+        basis = np.stack([texture._basis(body[z], weight[z]) for z in range(texture.ZONES)])
+        response = ViewResponse.of(body, basis, weight, RADIUS)
+        rows = RADIUS.reshape(texture.ZONES, texture.ROWS)
+        assert response.first == pytest.approx(np.exp(-1j) * (1.0 / rows).mean(axis=1), rel=0.03)
+        assert response.second == pytest.approx(np.full(texture.ZONES, np.exp(-2j)), abs=0.05)
+
+
+class TestViewOfARing:
+    def test_displacement_and_flattening_are_found(self):
+        angles = np.linspace(0.0, 1.6 * TURN, 80)
+        view, _, _ = view_of(angles, (0.35, -0.2), (3e-3, -2e-3))
+        assert view.value[:2] == pytest.approx([0.35, -0.2], abs=0.08)
+        assert view.value[2:] == pytest.approx([3e-3, -2e-3], abs=8e-4)
+
+    def test_a_zone_that_is_not_known_does_not_count(self):
+        angles = np.linspace(0.0, 1.6 * TURN, 80)
+        nothing = np.zeros((texture.ZONES, len(angles)), dtype=bool)
+        view, _, _ = view_of(angles, (0.35, -0.2), (0.0, 0.0), known=nothing)
+        assert view.value == pytest.approx(np.zeros(4))
+        assert np.sqrt(np.diag(view.covariance)) == pytest.approx(
+            [ring_view.DISPLACEMENT] * 2 + [ring_view.FLATTENING] * 2
+        )
+
+    def test_zones_that_disagree_have_a_larger_uncertainty(self):
+        angles = np.linspace(0.0, 1.6 * TURN, 80)
+        alike, _, _ = view_of(angles, (0.0, 0.0), (0.0, 0.0))
+        apart, _, _ = view_of(angles, (0.0, 0.0), (0.0, 0.0), light=20.0)
+        assert apart.covariance[0, 0] > 2.0 * alike.covariance[0, 0]
+
+    def test_its_error_is_the_rms_over_a_turn(self):
+        view = View(np.zeros(4), np.diag([0.04, 0.01, 1e-6, 3e-6]))
+        rng = np.random.default_rng(1)
+        drawn = rng.standard_normal((20_000, 4)) * np.sqrt(np.diag(view.covariance))
+        psi = rng.uniform(0.0, TURN, len(drawn))
+        m1, m2 = 0.004 + 0.003j, 0.2 - 0.4j
+        turned = (m1 * (drawn[:, 0] + 1j * drawn[:, 1]) * np.exp(-1j * psi)).imag
+        turned += (m2 * (drawn[:, 2] + 1j * drawn[:, 3]) * np.exp(-2j * psi)).imag
+        assert view.error(m1, m2) == pytest.approx(turned.std(), rel=0.03)
+
+
+def arc(turns, count=100):
+    angle = np.linspace(0.0, turns * TURN, count)
+    return angle + 0.05 * np.sin(np.linspace(0.0, 3.0, count))
+
+
+class TestSlowBody:
+    def test_large_errors_of_the_rough_angles_do_not_remain(self):
+        rng = np.random.default_rng(2)
+        angle = arc(1.5)
+        start = angle + 16e-3 * np.sin(angle)
+        pictures = [picture(a, grain=rng) for a in angle]
+        plain, aligned = (measured(angle, start, pictures, kind=k).angle - angle for k in (0, 1))
+        assert (aligned - aligned.mean()).std() < 0.45e-3 < 0.8 * (plain - plain.mean()).std()
+
+    @pytest.mark.parametrize("move", [(0.6, 0.0), (0.0, -0.6)])
+    def test_a_displaced_centre_and_a_flattening_need_no_correction(self, move):
+        rng = np.random.default_rng(3)
+        angle = arc(1.5)
+        hub = HUB[0] + move[0], HUB[1] + move[1]
+        pictures = [picture(a, hub=hub, stretch=(4e-3, 3e-3), grain=rng, arms=1) for a in angle]
+        found = measured(angle, angle, pictures, kind=1)
+        error = found.levelled(found.centre, 0.0, 0.0) - angle
+        assert (error - error.mean()).std() < 0.5e-3
+        wrong = found.levelled(found.centre + 5.0, 0.05, 0.05) - angle  # what the markers say does not matter
+        assert wrong == pytest.approx(error, abs=1e-9)
+
+    def test_a_centre_that_moves_is_followed(self):
+        angle = arc(1.5)
+        found = measured(angle, angle, [picture(a, arms=1) for a in angle], kind=1)
+        shift = np.stack([np.linspace(-0.5, 0.5, len(angle)), np.zeros(len(angle))], axis=1)
+        change = found.levelled(found.centre + shift, 0.0, 0.0) - found.angle
+        m1 = complex(*found.first[0])
+        assert change == pytest.approx(-(m1 * shift[:, 0] * np.exp(-1j * found.angle)).imag, abs=1e-12)
+
+    @pytest.mark.parametrize(
+        ("turns", "known"), [(0.98 * ring_view.LEAST_ARC, False), (1.02 * ring_view.LEAST_ARC, True)]
+    )
+    def test_most_of_a_turn_shows_the_view(self, turns, known):
+        angle = np.linspace(0.0, turns * TURN, 60)
+        found = measured(angle, angle, [picture(a) for a in angle], kind=1)
+        assert np.isfinite(found.angle).all()
+        assert (found.own_view == float(known)).all()
+
+    @pytest.mark.parametrize(("turns", "lit"), [(0.98, False), (1.02, True)])
+    def test_a_whole_turn_shows_the_light(self, turns, lit):
+        angle = np.linspace(0.0, turns * ring_view.WHOLE_TURN * TURN, 60)
+        strips = np.stack([spots(angle=a, light=6.0) for a in angle])
+        assert (texture._OwnView.learn(strips, angle, RADIUS).light is not None) == lit
+
+    @pytest.mark.parametrize(("turns", "slow"), [(2.95, True), (3.05, False)])
+    def test_a_fast_body_is_measured_about_the_view_of_the_markers(self, turns, slow):
+        angle = np.linspace(0.0, turns * TURN, 60)
+        pictures = [picture(a) for a in angle]
+        found = measured(angle, angle, pictures, kind=1)
+        assert np.isfinite(found.angle).all() if slow else np.isnan(found.angle).all()
+        assert np.isfinite(measured(angle, angle, pictures).angle).all()
+
+
+class TestBestRing:
+    @staticmethod
+    def rings(share):
+        count = 1000
+        plain, aligned = (TextureObservations.unknown(np.zeros((count, 2))) for _ in range(2))
+        plain.angle[:] = 0.0
+        aligned.angle[: round(share * count)] = 0.0
+        return BodyObservations(np.zeros(count), {}, plain, aligned)
+
+    def test_a_body_that_is_always_slow_has_its_own_view(self):
+        body = self.rings(_ALMOST_ALL + 0.01)
+        assert _best_ring(body) is body.aligned
+
+    def test_a_body_that_is_sometimes_fast_has_that_of_the_markers(self):
+        body = self.rings(_ALMOST_ALL - 0.01)
+        assert _best_ring(body) is body.texture
+
+    def test_a_body_without_a_ring_has_none(self):
+        assert _best_ring(BodyObservations(np.zeros(3), {})) is None
