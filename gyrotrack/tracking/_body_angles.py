@@ -55,6 +55,7 @@ from gyrotrack.tracking._orbit import (
     mixture,
 )
 from gyrotrack.tracking._profile import Profile
+from gyrotrack.tracking._ring_view import WHOLE_TURN
 from gyrotrack.tracking._scene import Marker, Scene
 from gyrotrack.tracking._template_zeros import TemplateZeros, scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
@@ -712,7 +713,7 @@ def _followed(
         texture, flat = _best_ring(seen.bodies[name]), flattening[name]
         if texture is None:
             continue
-        by_place = RING_ERROR if (texture.own_view > 0.0).any() else usual_error_by_place(views[name])
+        by_place = error_of_ring(texture, net_turn(body.angle), usual_error_by_place(views[name]))
         others = [b.angle for n, b in bodies.items() if n != name]
         bodies[name] = by_texture(
             body,
@@ -875,11 +876,17 @@ def by_texture(
 
 RING_ERROR = 0.045
 """Error by place of a slow ring about its own view, rms [px]. Measured: means over 16 frames of two path-traced films
-and three by another renderer err by 0.02 to 0.045 px at the radius of the markers. A shorter arc has the error of a
-marker: an encoder keeps a body at rest fixed in the picture."""
+and three by another renderer err by 0.02 to 0.045 px at the radius of the markers. An arc below a turn, in which light and
+body are not distinguishable, has the error of a marker."""
 _ALMOST_ALL = 0.95
 """Share of the frames of a ring that must be measured about its own view [1]. Chosen: the rest has the angles of the
 markers; a smaller value joins different errors, a larger one fails for a few disturbed frames."""
+
+
+def error_of_ring(ring: TextureObservations, turned: float, usual: float) -> float:
+    """Return the error by place of a ring [px] of a body that has turned by an angle [rad]; `usual` [px] if unknown."""
+    lit = abs(turned) > WHOLE_TURN * 2.0 * np.pi
+    return RING_ERROR if lit and bool((ring.own_view > 0.0).any()) else usual
 
 
 def _best_ring(body: BodyObservations) -> TextureObservations | None:

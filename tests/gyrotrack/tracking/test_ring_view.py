@@ -5,7 +5,7 @@ import pytest
 
 from gyrotrack.tracking import _ring_view as ring_view
 from gyrotrack.tracking import _texture as texture
-from gyrotrack.tracking._body_angles import _ALMOST_ALL, _best_ring
+from gyrotrack.tracking._body_angles import _ALMOST_ALL, RING_ERROR, _best_ring, error_of_ring
 from gyrotrack.tracking._film_tracker import BodyObservations
 from gyrotrack.tracking._ring_view import View, ViewResponse, slope, static_light, without_light
 from gyrotrack.tracking._texture import TextureObservations
@@ -218,3 +218,20 @@ class TestBestRing:
 
     def test_a_body_without_a_ring_has_none(self):
         assert _best_ring(BodyObservations(np.zeros(3), {})) is None
+
+
+class TestErrorOfARing:
+    @pytest.mark.parametrize(
+        ("turned", "own", "error"),
+        [
+            (1.02, 1.0, RING_ERROR),
+            (-1.02, 1.0, RING_ERROR),
+            (0.98, 1.0, 0.1),
+            (1.02, 0.0, 0.1),
+            (1.02, np.nan, 0.1),
+        ],
+    )
+    def test_a_ring_with_its_own_view_and_light_has_a_smaller_one(self, turned, own, error):
+        ring = TextureObservations.unknown(np.zeros((4, 2)))
+        ring.own_view[:] = own
+        assert error_of_ring(ring, turned * TURN, 0.1) == error
