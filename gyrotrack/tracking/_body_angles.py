@@ -876,8 +876,8 @@ def by_texture(
 
 RING_ERROR = 0.045
 """Error by place of a slow ring about its own view, rms [px]. Measured: means over 16 frames of two path-traced films
-and three by another renderer err by 0.02 to 0.045 px at the radius of the markers. An arc below a turn, in which light and
-body are not distinguishable, has the error of a marker."""
+and three by another renderer err by 0.02 to 0.045 px at the radius of the markers. Over less than a turn, light and
+body are not distinguishable, and it is that of a marker."""
 _ALMOST_ALL = 0.95
 """Share of the frames of a ring that must be measured about its own view [1]. Chosen: the rest has the angles of the
 markers; a smaller value joins different errors, a larger one fails for a few disturbed frames."""
