@@ -5,7 +5,14 @@ import pytest
 
 from gyrotrack.tracking import _ring_view as ring_view
 from gyrotrack.tracking import _texture as texture
-from gyrotrack.tracking._body_angles import _ALMOST_ALL, RING_ERROR, _best_ring, error_of_ring
+from gyrotrack.tracking._body_angles import (
+    _ALMOST_ALL,
+    LEAST_PERIODIC,
+    RING_ERROR,
+    _best_ring,
+    error_of_ring,
+    periodic_error,
+)
 from gyrotrack.tracking._film_tracker import BodyObservations
 from gyrotrack.tracking._ring_view import View, ViewResponse, slope, static_light, without_light
 from gyrotrack.tracking._texture import TextureObservations
@@ -235,3 +242,31 @@ class TestErrorOfARing:
         ring = TextureObservations.unknown(np.zeros((4, 2)))
         ring.own_view[:] = own
         assert error_of_ring(ring, turned * TURN, 0.1) == error
+
+
+class TestPeriodicError:
+    CENTRE, FLAT = np.full(6, 0.4), 7e-4
+
+    @staticmethod
+    def ring():
+        """A slow template of three frames, and a fast one of two; the last frame is not known."""
+        ring = TextureObservations.unknown(np.zeros((6, 2)))
+        ring.first[:3], ring.first[3:5] = (4e-3, 3e-3), (1e-3, -1e-3)
+        ring.second[:3], ring.second[3:5] = (0.9, 0.0), (0.6, 0.4)
+        ring.first[5] = ring.second[5] = np.nan
+        return ring
+
+    def test_without_fast_frames_it_is_that_of_the_whole_response(self):
+        found = periodic_error(self.ring(), self.CENTRE, self.FLAT, np.zeros(6, dtype=bool))
+        assert found == pytest.approx(np.hypot(5e-3 * np.hypot(0.4, texture.CENTRE_ERROR), 0.9 * self.FLAT))
+
+    def test_what_fast_frames_show_is_known(self):
+        learnt = np.array([False] * 3 + [True] * 2 + [False])
+        found = periodic_error(self.ring(), self.CENTRE, self.FLAT, learnt)
+        of_view = np.hypot(5e-3 * np.hypot(0.4, texture.CENTRE_ERROR), 0.5 * self.FLAT)
+        assert found == pytest.approx(np.hypot(of_view, LEAST_PERIODIC))
+
+    def test_a_ring_about_its_own_view_has_it_in_its_slow_error(self):
+        ring = self.ring()
+        ring.own_view[:] = 1.0
+        assert periodic_error(ring, self.CENTRE, self.FLAT, np.zeros(6, dtype=bool)) == 0.0
