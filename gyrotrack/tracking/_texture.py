@@ -228,9 +228,8 @@ class _Zones:
             misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
             # a hand of one brightness fits the template without contrast
             similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
-            similar &= (
-                np.abs(parts[:, 0]) < LARGEST_TURN
-            )  # farther away the picture is not linear in the angle
+            # farther away the picture is not linear in the angle; a blurred one is noisier, and linear farther away
+            similar &= np.abs(parts[:, 0]) < max(LARGEST_TURN, FAR * spread(parts[:, 0]))
             found[z] = np.where(similar, parts[:, 0], np.nan)
         return found, misfit
 
