@@ -98,9 +98,9 @@ linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Contrast of a zone, relative to its template, below which it is covered [1]. Chosen: a smaller value fits a hand of
 one brightness, a larger one omits zones in shadow."""
-LEAST_ZONES = 3
+LEAST_ZONES = 2
 """Smallest number of zones with information about the angle, from which their errors are known [1]. Derived: the
-differences of three angles determine three variances."""
+differences of three angles determine three variances; that of two is an upper limit of both."""
 TOGETHER = 16
 """Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and count as
 often as they are equal; fewer leave them hidden in noise, more leave few averages."""
@@ -228,8 +228,10 @@ class _Zones:
             misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
             # a hand of one brightness fits the template without contrast
             similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
-            # farther away the picture is not linear in the angle; a blurred one is noisier, and linear farther away
-            similar &= np.abs(parts[:, 0]) < max(LARGEST_TURN, FAR * spread(parts[:, 0]))
+            # farther away the picture is not linear in the angle; a blurred one is noisier, and linear farther away.
+            # A zone that scatters more does not turn with the body
+            farthest = FAR * spread(parts[:, 0])
+            similar &= np.abs(parts[:, 0]) < (farthest if LARGEST_TURN < farthest < REACH else LARGEST_TURN)
             found[z] = np.where(similar, parts[:, 0], np.nan)
         return found, misfit
 
@@ -560,7 +562,10 @@ def _zone_variances(turned: Floats) -> Floats:
                 off = turned[i] - turned[j]
                 apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)) ** 2, 1e-14)
     pairs = np.isfinite(apart)
-    if known.sum() < LEAST_ZONES or not pairs.any():
+    if known.sum() == LEAST_ZONES:  # an upper limit of both
+        off = np.subtract(*turned[known])
+        return np.where(known, spread(off - np.nanmedian(off)) ** 2, np.inf)
+    if not pairs.any():
         return np.full(count, np.inf)
     variance = np.where(pairs.any(axis=1), 0.5 * np.nanmin(np.where(pairs, apart, np.inf), axis=1), np.inf)
     for _ in range(100):
