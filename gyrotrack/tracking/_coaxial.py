@@ -16,8 +16,10 @@ Plane = npt.NDArray[np.uint8]
 
 _COARSE = 48.0  # samples of a radius
 # share of the change of brightness left by the first rotation that the second one must explain, as any rotation must,
-# and of the whole change. One body, with light fixed in the image or a displaced hub: less than 0.2, and 0.03
+# and of the whole change; or less of the rest, for a large part of the whole. One body, with light fixed in the image
+# or a displaced hub: less than 0.2, and 0.03; a rendered rotor about which its casing turns slowly: 0.22, and 0.13
 _OF_REST, _OF_ALL = 0.4, 0.05
+_LESS_OF_REST, _MORE_OF_ALL = 0.2, 0.1
 # standard deviation of the difference of both angles over that of the larger one, from which the motions differ. What a
 # displaced hub leaves of one body turns with it (up to 0.1)
 _APART = 0.2
@@ -98,9 +100,15 @@ def second_rotation(
         of_rest, _ = explained(rest, other, second)
         found.append(SecondRotation(other, of_rest, of_rest * (1.0 - share)))
     best = max(found, key=lambda second: second.of_rest, default=None)
-    if best is None or best.of_rest < _OF_REST or best.of_all < _OF_ALL:
+    if best is None or not enough(best.of_rest, best.of_all):
         return None
     return best if differs_from(angle, best.angle) else None
+
+
+def enough(of_rest: float, of_all: float) -> bool:
+    """Return whether a rotation explains enough of what a first one leaves, and of the whole change of brightness."""
+    clear = of_rest >= _OF_REST and of_all >= _OF_ALL
+    return clear or (of_rest >= _LESS_OF_REST and of_all >= _MORE_OF_ALL)
 
 
 def differs_from(angle: Floats, other: Floats) -> bool:

@@ -58,7 +58,7 @@ _RIGID = 0.02
 def halves_differ(angle: Floats, error: float) -> float | None:
     """Return the error by the difference of both halves [rad] over the standard deviation of the angle (n,), if large.
 
-    Over more than three turns the difference of the halves is a harmonic of the angle, and no error of the motion.
+    Over more than three turns the error is 0 (see `apart_beyond_harmonics`).
     """
     share = error / max(float(np.std(angle)), 1e-12)
     return share if share > _RIGID else None
@@ -67,6 +67,12 @@ def halves_differ(angle: Floats, error: float) -> float | None:
 # share of the change of brightness that a rotation explains in the frames of the search, less that in the whole film,
 # from which it is not about one hub throughout. Real films on an axle: up to 0.07; a drawn pole on a cart: 0.23
 _FALLS = 0.15
+_FALLEN = 0.2  # ... from which the film is refused
+
+
+def fallen(searched: float, film: float) -> bool:
+    """Return whether the share that rotation explains falls too far for one hub throughout (see `hub_doubt`)."""
+    return searched - film > _FALLEN
 
 
 def hub_doubt(searched: float, film: float) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,9 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 
 Floats = npt.NDArray[np.float64]
 
+# slow difference of both halves over the standard uncertainty of the angle, from which a body is not rigid. Real wheels
+# and discs: up to 3; a drawn rim that swings by 10 to 30 mrad beside its disc: 10
+_APART = 5.0
 _MANY_TURNS = 3.0  # number of turns from which an error once per turn is distinguishable from a motion
 
 
@@ -86,6 +90,26 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     if float(np.sum(found[:free] ** 2)) < 9.0 * float(np.trace(variance)):
         return 0.0
     return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
+
+
+def apart_beyond_harmonics(
+    angle: Floats, halves: Floats, at: npt.NDArray[np.int64], sigma: float
+) -> float | None:
+    """Return the error of the angles by halves of the ring that do not turn alike over many turns [rad]; None if small.
+
+    The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. What varies beyond
+    these, and beyond `_APART` of the standard uncertainty `sigma` of the angles [rad], is another motion. The angle is
+    about the mean of both halves (2, n), so that its error is half of the difference. `at` (n,) are the frames.
+    """
+    if np.ptp(angle) <= _MANY_TURNS * TURN:
+        return None
+    apart = halves[0] - halves[1]
+    orders = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
+    rows = np.stack([*orders, np.ones_like(angle), np.linspace(-1.0, 1.0, len(angle))], axis=1)
+    found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
+    rest = apart - rows @ found
+    slow = math.sqrt(max(float(np.var(rest)) - white_noise(rest, at) ** 2, 0.0))
+    return 0.5 * slow if slow > _APART * sigma else None
 
 
 def hub_leverage(parts: tuple[Template, Template]) -> float:
