@@ -37,6 +37,8 @@ _ROUGH = 0.5  # standard uncertainty of the centre of a silhouette [px]
 _REACH = 2.0  # largest distance of a body from where its last step leads, in radii
 _LOST = 2  # frames in a row that may miss a body, which another one occludes
 _FEWEST = 20  # positions that show the motion
+# positions that show a body at rest, and the smallest extent of the path of a moving one [px]
+_SEEN, _LEAVES = 4, 3.0
 _PARTS = 6  # compact parts of a frame that are considered
 # radii, over that of the rim of a body, where the body itself and a link beyond it are seen
 _RIM, _BEYOND = (0.8, 1.0), (1.3, 1.5)
@@ -66,6 +68,11 @@ def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]
         last, missed = place[nearest], 0
         found.append(last)
     return np.array(found)
+
+
+def one_rests(paths: Floats) -> bool:
+    """Return whether one of the paths (n, 2, 2) [px] of two bodies is seen long enough, and does not leave its place."""
+    return len(paths) >= _SEEN and float(np.hypot(*np.ptp(paths, axis=0).T).min()) < _LEAVES
 
 
 def move_as_links(paths: Floats, radius: float) -> bool:

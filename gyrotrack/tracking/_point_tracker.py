@@ -29,7 +29,7 @@ from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._hub_search import spatial_noise
-from gyrotrack.tracking._links import move_as_links, paths_of
+from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
     ALIKE,
@@ -387,7 +387,9 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
         if body is not None:
             spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
         if len(spots) > 1:
-            raise _several(film, usable[skipped:], seen, frame, spots)
+            if (several := _several(film, usable[skipped:], seen, frame, spots)) is not None:
+                raise several
+            break
         if spots:
             return skipped, spots[0]
         if body is None:
@@ -400,12 +402,18 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
-) -> RefusedFilmError:
-    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links."""
+) -> RefusedFilmError | None:
+    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links.
+
+    None if one of them rests: parts of a picture that appear or vanish are no bodies.
+    """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
+    paths = paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other))
+    if one_rests(paths):
+        return None
     links = _linked(differs(frame, seen.background, seen.noise), one, other) and move_as_links(
-        paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other)), max(one.radius, other.radius)
+        paths, max(one.radius, other.radius)
     )
     return RefusedFilmError(
         f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "
