@@ -71,7 +71,7 @@ def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]
 
 
 def one_rests(paths: Floats) -> bool:
-    """Return whether one of the paths (n, 2, 2) [px] of two bodies is seen long enough, and does not leave its place."""
+    """Return whether one of two bodies with the paths (n, 2, 2) [px] is seen long enough, at its place."""
     return len(paths) >= _SEEN and float(np.hypot(*np.ptp(paths, axis=0).T).min()) < _LEAVES
 
 

@@ -405,7 +405,7 @@ def _several(
 ) -> RefusedFilmError | None:
     """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links.
 
-    None if one of them rests: parts of a picture that appear or vanish are no bodies.
+    None if one of them rests: parts of a picture that appear or vanish are not bodies.
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place

@@ -13,7 +13,7 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 Floats = npt.NDArray[np.float64]
 
 # slow difference of both halves over the standard uncertainty of the angle, from which a body is not rigid. Real wheels
-# and discs: up to 3; a drawn rim that swings by 10 to 30 mrad beside its disc: 10
+# and discs: up to 3; a drawn rim with an oscillation of 10 to 30 mrad relative to its disc: 10
 _APART = 5.0
 _MANY_TURNS = 3.0  # number of turns from which an error once per turn is distinguishable from a motion
 

@@ -102,7 +102,7 @@ def test_both_halves_of_a_rigid_body_turn_alike(share, told):
 @pytest.mark.parametrize(
     ("swing", "turns", "error"), [(8e-3, 5.0, 2.8e-3), (5e-3, 5.0, None), (8e-3, 2.9, None)]
 )
-def test_halves_that_swing_against_each_other_are_seen_over_many_turns(swing, turns, error):
+def test_a_relative_oscillation_of_the_halves_is_seen_over_many_turns(swing, turns, error):
     """The limit is 5 standard uncertainties of the angle, here 1 mrad; harmonics and a trend are of the view."""
     time = np.linspace(0.0, 1.0, 400)
     angle = 2 * np.pi * turns * time

@@ -141,7 +141,7 @@ def test_a_link_extends_beyond_the_body_and_turns_differently(second, offset, li
 
 
 @pytest.mark.parametrize(("count", "extent", "rests"), [(4, 2.9, True), (3, 2.9, False), (4, 3.1, False)])
-def test_what_appears_and_stays_at_its_place_is_no_body_that_moves(count, extent, rests):
+def test_parts_that_appear_and_stay_are_not_moving_bodies(count, extent, rests):
     paths = np.zeros((count, 2, 2))
     paths[:, 0, 0] = np.linspace(0.0, 20.0, count)
     paths[:, 1, 1] = np.linspace(0.0, extent, count)
