@@ -79,7 +79,7 @@ _TURN_SEEN, _TURN_STEPS = 0.05, 6
 # area of a round patch over that of the circle about it, and the smallest radius that has an interior [px]
 _ROUND, _LEAST_ROUND = 0.7, 8
 _TURNED = 0.3  # rotation [rad] that must increase the residual
-# other rotations from which it is sought if the residual exceeds the usual one, a running mean: their number on each
+# start values of the rotation if the residual exceeds the usual one, a running mean: their number on each
 # side, their distance at the edge of the patch [px], the ratio of the residuals, and the weight of a frame in the mean
 _TURN_STARTS, _TURN_STEP, _UNUSUAL, _UPDATE = 5, 1.5, 1.5, 0.1
 # a part of a body that rods join: largest depth at this distance from its middle, both over its own depth [1]
@@ -409,12 +409,11 @@ def _several(
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
-    paths = paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other))
+    linked = _linked(differs(frame, seen.background, seen.noise), one, other)
+    paths = paths_of(film.some(usable[: _FOLLOWED if linked else _FOLLOWED // 2]), seen, (one, other))
     if one_rests(paths):
         return None
-    links = _linked(differs(frame, seen.background, seen.noise), one, other) and move_as_links(
-        paths, max(one.radius, other.radius)
-    )
+    links = linked and move_as_links(paths, max(one.radius, other.radius))
     return RefusedFilmError(
         f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "
         f"frame{', which are joined and move as two links' if links else ''}.",

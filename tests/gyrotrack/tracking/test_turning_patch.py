@@ -157,3 +157,33 @@ def test_errors_that_neighbouring_frames_share_count_along_the_path_as_across(si
     assert isinstance(found, TrackedPoint)
     z = (found.angle - theta - np.mean(found.angle - theta)) / found.sigma
     assert 0.7 < float(np.sqrt(np.mean(z**2))) < 1.4
+
+
+@pytest.mark.parametrize(("rod", "body"), [(0.6, True), (0.8, False)])
+def test_a_click_on_a_bob_on_rods_selects_the_bob_where_the_rods_are_narrower(rod, body):
+    """The limit is a depth of 0.7 times the inscribed radius, 14 px, at 1.5 times this radius."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[0:120, 0:160]
+    inside = (np.hypot(x - 110, y - 60) < 14.0) | ((np.abs(y - 60) < rod * 14.0) & (x < 110))
+    texture = 180 + cv2.GaussianBlur(rng.normal(0, 60, FULL.shape), (0, 0), 2.0)
+    picture = np.where(inside, texture, FULL).clip(0, 255)
+    click = (115.0, 60.0)
+    spot = next(_clicked(picture.astype(np.uint8), _seen(picture), click))
+    assert (spot.place != click) == body
+
+
+@pytest.mark.parametrize(("width", "radius"), [(12, 6.0), (26, 11.0), (70, 15.0)])
+def test_a_patch_on_a_silhouette_is_as_large_as_this_allows(width, radius):
+    rng = np.random.default_rng(0)
+    picture = FULL.copy()
+    texture = 180 + cv2.GaussianBlur(rng.normal(0, 80, FULL.shape), (0, 0), 1.5)
+    picture[60 - width // 2 : 60 + width // 2, 5:155] = texture[60 - width // 2 : 60 + width // 2, 5:155]
+    frame = picture.clip(0, 255).astype(np.uint8)
+    assert _point_tracker._patch_at(frame, FULL, 0.5, (80.0, 60.0)).radius == radius
+
+
+@pytest.mark.parametrize(("long", "whole"), [(1.0, False), (0.5, True)])
+def test_the_edge_of_a_round_patch_does_not_show_its_rotation(long, whole):
+    v, u = np.mgrid[-12:13, -12:13]
+    mask = (np.hypot(u, v / long) <= 12).astype(np.float32)
+    assert (_point_tracker._interior(mask).sum() == mask.sum()) == whole
