@@ -226,15 +226,20 @@ def follow_links(
         return np.asarray(turn - turn[0])
 
     path = track_point(film, starts[1], turn_of, progress)
-    second = second_link(joint, path, film.path.name)
-    if (moved := _on_second_link(joint, second)) is not None:
+    # the patch that is followed may be centred beside the click
+    off = math.hypot(OFF_AXIS, math.dist(starts[0], joint.place[0]))
+    second = second_link(joint, path, film.path.name, off)
+    if (moved := _on_second_link(joint, second, off)) is not None:
         joint = _of_path(film, moved, starts[0], hub)
-        second = second_link(joint, path, film.path.name)
+        second = second_link(joint, path, film.path.name, off)
     return joint, second
 
 
-def second_link(joint: TrackedPoint, path: PointPath, name: str) -> SecondLink:
-    """Return the direction from the joint to a point of the second link."""
+def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OFF_AXIS) -> SecondLink:
+    """Return the direction from the joint to a point of the second link.
+
+    `off` is the standard deviation of the displacement of the joint's point from its axis, per axis [px].
+    """
     frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
     if len(frame) < _FEWEST_ORBIT:
         raise TrackingError(
@@ -250,7 +255,7 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str) -> SecondLink:
             "Give the joint and a point of the second link, in this order.",
         )
     angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
-    shift, off_axis, rest = _beside_joint(length, angle - joint.angle[one])
+    shift, off_axis, rest = _beside_joint(length, angle - joint.angle[one], off)
     along = away / length[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     of_joint, of_end = (
@@ -270,7 +275,7 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str) -> SecondLink:
     return SecondLink(frame, angle + shift / length, np.hypot(sigma, off_axis), off_axis, path)
 
 
-def _on_second_link(joint: TrackedPoint, second: SecondLink) -> PointPath | None:
+def _on_second_link(joint: TrackedPoint, second: SecondLink, off: float = OFF_AXIS) -> PointPath | None:
     """Return the path of the joint, corrected for a followed point beside its axis on the second link, or None.
 
     Its displacement d from the axis is constant on the second link. The distance of the point from the pivot is then
@@ -288,7 +293,7 @@ def _on_second_link(joint: TrackedPoint, second: SecondLink) -> PointPath | None
     rows = np.concatenate(
         [np.einsum("ni,nik->nk", outward, axes), outward, np.ones((len(radius), 1))], axis=1
     )
-    found, covariance, _ = _with_prior(rows, radius - arc.radius)
+    found, covariance, _ = _with_prior(rows, radius - arc.radius, off)
     d, u = found[:2], covariance[:2, :2]
     if float(d @ np.linalg.solve(u, d)) < _CONTRADICTS**2:
         return None
@@ -299,12 +304,12 @@ def _on_second_link(joint: TrackedPoint, second: SecondLink) -> PointPath | None
     )
 
 
-def _with_prior(rows: Floats, value: Floats) -> tuple[Floats, Floats, float]:
-    """Fit the values (n,) linearly, the first two parameters with the prior of a displacement from the joint [px].
+def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats, float]:
+    """Fit the values (n,) linearly, the first two parameters with a normal prior of standard deviation `off`.
 
     Returned are the parameters, their covariance, with correlated residuals, and the rms residual.
     """
-    prior = np.diag([OFF_AXIS**-2, OFF_AXIS**-2, *[0.0] * (rows.shape[1] - 2)])
+    prior = np.diag([off**-2, off**-2, *[0.0] * (rows.shape[1] - 2)])
     covariance, found, rest = np.eye(len(prior)), np.zeros(len(prior)), value
     variance = float(np.var(value)) + 1e-12
     for _ in range(3):
@@ -317,7 +322,7 @@ def _with_prior(rows: Floats, value: Floats) -> tuple[Floats, Floats, float]:
     return found, covariance, float(np.std(rest))
 
 
-def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats, float]:
+def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tuple[Floats, Floats, float]:
     """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
@@ -325,7 +330,7 @@ def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats, floa
     fit of the distances (n,) gives d, with a normal prior of mean 0. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
-    found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length)
+    found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
     across = np.stack([-sin, cos], axis=1)
     # a constant displacement is a zero of the angle
     varying = across - across.mean(axis=0)

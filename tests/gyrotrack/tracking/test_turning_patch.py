@@ -122,19 +122,22 @@ def test_the_second_choice_is_tried_where_the_first_one_is_lost(monkeypatch):
     assert tried == ["body", "patch"]
 
 
-@pytest.mark.parametrize(("beside", "found"), [((0.6, -0.4), True), ((0.0, 0.0), False)])
-def test_a_point_beside_the_joint_on_the_second_link_is_corrected(beside, found):
+@pytest.mark.parametrize(
+    ("beside", "off", "found"),
+    [((0.6, -0.4), 1.0, True), ((6.0, -4.0), 7.3, True), ((0.0, 0.0), 1.0, False)],
+)
+def test_a_point_beside_the_joint_on_the_second_link_is_corrected(beside, off, found):
     t = np.linspace(0.0, 12.0, 200)
     first, second = 0.7 * np.sin(t), 1.1 * np.sin(1.7 * t + 1.0)  # counter-clockwise
     joint = np.array([160.0, 80.0]) + 90.0 * np.stack([np.cos(first), -np.sin(first)], axis=1)
     c, s = np.cos(second), np.sin(second)
-    off = np.stack([c * beside[0] + s * beside[1], -s * beside[0] + c * beside[1]], axis=1)
+    away = np.stack([c * beside[0] + s * beside[1], -s * beside[0] + c * beside[1]], axis=1)
     noise = np.random.default_rng(0).normal(0, 0.05, joint.shape)
     path = PointPath(
-        np.arange(200), joint + off + noise, np.tile(0.05**2 * np.eye(2), (200, 1, 1)), 9.0, 200, True, FULL
+        np.arange(200), joint + away + noise, np.tile(0.05**2 * np.eye(2), (200, 1, 1)), 9.0, 200, True, FULL
     )
     link = SimpleNamespace(frame=np.arange(200), angle=second)
-    moved = _on_second_link(SimpleNamespace(path=path), link)
+    moved = _on_second_link(SimpleNamespace(path=path), link, off)
     assert (moved is not None) == found
     if moved is not None:
         assert np.abs(moved.place - joint - noise).max() < 0.1
