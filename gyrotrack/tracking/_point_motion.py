@@ -205,6 +205,7 @@ class SecondLink:
 # point that is followed from the axis of the joint, per axis (markers of drawn links: 0.2 to 1.6 px), and standard
 # uncertainty of its place on a link that turns [px]
 _RIGID, OFF_AXIS, _ON_LINK = 0.05, 1.0, 0.1
+_LINEAR_STEPS = 3  # linear fits of a displacement from the joint, which is not small against the first link
 
 
 def follow_links(
@@ -286,15 +287,18 @@ def _on_second_link(joint: TrackedPoint, second: SecondLink, off: float = OFF_AX
     direction = np.interp(path.frame, second.frame, second.angle)
     cos, sin = np.cos(direction), np.sin(direction)
     axes = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=2)  # (m, xy, axis)
-    arc = fit_arc(path.place, np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2)))
-    away = path.place - arc.hub
-    radius = np.hypot(*away.T)
-    outward = away / radius[:, None]
-    rows = np.concatenate(
-        [np.einsum("ni,nik->nk", outward, axes), outward, np.ones((len(radius), 1))], axis=1
-    )
-    found, covariance, _ = _with_prior(rows, radius - arc.radius, off)
-    d, u = found[:2], covariance[:2, :2]
+    formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
+    d, u = np.zeros(2), np.eye(2)
+    for _ in range(_LINEAR_STEPS):
+        place = path.place - axes @ d
+        arc = fit_arc(place, formal)
+        away = place - arc.hub
+        radius = np.hypot(*away.T)
+        outward = away / radius[:, None]
+        radial = np.einsum("ni,nik->nk", outward, axes)
+        rows = np.concatenate([radial, outward, np.ones((len(radius), 1))], axis=1)
+        found, covariance, _ = _with_prior(rows, radius - arc.radius + radial @ d, off)
+        d, u = found[:2], covariance[:2, :2]
     if float(d @ np.linalg.solve(u, d)) < _CONTRADICTS**2:
         return None
     return replace(
