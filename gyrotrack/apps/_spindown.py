@@ -60,9 +60,9 @@ from gyrotrack.tracking._moving_hub import track_free_body
 from gyrotrack.tracking._point_motion import (
     OFF_AXIS,
     TrackedPoint,
+    follow_links,
     follow_path,
     follow_point,
-    follow_second_link,
     point_details,
 )
 from gyrotrack.tracking._point_tracker import PointPath
@@ -455,8 +455,7 @@ def links_recording(
         raise UsageError(
             what, "Give the joint and a point of the second link with --points X,Y --points X,Y."
         )
-    joint = follow_point(film, starts[0], options.hub, progress)
-    second = follow_second_link(film, joint, starts[1], progress)
+    joint, second = follow_links(film, (starts[0], starts[1]), options.hub, progress)
     first = replace(joint, warnings=())
     recording = _recording_of(film, options, first)
     time = recording.time

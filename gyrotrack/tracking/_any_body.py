@@ -44,7 +44,7 @@ from gyrotrack.tracking._film import (
     fresh_frames,
     reduced,
 )
-from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, halves_differ, hub_doubt
+from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
     Motion,
@@ -72,7 +72,7 @@ from gyrotrack.tracking._registration import (
     rolled,
 )
 from gyrotrack.tracking._silhouettes import axes_meet
-from gyrotrack.tracking._tracked import Tracked, hub_error, white_noise
+from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
 from gyrotrack.tracking._translation import translates
 
 Floats = npt.NDArray[np.float64]
@@ -591,6 +591,20 @@ def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float
     )
 
 
+def _refuse_fallen(film: Film, usable: npt.NDArray[np.int64], best: _Trial, share: float) -> NoReturn:
+    """Raise a RefusedFilmError for a rotation that explains a `share` of the whole film only."""
+    raise RefusedFilmError(
+        f"No body in {film.path.name} turns about one fixed axis throughout: rotation about ({best.ring.hub[0]:.0f}, "
+        f"{best.ring.hub[1]:.0f}) px explains {100 * best.score:.0f} % of the change of brightness in the frames in "
+        f"which it was searched for, and {100 * max(share, 0):.0f} % in the whole film.",
+        f"The hub may move, as on a cart: --from and --to select a part of the film. {_GIVE_HUB}",
+        kind="no rotation",
+        evidence={"explained": best.score, "in_film": share},
+        frames=tuple(film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])),
+        hub=best.ring.hub,
+    )
+
+
 def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) -> None:
     """Raise a RefusedFilmError if a second link on the rim of a body moves outside its ring."""
     share = elsewhere(motion.moving, best.ring)
@@ -933,6 +947,8 @@ def _measure(
             "Cut the film to the motion"
             + (". Check --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )
+    if best.way != "given" and fallen(best.score, share):
+        _refuse_fallen(film, usable, best, share)
     best = replace(best, score=share)
     ring = replace(
         Ring.about(
@@ -1156,6 +1172,7 @@ def _finish(
             + (", and --hub X,Y." if best.way == "given" else f". {_GIVE_HUB}"),
         )
     correlated = hub_error(angle[kept], halves[:, kept], parts)
+    typical = float(np.median(scale * inflated[kept]))
     motion = float(np.std(angle[kept]))
     if best.way != "given" and correlated > _UNDETERMINED * motion:
         raise TrackingError(
@@ -1169,7 +1186,14 @@ def _finish(
             f"The path of the body gives the distance of the hub within {100 * distance:.2g} %; the uncertainty "
             f"contains {1e3 * correlated:.2g} mrad for this."
         )
-    elif correlated > float(np.median(scale * inflated[kept])):
+    elif (apart := apart_beyond_harmonics(angle[kept], halves[:, kept], usable[kept], typical)) is not None:
+        correlated = max(correlated, apart)
+        warnings.append(
+            "The inner and the outer half of the body do not turn alike: beyond harmonics of the angle, they differ "
+            f"by {2e3 * apart:.2g} mrad rms. Two bodies may turn. The uncertainty contains "
+            f"{1e3 * apart:.2g} mrad for this."
+        )
+    elif correlated > typical:
         warnings.append(
             f"The angles from the inner and the outer half of the ring differ as if the hub were displaced; "
             f"the uncertainty contains {1e3 * correlated:.2g} mrad for this."

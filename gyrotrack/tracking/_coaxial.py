@@ -23,6 +23,12 @@ light fixed in the image, or a displaced hub: less than 0.2."""
 _OF_ALL = 0.05
 """Smallest share of the whole change that the second rotation explains [1]. Measured: one body with light fixed in the
 image, or a displaced hub: less than 0.03."""
+_LESS_OF_REST = 0.2
+"""The same share for a rotation that explains a large part of the whole, `_MORE_OF_ALL` [1]. Measured: a rendered rotor
+about which its casing turns slowly: 0.22."""
+_MORE_OF_ALL = 0.1
+"""Share of the whole change from which a second rotation explains a large part of it [1]. Measured: a rendered rotor
+about which its casing turns slowly: 0.13; one body: less than 0.03."""
 _APART = 0.2
 """Standard deviation of the difference of two angles over the larger one, from which the motions differ [1]. Measured:
 what a displaced hub leaves of one body turns with it, up to 0.1."""
@@ -105,9 +111,15 @@ def second_rotation(
         of_rest, _ = explained(rest, other, second)
         found.append(SecondRotation(other, of_rest, of_rest * (1.0 - share)))
     best = max(found, key=lambda second: second.of_rest, default=None)
-    if best is None or best.of_rest < _OF_REST or best.of_all < _OF_ALL:
+    if best is None or not enough(best.of_rest, best.of_all):
         return None
     return best if differs_from(angle, best.angle) else None
+
+
+def enough(of_rest: float, of_all: float) -> bool:
+    """Return whether a rotation explains enough of what a first one leaves, and of the whole change of brightness."""
+    clear = of_rest >= _OF_REST and of_all >= _OF_ALL
+    return clear or (of_rest >= _LESS_OF_REST and of_all >= _MORE_OF_ALL)
 
 
 def differs_from(angle: Floats, other: Floats) -> bool:

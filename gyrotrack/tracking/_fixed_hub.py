@@ -71,7 +71,7 @@ within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
 def halves_differ(angle: Floats, error: float) -> float | None:
     """Return the error by the difference of both halves [rad] over the standard deviation of the angle (n,), if large.
 
-    Over more than three turns the difference of the halves is a harmonic of the angle, and no error of the motion.
+    Over more than three turns the error is 0 (see `apart_beyond_harmonics`).
     """
     share = error / max(float(np.std(angle)), 1e-12)
     return share if share > _RIGID else None
@@ -80,6 +80,14 @@ def halves_differ(angle: Floats, error: float) -> float | None:
 _FALLS = 0.15
 """Share of the change that a rotation explains in the frames of the search, less that in the whole film, from which
 there is not one hub throughout [1]. Measured: real films on an axle: up to 0.07; a drawn pole on a cart: 0.23."""
+_FALLEN = 0.2
+"""Fall of that share from which the film is refused [1]. Measured: a public film of a pole on a cart: 0.23; real films
+on an axle: up to 0.07."""
+
+
+def fallen(searched: float, film: float) -> bool:
+    """Return whether the share that rotation explains falls too far for one hub throughout (see `hub_doubt`)."""
+    return searched - film > _FALLEN
 
 
 def hub_doubt(searched: float, film: float) -> str | None:

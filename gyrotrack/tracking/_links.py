@@ -63,6 +63,12 @@ one overlooks links that cross the body."""
 _TURNS_WITH = 0.75
 """Largest share of the frames with a link in which one direction of the body shows it [1]. Measured: links of drawn
 double pendulums: 0.4 to 0.6; a part of the body: 1."""
+_SEEN = 4
+"""Smallest number of positions that show a body at rest [1]. Chosen: fewer take a shadow for a body, more overlook one
+that is occluded."""
+_LEAVES = 3.0
+"""Smallest extent of the path of a moving body [px]. Chosen: a smaller value takes noise for a motion, a larger one
+overlooks small oscillations."""
 
 
 def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]) -> Floats:
@@ -86,6 +92,11 @@ def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]
         last, missed = place[nearest], 0
         found.append(last)
     return np.array(found)
+
+
+def one_rests(paths: Floats) -> bool:
+    """Return whether one of two bodies with the paths (n, 2, 2) [px] is seen long enough, at its place."""
+    return len(paths) >= _SEEN and float(np.hypot(*np.ptp(paths, axis=0).T).min()) < _LEAVES
 
 
 def move_as_links(paths: Floats, radius: float) -> bool:

@@ -138,9 +138,7 @@ class TrackedPoint:
     @property
     def whole_sigma(self) -> Floats:
         """Standard uncertainty (m,) of the angles with the errors that they share: pivot and place on the arc [rad]."""
-        shared = math.hypot(
-            self.arc.noise, self.arc.by_place, math.sqrt(0.5 * float(np.trace(self.hub_covariance)))
-        )
+        shared = math.hypot(self.arc.by_place, math.sqrt(0.5 * float(np.trace(self.hub_covariance))))
         return np.asarray(np.hypot(self.sigma, shared / np.hypot(*(self.place - self.hub).T)))
 
     def displaced(self) -> list[Floats]:
@@ -204,10 +202,14 @@ def follow_path(
     except TrackingError:
         if start is None:  # a point that was not selected must move about a pivot
             raise
-        formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
-        noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
-        scale = max(*noise, 1.0)
-        return replace(path, covariance=scale**2 * path.covariance)
+        return replace(path, covariance=_white_scale(path) ** 2 * path.covariance)
+
+
+def _white_scale(path: PointPath) -> float:
+    """Return the white noise of the positions of a path over their formal standard uncertainty, at least 1."""
+    formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
+    noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
+    return max(*noise, 1.0)
 
 
 @dataclass(frozen=True)
@@ -244,73 +246,149 @@ Measured: markers of drawn links: 0.2 to 1.6 px."""
 _ON_LINK = 0.1
 """Standard uncertainty of the place of a point on a link that turns [px]. Chosen: a smaller value understates the error
 of short links, a larger one overstates it."""
+_LINEAR_STEPS = 3
+"""Linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not small against
+the first link; fewer stop before they agree, more cost time."""
 
 
-def follow_second_link(
-    film: Film, joint: TrackedPoint, start: tuple[float, float], progress: Progress | None = None
-) -> SecondLink:
-    """Follow a point of the link that turns about a joint, which is followed already.
+def follow_links(
+    film: Film,
+    starts: tuple[tuple[float, float], tuple[float, float]],
+    hub: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> tuple[TrackedPoint, SecondLink]:
+    """Follow the joint of two links and a point of the second link, by their positions in the first frame [px].
 
     A TrackingError is raised if their distance varies: a circle that is seen about a tilted axis, or other bodies.
     """
-    path = track_point(film, start, lambda _: None, progress)
+    joint = follow_point(film, starts[0], hub, progress)
+
+    def turn_of(frame: npt.NDArray[np.int64], place: Floats) -> Floats:
+        at = np.stack([np.interp(frame, joint.frame, joint.place[:, i]) for i in (0, 1)], axis=1)
+        away = place - at
+        turn = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+        return np.asarray(turn - turn[0])
+
+    path = track_point(film, starts[1], turn_of, progress)
+    # the patch that is followed may be centred beside the click
+    off = math.hypot(OFF_AXIS, math.dist(starts[0], joint.place[0]))
+    second = second_link(joint, path, film.path.name, off)
+    if (moved := _on_second_link(joint, second, off)) is not None:
+        joint = _of_path(film, moved, starts[0], hub)
+        second = second_link(joint, path, film.path.name, off)
+    return joint, second
+
+
+def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OFF_AXIS) -> SecondLink:
+    """Return the direction from the joint to a point of the second link.
+
+    `off` is the standard deviation of the displacement of the joint's point from its axis, per axis [px].
+    """
     frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
     if len(frame) < _FEWEST_ORBIT:
         raise TrackingError(
-            f"Joint and second link of {film.path.name} are seen together in {len(frame)} frames only.",
+            f"Joint and second link of {name} are seen together in {len(frame)} frames only.",
             "Give more distinct points.",
         )
     away = path.place[two] - joint.place[one]
     length = np.hypot(*away.T)
     if float(np.std(length)) > _RIGID * float(np.mean(length)):
         raise TrackingError(
-            f"The points of the second link in {film.path.name} are {np.mean(length):.0f} +- {np.std(length):.1f} px "
+            f"The points of the second link in {name} are {np.mean(length):.0f} +- {np.std(length):.1f} px "
             "apart: they belong to no rigid body that is seen along its axis.",
             "Give the joint and a point of the second link, in this order.",
         )
-    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / length[:, None]
-    variance = np.einsum("ni,nij,nj->n", across, path.covariance[two], across)
-    variance += np.sum((across * joint.place_sigma[one]) ** 2, axis=1)
     angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
-    sigma = np.sqrt(variance) / length
+    shift, off_axis, rest = _beside_joint(length, angle - joint.angle[one], off)
+    along = away / length[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    of_joint, of_end = (
+        (
+            np.sum((axis * joint.place_sigma[one]) ** 2, axis=1),
+            np.einsum("ni,nij,nj->n", axis, path.covariance[two], axis),
+        )
+        for axis in (along, across)
+    )
+    # the distance is constant: what it scatters beyond the error of the joint is the error of the point
+    by_joint, by_point = (float(np.mean(v)) for v in of_joint)
+    scale = max(math.sqrt(max(rest**2 - by_joint, 0.0) / by_point), _white_scale(path))
+    sigma: Floats = np.sqrt(of_end[0] + scale**2 * of_end[1]) / length
     sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
-    shift, off_axis = _beside_joint(length, angle - joint.angle[one])
-    angle = angle + shift / length
     off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length  # of both ends
-    return SecondLink(frame, angle, np.hypot(sigma, off_axis), off_axis, path)
+    path = replace(path, covariance=scale**2 * path.covariance)
+    return SecondLink(frame, angle + shift / length, np.hypot(sigma, off_axis), off_axis, path)
 
 
-def _beside_joint(length: Floats, between: Floats) -> tuple[Floats, Floats]:
+def _on_second_link(joint: TrackedPoint, second: SecondLink, off: float = OFF_AXIS) -> PointPath | None:
+    """Return the path of the joint, corrected for a followed point beside its axis on the second link, or None.
+
+    Its displacement d from the axis is constant on the second link. The distance of the point from the pivot is then
+    that of a circle and the radial part of d, which a linear fit gives, with a normal prior of mean 0. None for a
+    displacement within three standard uncertainties.
+    """
+    path = joint.path
+    direction = np.interp(path.frame, second.frame, second.angle)
+    cos, sin = np.cos(direction), np.sin(direction)
+    axes = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=2)  # (m, xy, axis)
+    formal = np.sqrt(0.5 * np.trace(path.covariance, axis1=1, axis2=2))
+    d, u = np.zeros(2), np.eye(2)
+    for _ in range(_LINEAR_STEPS):
+        place = path.place - axes @ d
+        arc = fit_arc(place, formal)
+        away = place - arc.hub
+        radius = np.hypot(*away.T)
+        outward = away / radius[:, None]
+        radial = np.einsum("ni,nik->nk", outward, axes)
+        rows = np.concatenate([radial, outward, np.ones((len(radius), 1))], axis=1)
+        found, covariance, _ = _with_prior(rows, radius - arc.radius + radial @ d, off)
+        d, u = found[:2], covariance[:2, :2]
+    if float(d @ np.linalg.solve(u, d)) < _CONTRADICTS**2:
+        return None
+    return replace(
+        path,
+        place=path.place - axes @ d,
+        covariance=path.covariance + np.einsum("nik,kl,njl->nij", axes, u, axes),
+    )
+
+
+def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats, float]:
+    """Fit the values (n,) linearly, the first two parameters with a normal prior of standard deviation `off`.
+
+    Returned are the parameters, their covariance, with correlated residuals, and the rms residual.
+    """
+    prior = np.diag([off**-2, off**-2, *[0.0] * (rows.shape[1] - 2)])
+    covariance, found, rest = np.eye(len(prior)), np.zeros(len(prior)), value
+    variance = float(np.var(value)) + 1e-12
+    for _ in range(3):
+        covariance = np.asarray(np.linalg.pinv(rows.T @ rows / variance + prior))
+        found = covariance @ (rows.T @ value) / variance
+        rest = value - rows @ found
+        # n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
+        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
+        variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
+    return found, covariance, float(np.std(rest))
+
+
+def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tuple[Floats, Floats, float]:
     """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
     links, the distance is L - Re(d exp(-i phi)), and the end appears moved by -Im(d exp(-i phi)) across [px]. A linear
-    fit of the distances (n,) gives d, with a normal prior of mean 0.
+    fit of the distances (n,) gives d, with a normal prior of mean 0. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
-    rows = np.stack([-cos, -sin, np.ones_like(cos)], axis=1)
-    prior = np.diag([OFF_AXIS**-2, OFF_AXIS**-2, 0.0])
-    covariance, found = np.eye(3), np.zeros(3)
-    variance = float(np.var(length)) + 1e-12
-    for _ in range(3):
-        covariance = np.linalg.inv(rows.T @ rows / variance + prior)
-        found = covariance @ (rows.T @ length) / variance
-        rest = length - rows @ found
-        # n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
-        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
-        variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
+    found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
     across = np.stack([-sin, cos], axis=1)
     # a constant displacement is a zero of the angle
     varying = across - across.mean(axis=0)
     sigma = np.sqrt(np.einsum("ni,ij,nj->n", varying, covariance[:2, :2], varying))
-    # what is left shows that one of the points does not keep its place: the error across is as large
-    return across @ found[:2], np.hypot(sigma, float(np.std(rest)))
+    return across @ found[:2], sigma, rest
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
     """Return the function that gives the rotation of a patch, clockwise as seen, about a hub or that of its path."""
 
-    def turn_of(place: Floats) -> Floats | None:
+    def turn_of(_: npt.NDArray[np.int64], place: Floats) -> Floats | None:
         centre = np.array(hub) if hub is not None else None
         if centre is None:
             rough = fit_arc(place, np.full(len(place), 0.5))
@@ -454,9 +532,10 @@ def about_pivot(
     outward = away / radius[:, None]
     across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
-    # along the path, blur by the motion and an uneven clock add to the noise
+    # along the path, blur by the motion and an uneven clock add to the noise; errors that neighbouring frames share,
+    # of a codec for example, are seen across the path alone
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
-    along = along * max(scatter / float(np.median(along)), 1.0)
+    along = along * max(scatter / float(np.median(along)), scale)
     place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
     return TrackedPoint(
         frame=path.frame,

@@ -1,7 +1,8 @@
 """Tracking of one point of a body through a film: a ball, a bob, a dot, or any patch with detail.
 
-The patch is followed by template matching first, which finds it again after an occlusion. Its picture is then learnt
-and registered in every frame. In the picture of the patch, at u from its position p and turned by theta,
+The patch is followed by template matching first, which finds it again after an occlusion, and its rotation by
+Gauss-Newton steps. Its picture is then learnt and registered in every frame. In the picture of the patch, at u from its
+position p and turned by theta,
 
     I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
 
@@ -27,7 +28,8 @@ import numpy.typing as npt
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
-from gyrotrack.tracking._links import move_as_links, paths_of
+from gyrotrack.tracking._hub_search import spatial_noise
+from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._silhouettes import (
     ALIKE,
@@ -125,6 +127,44 @@ refuses blurred bobs, a larger one costs time on other paths."""
 HIDDEN = 6.0
 """Mean square residual over its median from which a frame does not show the patch [1]. Chosen: a smaller value omits
 frames of uneven light, a larger one keeps frames with a hand."""
+_SILHOUETTE = 15.0
+"""Largest radius of a patch that the silhouette about it suggests [px]. Chosen: a smaller value discards the edge of a
+large bob, a larger one includes the background."""
+_TURN_SEEN = 0.05
+"""Largest standard uncertainty of the rotation of a patch in one frame with which it is followed, and prior of a
+followed rotation [rad]. Chosen: a smaller value holds the orientation of faint patches, a larger one turns by noise."""
+_TURN_STEPS = 6
+"""Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
+_ROUND = 0.7
+"""Smallest area of a round patch over that of the circle about it [1]. Chosen: a smaller value takes a rod for a bob, a
+larger one refuses blurred bobs."""
+_LEAST_ROUND = 8
+"""Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
+the detail of small bobs."""
+_TURNED = 0.3
+"""Rotation by which the residual of a patch increases if it shows its orientation [rad]. Chosen: a smaller value lies
+within the noise, a larger one among the parts of a periodic patch."""
+_TURN_STARTS = 5
+"""Start values of a rotation on each side, where the residual is unusual [1]. Chosen: fewer lose a fast rotation, more
+cost time."""
+_TURN_STEP = 1.5
+"""Distance of the start values at the edge of the patch [px]. Chosen: the width of an edge; a larger one misses the
+minimum, a smaller one costs time."""
+_UNUSUAL = 1.5
+"""Residual over its running mean from which other start values are tried [1]. Chosen: a smaller value costs time, a
+larger one keeps a lost rotation."""
+_UPDATE = 0.1
+"""Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
+one follows a lost rotation."""
+_NECK = 0.7
+"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, over that of the part, for which rods
+join it [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
+_NECK_AT = 1.5
+"""Distance from the middle of a part at which the depth is compared, over its depth [1]. Chosen: just outside of a
+circle; a larger one reaches other parts."""
+_SLENDER = 1.6
+"""Radius of the circle of the same area over the inscribed one, from which a body is not compact [1]. Derived: sqrt(8 /
+pi) = 1.6 of a rectangle twice as long as wide."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +198,8 @@ class PointPath:
     picture: Picture
 
 
-Turn = Callable[[Floats], Floats | None]
-"""Returns the direction [rad] of positions (n, 2) from the hub, or None where it is not determined."""
+Turn = Callable[[Frames, Floats], Floats | None]
+"""Returns the rotation (n,) [rad] of a body for frames (n,) and positions (n, 2), or None if it is not determined."""
 
 
 def track_point(
@@ -184,23 +224,38 @@ def track_point(
         )
     refuse_cut(film, usable)
     seen = seen or Foreground.of(film, usable)
-    noise, background = seen.noise, seen.background
-    if start is not None:
-        first = film.some(usable[:1])[0]
-        height, width = first.shape
-        if not (0 <= start[0] < width and 0 <= start[1] < height):
-            what = (
-                f"The point ({start[0]:g}, {start[1]:g}) px is outside the picture of {width} x {height} px."
-            )
-            raise UsageError(what, "Give its position in the first frame with --point X,Y in px.")
-        spot = _spot_at(first, background, noise, start) or _patch_at(
-            first, noise, start, _moving(first, background, noise)
-        )
-    else:
+    if start is None:
         skipped, spot = _only_spot(film, usable, seen)
-        usable = usable[skipped:]
+        return _track_spot(film, usable[skipped:], spot, seen, turn_of, progress, start)
+    first = film.some(usable[:1])[0]
+    height, width = first.shape
+    if not (0 <= start[0] < width and 0 <= start[1] < height):
+        what = f"The point ({start[0]:g}, {start[1]:g}) px is outside the picture of {width} x {height} px."
+        raise UsageError(what, "Give its position in the first frame with --point X,Y in px.")
+    error: TrackingError | None = None
+    # the silhouette at the place may be that of two links, which changes its shape
+    for spot in _clicked(first, seen, start):
+        try:
+            return _track_spot(film, usable, spot, seen, turn_of, progress, start)
+        except TrackingError as lost:
+            error = error or lost
+    assert error is not None  # noqa: S101 - there is a spot
+    raise error
+
+
+def _track_spot(
+    film: Film,
+    usable: Frames,
+    spot: Spot,
+    seen: Foreground,
+    turn_of: Turn,
+    progress: Progress | None,
+    start: tuple[float, float] | None,
+) -> PointPath:
+    """Follow a spot of the first of the usable frames."""
     factor = max(round(spot.radius / _TEMPLATE), 1)
     where, unselected = spot.place, start is None
+    noise, background = seen.noise, seen.background
     if factor == 1:
         return _tracked(
             film, usable, spot, background, noise, turn_of, progress, where=where, unselected=unselected
@@ -213,7 +268,7 @@ def track_point(
         small.spot(spot),
         small.mean(background).astype(np.float32),
         noise / factor,
-        lambda place: turn_of(small.seen(place)),
+        lambda frame, place: turn_of(frame, small.seen(place)),
         progress,
         where=where,
         unselected=unselected,
@@ -288,7 +343,7 @@ def _tracked(
     where: tuple[float, float],
     unselected: bool,
 ) -> PointPath:
-    rough, found = _follow(film, usable, spot, background)
+    rough, turns, found = _follow(film, usable, spot, background)
     if unselected and found.mean() >= _FOUND:
         _retraced(rough[found], film.path.name)
     if found.mean() < _FOUND or found.sum() < FEWEST_FRAMES:
@@ -297,16 +352,26 @@ def _tracked(
             f"{found.sum()} of {len(found)} frames only.",
             "Give a more distinct point with --point X,Y, or cut the film to the motion.",
         )
-    frame, place = usable[found], rough[found]
-    layers, place = _learnt(film, frame, place, None, background, noise, spot.radius)
-    turn = turn_of(place)
+    frame, followed = usable[found], turns[found]
+
+    def learnt(place: Floats, turn: Floats | None, turn_sigma: float = 0.0) -> _Learnt:
+        return _learnt(film, frame, place, turn, turn_sigma, background, noise, spot.radius)
+
+    best = learnt(rough[found], None)
+    if np.ptp(followed) * spot.radius > 1.0:
+        other = learnt(rough[found], followed, _TURN_SEEN)
+        best = other if other.residual < _TURNS_WITH * best.residual else best
     # the rotation of the patch follows from its path, and its path from the rotation
-    for _ in range(_TURN_ROUNDS if turn is not None else 0):
-        layers, place = _learnt(film, frame, place, turn, background, noise, spot.radius)
-        turn = turn_of(place)
-        if turn is None or not layers.turns:
+    for _ in range(_TURN_ROUNDS):
+        about = turn_of(frame, best.place)
+        if about is None:
             break
-    return _measured(film, frame, place, turn, layers, len(usable), progress)
+        other = learnt(best.place, about)
+        # a followed rotation has noise of its own
+        if other.residual > best.residual * (_TURNS_WITH if best.turn is None else 1.0 / _TURNS_WITH):
+            break
+        best = other
+    return _measured(film, frame, best, len(usable), progress)
 
 
 def _retraced(place: Floats, name: str) -> None:
@@ -321,8 +386,30 @@ def _retraced(place: Floats, name: str) -> None:
         )
 
 
-def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float, float]) -> Spot | None:
-    """Return the compact moving body at a place of a frame; None if there is none."""
+def _clicked(frame: Plane, seen: Foreground, place: tuple[float, float]) -> Iterator[Spot]:
+    """Return what may be meant by a place: the compact moving body, a patch with detail, or a body of any shape.
+
+    A TrackingError is raised if there is none.
+    """
+    # a codec keeps more of the noise in its key frames
+    background, noise = seen.background, max(seen.noise, spatial_noise([frame]))
+    spot = _spot_at(frame, background, noise, place)
+    if spot is not None:
+        yield spot
+    try:
+        yield _patch_at(frame, background, noise, place)
+    except TrackingError:
+        if spot is not None:
+            return
+        if (spot := _spot_at(frame, background, noise, place, compact=False)) is None:
+            raise
+        yield spot
+
+
+def _spot_at(
+    frame: Plane, background: Picture, noise: float, place: tuple[float, float], *, compact: bool = True
+) -> Spot | None:
+    """Return the moving body at a place of a frame; None if there is none, or none that is `compact`."""
     region = differs(frame, background, noise)
     y, x = np.nonzero(region)
     if not len(x):
@@ -343,11 +430,17 @@ def _spot_at(frame: Plane, background: Picture, noise: float, place: tuple[float
             break
         at = best
     spot, inner = spot_of(parts_of(region), at), float(depth[at[1], at[0]])
-    if spot is None or math.dist(spot.place, place) <= max(inner, _REACH):
+    if spot is None:
+        return None
+    slender = spot.radius > _SLENDER * inner
+    if math.dist(spot.place, place) <= max(inner, _REACH) and not (compact and slender):
         return spot
-    # rods join the part that was pointed at to others: the inscribed disc about its middle
     v, u = np.ogrid[0 : depth.shape[0], 0 : depth.shape[1]]
-    core = (depth > _CORE * inner) & (np.hypot(u - at[0], v - at[1]) < inner)
+    away = np.hypot(u - at[0], v - at[1])
+    if compact and float(depth[np.abs(away - _NECK_AT * inner) < 1.0].max(initial=0.0)) > _NECK * inner:
+        return None  # a place on a long or large body
+    # rods join the part that was pointed at to others: the inscribed disc about its middle
+    core = (depth > _CORE * inner) & (away < inner)
     y, x = np.nonzero(core)
     weight = depth[core] - _CORE * inner
     half = math.ceil(inner)
@@ -368,7 +461,9 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
         if body is not None:
             spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
         if len(spots) > 1:
-            raise _several(film, usable[skipped:], seen, frame, spots)
+            if (several := _several(film, usable[skipped:], seen, frame, spots)) is not None:
+                raise several
+            break
         if spots:
             return skipped, spots[0]
         if body is None:
@@ -381,13 +476,18 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
-) -> RefusedFilmError:
-    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links."""
+) -> RefusedFilmError | None:
+    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links.
+
+    None if one of them rests: parts of a picture that appear or vanish are not bodies.
+    """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
-    links = _linked(differs(frame, seen.background, seen.noise), one, other) and move_as_links(
-        paths_of(film.some(usable[:_FOLLOWED]), seen, (one, other)), max(one.radius, other.radius)
-    )
+    linked = _linked(differs(frame, seen.background, seen.noise), one, other)
+    paths = paths_of(film.some(usable[: _FOLLOWED if linked else _FOLLOWED // 2]), seen, (one, other))
+    if one_rests(paths):
+        return None
+    links = linked and move_as_links(paths, max(one.radius, other.radius))
     return RefusedFilmError(
         f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "
         f"frame{', which are joined and move as two links' if links else ''}.",
@@ -419,8 +519,11 @@ def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
     return spot_of(parts_of(region), (int(column), int(row)))
 
 
-def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Spot | None) -> Spot:
-    """Return the smallest patch about a place whose detail determines its position in both directions."""
+def _patch_at(frame: Plane, background: Picture, noise: float, place: tuple[float, float]) -> Spot:
+    """Return the smallest patch about a place whose detail determines its position in both directions.
+
+    On a silhouette it is as large as this allows: an error of the codec affects few pixels.
+    """
     smooth = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)
     by_x, by_y = (
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
@@ -428,7 +531,9 @@ def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Sp
     )
     y, x = np.ogrid[0 : frame.shape[0], 0 : frame.shape[1]]
     away = np.hypot(x - place[0], y - place[1])
-    for radius in _PATCHES:
+    depth = float(depth_of(differs(frame, background, noise))[round(place[1]), round(place[0])])
+    largest = max([r for r in _PATCHES if r <= depth], default=_PATCHES[0])
+    for radius in (r for r in _PATCHES if r >= min(largest, _SILHOUETTE)):
         inside = away <= radius
         g = np.stack([by_x[inside], by_y[inside]])
         least = float(np.linalg.eigvalsh(g @ g.T)[0])
@@ -439,7 +544,7 @@ def _patch_at(frame: Plane, noise: float, place: tuple[float, float], moving: Sp
             v, u = np.ogrid[-half : half + 1, -half : half + 1]
             return Spot(place, radius, (np.hypot(u, v) <= radius).astype(np.uint8))
     hint = "Give a point on a corner, a dot or an edge of the moving body with --point X,Y."
-    if moving is not None:
+    if (moving := _moving(frame, background, noise)) is not None:
         right, down = moving.place
         hint = f"In the first frame, a body that moves is at --point {right:.0f},{down:.0f}."
     raise TrackingError(
@@ -473,16 +578,18 @@ def _matched(
     return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
 
 
-def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Bools]:
-    """Follow a patch by template matching; returns its places (n, 2) and whether it was found (n,).
+def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
+    """Follow a patch by template matching; returns its places (n, 2), rotations (n,) and whether it was found (n,).
 
-    It is searched where it is expected by its last steps, then in a reduced picture of the whole frame.
+    It is searched where it is expected by its last steps, then in a reduced picture of the whole frame. The rotation is
+    that since the first frame, clockwise as seen [rad]; a patch that does not show it keeps its last one.
     """
     size = spot.mask.shape[0]
     half = size // 2
     mask = spot.mask.astype(np.float32)
     shrink = max(spot.radius / _COARSE, 1.0)
     place, found = np.full((len(usable), 2), np.nan), np.zeros(len(usable), dtype=np.bool_)
+    turns, spin, usual = np.zeros(len(usable)), 0.0, 0.0
     anchor: Picture | None = None
     recent: Picture | None = None
     limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
@@ -501,31 +608,124 @@ def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> t
             place[k], found[k] = last, True
             continue
         expected = last + _next_step(steps) if found[k - 1] else last
+        turn = turns[k] = turns[k - 1] + spin
         reach = max(1.2 * spot.radius, 6.0) + (
             1.0 * float(np.hypot(*steps[-1])) if steps else 2.0 * spot.radius
         )
-        best, miss = _in_window(picture, changed, expected + half, reach, anchor, mask, change)
+        shown, first, later = (_turned(p, turn) for p in (mask, anchor, recent))
+        template = anchor
+        best, miss = _in_window(picture, changed, expected + half, reach, first, shown, change)
         if miss > _ANCHORED * limit and recent is not anchor:
-            again, other = _in_window(picture, changed, expected + half, reach, recent, mask, change)
-            best, miss = (again, other) if other < miss else (best, miss)
+            again, other = _in_window(picture, changed, expected + half, reach, later, shown, change)
+            best, miss, template = (again, other, recent) if other < miss else (best, miss, anchor)
         if miss > limit:
-            best, miss = _in_whole(picture, changed, shrink, recent, mask, change, limit)
+            template = recent
+            best, miss = _in_whole(picture, changed, shrink, later, shown, change, limit)
         if miss > limit:
             steps.clear()
+            spin, turns[k] = 0.0, turns[k - 1]
             continue
-        now = np.array(best) - half
+        aligned = _best_turn(picture, np.array(best), turn, template, mask, usual)
+        if aligned is None:
+            now, spin = np.array(best) - half, 0.0
+        else:
+            now, spin = aligned.place - half, aligned.turn - turns[k - 1]
+            turns[k] = aligned.turn
+            usual = aligned.residual if usual == 0.0 else usual + _UPDATE * (aligned.residual - usual)
         if found[k - 1]:
             steps = [*steps[-1:], now - last]
         last, place[k], found[k] = now, now, True
         if miss > _ANCHORED * limit:
-            recent = _cut(picture, now + half, size)
-    return place, found
+            recent = _cut(picture, now + half, size, turns[k])
+    return place, turns, found
 
 
-def _cut(picture: Picture, place: Floats, size: int) -> Picture:
-    return np.asarray(
-        cv2.getRectSubPix(picture, (size, size), (float(place[0]), float(place[1]))), dtype=np.float32
+def _cut(picture: Picture, place: Floats, size: int, turn: float = 0.0) -> Picture:
+    """Return the square of `size` px about a place, in the coordinates of a patch that is turned by an angle."""
+    c, s, half = math.cos(turn), math.sin(turn), size // 2
+    to_frame = np.array(
+        [[c, -s, place[0] - half * (c - s)], [s, c, place[1] - half * (s + c)]], dtype=np.float64
     )
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    found = cv2.warpAffine(picture, to_frame, (size, size), flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, dtype=np.float32)
+
+
+def _turned(picture: Picture, turn: float) -> Picture:
+    """Return a square picture turned about its centre, clockwise as seen."""
+    if turn == 0.0:
+        return picture
+    size = picture.shape[0]
+    return _cut(picture, np.full(2, size // 2), size, -turn)
+
+
+@dataclass(frozen=True)
+class _Aligned:
+    """Place and rotation of a template in a picture, and the mean square residual [grey levels squared].
+
+    `sigma` is the standard uncertainty of the rotation for independent residuals [rad].
+    """
+
+    place: Floats
+    turn: float
+    residual: float
+    sigma: float
+
+    @classmethod
+    def of(cls, picture: Picture, place: Floats, turn: float, template: Picture, mask: Picture) -> _Aligned:
+        """Align a template by Gauss-Newton steps with its slopes, from a start."""
+        inside = _interior(mask)
+        size, half = mask.shape[0], mask.shape[0] // 2
+        v, u = (x[inside] for x in np.mgrid[-half : half + 1, -half : half + 1].astype(np.float32))
+        by_v, by_u = (np.asarray(g)[inside] for g in np.gradient(template))
+        slope = np.stack([by_u, by_v, u * by_v - v * by_u, np.ones_like(u)]).astype(np.float64)
+        square = slope @ slope.T + 1e-6 * np.eye(4)
+        covariance = np.linalg.inv(square)
+        there, residual = place, math.inf
+        for _ in range(_TURN_STEPS):
+            rest = (template - _cut(picture, there, size, turn))[inside].astype(np.float64)
+            step = covariance @ (slope @ rest)
+            before, residual = residual, float(np.mean((rest - step[3]) ** 2))
+            if residual >= before or (np.abs(step[:2]).max() < 0.05 and abs(step[2]) * half < 0.05):
+                break
+            c, s = math.cos(turn), math.sin(turn)
+            there = there + np.array([c * step[0] - s * step[1], s * step[0] + c * step[1]])
+            turn += float(step[2])
+        # the picture is rounded to whole grey levels
+        return cls(there, turn, residual, math.sqrt((residual + 1.0) * float(covariance[2, 2])))
+
+
+def _interior(mask: Picture) -> Bools:
+    """Return the pixels of a patch that show its rotation: not the edge of a round body, which looks as if it did."""
+    inside = mask > 0.5
+    half = mask.shape[0] // 2
+    if inside.sum() < _ROUND * math.pi * half**2 or half < _LEAST_ROUND:
+        return inside
+    return cv2.erode(inside.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+
+
+def _best_turn(
+    picture: Picture, place: Floats, turn: float, template: Picture, mask: Picture, usual: float
+) -> _Aligned | None:
+    """Align a template from the expected rotation, and from others if its residual is not the usual one.
+
+    None if the picture does not show the rotation.
+    """
+    radius = math.sqrt(float(mask.sum()) / math.pi)
+    best = _Aligned.of(picture, place, turn, template, mask)
+    if best.sigma < _TURN_SEEN and best.residual > _UNUSUAL * usual:
+        starts = [
+            turn + sign * k * _TURN_STEP / radius for k in range(1, _TURN_STARTS + 1) for sign in (1, -1)
+        ]
+        others = [_Aligned.of(picture, place, start, template, mask) for start in starts]
+        best = min([best, *others], key=lambda found: found.residual)
+    near = float(np.hypot(*(best.place - place))) < _LARGEST * max(radius, 4.0)
+    if best.sigma > _TURN_SEEN or not near:
+        return None
+    inside = _interior(mask)
+    turned = [_cut(picture, best.place, mask.shape[0], best.turn + angle) for angle in (-_TURNED, _TURNED)]
+    away = min(float(np.var((template - p)[inside])) for p in turned)
+    return best if away > _UNUSUAL * (best.residual + 1.0) else None
 
 
 def _next_step(steps: Sequence[Floats]) -> Floats:
@@ -594,7 +794,8 @@ class _Layers:
     brightness: Picture  # q [grey levels]
     variance: Picture  # of the residuals [grey levels squared]
     background: Picture  # B, of the whole frame [grey levels]
-    turns: bool = False
+    # prior standard uncertainty of the rotation [rad]; 0 for a rotation that is known
+    turn_sigma: float = 0.0
 
     def sampled(
         self, frame: Plane | Picture, place: Floats, turn: float, how: int = cv2.INTER_CUBIC
@@ -609,25 +810,40 @@ class _Layers:
 
     @cached_property
     def _slopes(self) -> tuple[Picture, Picture]:
-        return _derivatives(self.transparency), _derivatives(self.brightness)
+        by_s, by_q = (_derivatives(p) for p in (self.transparency, self.brightness))
+        if self.turn_sigma == 0.0:
+            return by_s, by_q
+        u, v = self.grid.astype(np.float32)
+        of_s, of_q = (np.concatenate([d, (v * d[0] - u * d[1])[None]]) for d in (by_s, by_q))
+        return of_s, of_q
 
-    def register(self, frame: Plane, place: Floats, turn: float) -> tuple[Floats, Floats, float]:
-        """Return the place of the patch in a frame, its covariance (2, 2), and the mean square normalised residual.
+    @cached_property
+    def _prior(self) -> Floats:
+        """Inverse covariance of what is fitted beside the displacement: blur, and the rotation where it is followed."""
+        if self.turn_sigma == 0.0:
+            return _BLUR_PRIOR
+        return np.asarray(np.pad(_BLUR_PRIOR, (0, 1)) + np.diag([0.0] * 5 + [self.turn_sigma**-2]))
+
+    def register(self, frame: Plane, place: Floats, turn: float) -> tuple[Floats, Floats, float, float]:
+        """Return the place of the patch in a frame, its covariance (2, 2), the misfit, and the rotation [rad].
+
+        The misfit is the mean square normalised residual.
 
         The blur of a frame differs from that of the learnt picture by motion and focus: to second order, by a
         combination of the second derivatives, which is fitted with the displacement.
         """
-        turn = turn if self.turns else 0.0
         around = _crop(frame, place, self.grid)
+        lost = place, np.full((2, 2), np.nan), math.inf, turn
         if around is None:
-            return place, np.full((2, 2), np.nan), math.inf
+            return lost
+        start = turn
         (left, top), part = around
         behind = self.background[top : top + part.shape[0], left : left + part.shape[1]]
         here = place - np.array([left, top])
-        rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         begin = here
         by_s, by_q = self._slopes
         for _ in range(_STEPS):
+            rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
             back = self.sampled(behind, here, turn, cv2.INTER_LINEAR)
             rest = self.sampled(part, here, turn) - self.transparency * back - self.brightness
             use = np.isfinite(rest)
@@ -635,11 +851,17 @@ class _Layers:
             slope[:2] *= -1.0
             size = np.abs(rest[use]) / np.sqrt(self.variance[use])
             weight = np.minimum(1.0, _ROBUST / np.maximum(size, 1e-9)) / self.variance[use]
-            left_side = (slope * weight) @ slope.T + _BLUR_PRIOR
+            left_side = (slope * weight) @ slope.T + self._prior
             if not use.any() or np.linalg.eigvalsh(left_side[:2, :2])[0] < 1e-9:
-                return place, np.full((2, 2), np.nan), math.inf
-            step = rotation @ np.linalg.solve(left_side, (slope * weight) @ rest[use])[:2]
+                return lost
+            right = (slope * weight) @ rest[use]
+            if self.turn_sigma:
+                right[5] += (start - turn) / self.turn_sigma**2
+            found = np.linalg.solve(left_side, right)
+            step = rotation @ found[:2]
             here = here + step
+            if self.turn_sigma:
+                turn += float(found[5])
             if np.abs(step).max() < _SMALL_STEP:
                 break
         covariance = rotation @ np.linalg.inv(left_side)[:2, :2] @ rotation.T
@@ -647,7 +869,7 @@ class _Layers:
         reach = _LARGEST * float(np.abs(self.grid).max())
         if np.hypot(*(here - begin)) > reach:
             misfit = math.inf
-        return here + np.array([left, top]), covariance, misfit
+        return here + np.array([left, top]), covariance, misfit, turn
 
 
 def _derivatives(picture: Picture) -> Picture:
@@ -667,59 +889,60 @@ def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], P
     return ((left, top), part) if min(part.shape) > 4 else None
 
 
+@dataclass(frozen=True)
+class _Learnt:
+    """The learnt picture of a patch, and its places (n, 2) and rotations (n,) in the frames; None without rotation."""
+
+    layers: _Layers
+    place: Floats
+    turn: Floats | None
+    residual: float  # mean variance of its pixels [grey levels squared]
+
+
 def _learnt(
     film: _Frames,
     frame: Frames,
     place: Floats,
     turn: Floats | None,
+    turn_sigma: float,
     background: Picture,
     noise: float,
     radius: float,
-) -> tuple[_Layers, Floats]:
-    """Learn the picture of the patch from some frames; returns it with the places, refined in these frames."""
+) -> _Learnt:
+    """Learn the picture of the patch from some frames, with the given rotations; the places are refined in these."""
     use = np.unique(np.linspace(0, len(frame) - 1, _LEARNT).astype(int))
     pictures = film.some(frame[use])
     half = math.ceil(1.35 * radius) + 4
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
     empty = np.zeros(u.shape, dtype=np.float32)
-    plain = _Layers(np.stack([u, v]), empty, empty, empty, background)
-    angles = np.zeros(len(use)) if turn is None else turn[use]
-    best: tuple[float, _Layers, Floats] | None = None
-    for turns in (False, True) if turn is not None else (False,):
-        layers, there = replace(plain, turns=turns), place[use].copy()
-        kept = np.ones(len(use), dtype=np.bool_)
-        for again in range(_ROUNDS):
-            layers = _regressed(layers, pictures, there, angles, kept, noise)
-            poses = [layers.register(p, x, a) for p, x, a in zip(pictures, there, angles, strict=True)]
-            misfit = np.array([p[2] for p in poses])
-            kept = misfit < HIDDEN * np.median(misfit)
-            there[kept] = np.array([p[0] for p in poses])[kept]
-            if again == 0:
-                layers = replace(layers, background=_uncovered(layers, pictures, there, kept))
-        total = float(np.mean(layers.variance[layers.variance < _UNSEEN]))
-        if best is None or total < _TURNS_WITH * best[0]:
-            best = total, layers, there
-    assert best is not None  # noqa: S101 - the loop runs at least once
-    moved = place.copy()
-    offset = np.stack(
-        [np.interp(np.arange(len(place)), use, (best[2] - place[use])[:, i]) for i in (0, 1)], axis=1
-    )
-    moved += np.median(
-        offset, axis=0
-    )  # the centre of the learnt picture may differ from that of the template
-    moved[use] = best[2]
-    return best[1], moved
+    layers = _Layers(np.stack([u, v]), empty, empty, empty, background, turn_sigma)
+    angles = np.zeros(len(use)) if turn is None else turn[use].copy()
+    there = place[use].copy()
+    kept = np.ones(len(use), dtype=np.bool_)
+    for again in range(_ROUNDS):
+        layers = _regressed(layers, pictures, there, angles, kept, noise)
+        poses = [layers.register(p, x, a) for p, x, a in zip(pictures, there, angles, strict=True)]
+        misfit = np.array([p[2] for p in poses])
+        kept = misfit < HIDDEN * np.median(misfit)
+        there[kept] = np.array([p[0] for p in poses])[kept]
+        angles[kept] = np.array([p[3] for p in poses])[kept]
+        if again == 0:
+            layers = replace(layers, background=_uncovered(layers, pictures, there, kept))
+    # the centre of the learnt picture may differ from that of the template
+    moved = place + np.median(there - place[use], axis=0)
+    moved[use] = there
+    residual = float(np.mean(layers.variance[layers.variance < _UNSEEN]))
+    return _Learnt(layers, moved, turn, residual)
 
 
 def _regressed(
     layers: _Layers, pictures: Sequence[Plane], place: Floats, turn: Floats, kept: Bools, noise: float
 ) -> _Layers:
     """Return the layers by regression of the pictures about the places on the background there."""
-    angle = turn if layers.turns else np.zeros_like(turn)
     chosen = np.flatnonzero(kept).tolist()
-    shown = np.stack([layers.sampled(pictures[i], place[i], angle[i]) for i in chosen])
+    shown = np.stack([layers.sampled(pictures[i], place[i], turn[i]) for i in chosen])
     behind = np.stack(
-        [layers.sampled(layers.background, place[i], angle[i], cv2.INTER_LINEAR) for i in chosen]
+        [layers.sampled(layers.background, place[i], turn[i], cv2.INTER_LINEAR) for i in chosen]
     )
     known = np.isfinite(shown)
     count = np.maximum(known.sum(axis=0), 1)
@@ -759,22 +982,17 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 
 
 def _measured(
-    film: _Frames,
-    frame: Frames,
-    place: Floats,
-    turn: Floats | None,
-    layers: _Layers,
-    searched: int,
-    progress: Progress | None,
+    film: _Frames, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
 ) -> PointPath:
     """Register every frame with the learnt picture."""
+    layers, place, turn = learnt.layers, learnt.place, learnt.turn
     where = {int(f): k for k, f in enumerate(frame)}
     found = place.copy()
     covariance = np.full((len(frame), 2, 2), np.nan)
     misfit = np.full(len(frame), np.inf)
     for k, picture in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
         angle = 0.0 if turn is None else float(turn[k])
-        found[k], covariance[k], misfit[k] = layers.register(picture, place[k], angle)
+        found[k], covariance[k], misfit[k], _ = layers.register(picture, place[k], angle)
         if progress is not None:
             progress(k + 1, len(frame))
     usual = float(np.median(misfit))
@@ -791,6 +1009,6 @@ def _measured(
         enlarged[kept],
         float(np.abs(layers.grid).max()),
         searched,
-        layers.turns,
+        turn is not None,
         (layers.brightness + layers.transparency * float(np.median(layers.background))).astype(np.float32),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,9 @@ Floats = npt.NDArray[np.float64]
 _MANY_TURNS = 3.0
 """Turns from which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer remove uncertainty
 that is real, more overstate it."""
+_APART = 5.0
+"""Slow difference of both halves over the standard uncertainty of the angle, from which a body is not rigid [1].
+Measured: real wheels and discs: up to 3; a drawn rim with an oscillation of 10 to 30 mrad relative to its disc: 10."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,26 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     if float(np.sum(found[:free] ** 2)) < _SIGNIFICANT**2 * float(np.trace(variance)):
         return 0.0
     return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
+
+
+def apart_beyond_harmonics(
+    angle: Floats, halves: Floats, at: npt.NDArray[np.int64], sigma: float
+) -> float | None:
+    """Return the error of the angles by halves of the ring that do not turn alike over many turns [rad]; None if small.
+
+    The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. What varies beyond
+    these, and beyond `_APART` of the standard uncertainty `sigma` of the angles [rad], is another motion. The angle is
+    about the mean of both halves (2, n), so that its error is half of the difference. `at` (n,) are the frames.
+    """
+    if np.ptp(angle) <= _MANY_TURNS * TURN:
+        return None
+    apart = halves[0] - halves[1]
+    orders = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
+    rows = np.stack([*orders, np.ones_like(angle), np.linspace(-1.0, 1.0, len(angle))], axis=1)
+    found, *_ = np.linalg.lstsq(rows, apart, rcond=None)
+    rest = apart - rows @ found
+    slow = math.sqrt(max(float(np.var(rest)) - white_noise(rest, at) ** 2, 0.0))
+    return 0.5 * slow if slow > _APART * sigma else None
 
 
 def hub_leverage(parts: tuple[Template, Template]) -> float:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._coaxial import differs_from, second_rotation
+from gyrotrack.tracking._coaxial import differs_from, enough, second_rotation
 from gyrotrack.tracking._hub_search import Motion
 
 SIZE, HUB = 96, (47.5, 47.5)
@@ -54,6 +54,15 @@ def test_a_disc_in_a_ring_turns_differently():
 def test_one_body_is_not_two(lamp):
     """Light that is fixed in the image changes the picture of a body as it turns."""
     assert _second(_frames(FIRST, lamp=lamp)) is None
+
+
+@pytest.mark.parametrize(
+    ("of_rest", "of_all", "told"),
+    [(0.41, 0.06, True), (0.39, 0.06, False), (0.41, 0.04, False), (0.21, 0.11, True), (0.19, 0.11, False)],
+)
+def test_a_second_rotation_explains_much_of_the_rest_or_of_the_whole(of_rest, of_all, told):
+    """Single bodies have at most 0.2 of the rest and 0.03 of the whole; a rendered gyroscope 0.22 and 0.13."""
+    assert enough(of_rest, of_all) == told
 
 
 @pytest.mark.parametrize(("contrast", "seen"), [(18.0, True), (4.0, False)])

@@ -35,7 +35,7 @@ def test_ten_pictures_are_tracked(folder):
     assert np.diff(found.angle) == pytest.approx(STEP, abs=0.01)
 
 
-@pytest.mark.parametrize("track", [track_body, lambda film: track_point(film, (20.0, 20.0), lambda _: None)])
+@pytest.mark.parametrize("track", [track_body, lambda film: track_point(film, (20.0, 20.0), lambda *_: None)])
 def test_nine_pictures_are_refused(folder, track):
     film = Film(folder)
     film.selected[-1] = False

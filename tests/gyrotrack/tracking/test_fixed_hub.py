@@ -8,8 +8,9 @@ import pytest
 
 from gyrotrack.tracking import _any_body
 from gyrotrack.tracking._any_body import calmer
-from gyrotrack.tracking._fixed_hub import drift, halves_differ, hub_doubt
+from gyrotrack.tracking._fixed_hub import drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._registration import Ring
+from gyrotrack.tracking._tracked import apart_beyond_harmonics
 
 SIZE, HUB = 112, np.array([55.0, 55.0])
 ANGLE = np.linspace(0.0, 9.0, 24)
@@ -96,6 +97,33 @@ def test_both_halves_of_a_rigid_body_turn_alike(share, told):
     """The limit is 2 % of the standard deviation of the angle."""
     angle = 0.4 * np.sin(np.linspace(0.0, 40.0, 400))
     assert (halves_differ(angle, share * float(np.std(angle))) is not None) == told
+
+
+@pytest.mark.parametrize(
+    ("swing", "turns", "error"), [(8e-3, 5.0, 2.8e-3), (5e-3, 5.0, None), (8e-3, 2.9, None)]
+)
+def test_a_relative_oscillation_of_the_halves_is_seen_over_many_turns(swing, turns, error):
+    """The limit is 5 standard uncertainties of the angle, here 1 mrad; harmonics and a trend are of the view."""
+    time = np.linspace(0.0, 1.0, 400)
+    angle = 2 * np.pi * turns * time
+    apart = swing * np.sin(40.0 * time + 1.0) + 0.02 * np.sin(angle) + 0.01 * np.cos(2 * angle) + 0.03 * time
+    noise = np.random.default_rng(0).normal(0, 1e-3, 400)
+    found = apart_beyond_harmonics(angle, np.stack([apart + noise, np.zeros(400)]), np.arange(400), 1e-3)
+    assert found == (None if error is None else pytest.approx(error, rel=0.1))
+
+
+@pytest.mark.parametrize(("film", "refused"), [(0.71, False), (0.69, True)])
+def test_a_rotation_that_explains_a_part_of_the_film_falls_by_a_fifth(film, refused):
+    """A pole on a cart falls by 0.23."""
+    assert fallen(0.9, film) == refused
+
+
+def test_a_rotation_that_explains_a_part_of_the_film_only_is_refused_with_both_shares():
+    trial = SimpleNamespace(ring=Ring.about((20.0, 30.0), 5.0, 15.0), score=0.9)
+    film = SimpleNamespace(path=SimpleNamespace(name="film"), some=lambda index: [None] * len(index))
+    with pytest.raises(_any_body.RefusedFilmError, match=r"explains 90 % .* 69 % in the whole film") as error:
+        _any_body._refuse_fallen(film, np.arange(9), trial, 0.69)
+    assert "--from and --to" in error.value.hint
 
 
 @pytest.mark.parametrize(("film", "told"), [(0.69, False), (0.67, True), (0.95, False)])

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._links import carries_a_link, move_as_links, paths_of, share_a_joint
+from gyrotrack.tracking._links import carries_a_link, move_as_links, one_rests, paths_of, share_a_joint
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import Foreground, differs, median_picture, spots_in
 
@@ -138,3 +138,11 @@ def _drawn_links(second, offset=None):
 def test_a_link_extends_beyond_the_body_and_turns_differently(second, offset, linked):
     ring = Ring.about((80.0, 60.0), 3.0, 32.0, finest=48.0)
     assert carries_a_link(ring, _drawn_links(second, offset), -FIRST, 2.0) == linked
+
+
+@pytest.mark.parametrize(("count", "extent", "rests"), [(4, 2.9, True), (3, 2.9, False), (4, 3.1, False)])
+def test_parts_that_appear_and_stay_are_not_moving_bodies(count, extent, rests):
+    paths = np.zeros((count, 2, 2))
+    paths[:, 0, 0] = np.linspace(0.0, 20.0, count)
+    paths[:, 1, 1] = np.linspace(0.0, extent, count)
+    assert one_rests(paths) == rests

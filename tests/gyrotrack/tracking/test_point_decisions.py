@@ -38,14 +38,14 @@ def test_a_picture_that_mostly_translates_is_not_a_suspended_body(off, refused, 
 
 
 def test_the_angles_of_a_link_share_the_errors_of_pivot_and_place():
-    """At 50 px, sqrt(0.3^2 + 0.4^2 + (0.8^2 + 0.6^2) / 2) px = 0.866 px are 17.3 mrad, beside 10 mrad."""
+    """At 50 px, sqrt(0.4^2 + (0.8^2 + 0.6^2) / 2) px = 0.812 px are 16.2 mrad, beside 10 mrad."""
     place = np.array([[60.0, 10.0], [10.0, 60.0]])
     found = SimpleNamespace(
         place=place,
         hub=np.array([10.0, 10.0]),
         hub_covariance=np.diag([0.64, 0.36]),
-        arc=SimpleNamespace(noise=0.3, by_place=0.4),
+        arc=SimpleNamespace(by_place=0.4),
         sigma=np.array([0.01, 0.01]),
     )
     sigma = TrackedPoint.whole_sigma.fget(found)
-    assert sigma == pytest.approx([np.hypot(0.01, np.sqrt(0.75) / 50.0)] * 2)
+    assert sigma == pytest.approx([np.hypot(0.01, np.sqrt(0.66) / 50.0)] * 2)

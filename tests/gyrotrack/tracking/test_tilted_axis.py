@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError
 from gyrotrack.tracking._hub_search import distance_from, tilted_outline
 from gyrotrack.tracking._pivot import fit_orbit
-from gyrotrack.tracking._point_motion import SecondLink, about_pivot
+from gyrotrack.tracking._point_motion import SecondLink, about_pivot, second_link
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._registration import Ring
 
@@ -114,29 +115,22 @@ def test_a_trimmed_ring_keeps_its_stretch():
     assert ring.trimmed(np.linspace(0, 1, ring.rows), finest=100.0).stretch == (0.2, 0.1)
 
 
-def test_the_direction_of_a_second_link(monkeypatch):
-    from gyrotrack.tracking import _point_motion
-
+def test_the_direction_of_a_second_link():
     first, second = 0.5 * np.sin(TURNS) - 1.4, 0.9 * np.sin(1.3 * TURNS) - 1.2
     joint = _seen(first, 0.0, 0.0, 90.0)
     end = joint + 70.0 * np.stack([np.cos(second), -np.sin(second)], axis=1)
     about = about_pivot(_path(joint), "film.mp4")
-    film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"))
-    path = _path(end, seed=1)
-    monkeypatch.setattr(_point_motion, "track_point", lambda *_: path)
-    found = _point_motion.follow_second_link(film, about, (0.0, 0.0))
+    found = second_link(about, _path(end, seed=1), "film.mp4")
     assert isinstance(found, SecondLink)
     assert np.std(found.angle - second[found.frame]) < 0.2 / 70
     # a point 1 px beside the joint, on the first link: its error of the direction, without the mean, agrees with sigma
     beside = np.stack([np.cos(first), -np.sin(first)], axis=1)
     about = replace(about, place=about.place + beside[about.frame])
-    moved = _point_motion.follow_second_link(film, about, (0.0, 0.0))
+    moved = second_link(about, _path(end, seed=1), "film.mp4")
     error = moved.angle - second[moved.frame]
     error -= error.mean()
     assert float(np.std(error)) < 0.4 * 1.0 / 70
     assert 0.3 < float(np.sqrt(np.mean((error / moved.sigma) ** 2))) < 1.7
-    path = _path(end, seed=1)
     elastic = joint + (70.0 + 8.0 * np.sin(3 * TURNS))[:, None] * (end - joint) / 70.0
-    path = _path(elastic, seed=1)
-    with pytest.raises(_point_motion.TrackingError, match="no rigid body"):
-        _point_motion.follow_second_link(film, about, (0.0, 0.0))
+    with pytest.raises(TrackingError, match="no rigid body"):
+        second_link(about, _path(elastic, seed=1), "film.mp4")

@@ -1,0 +1,192 @@
+"""The rotation of a patch that is followed, and what a click on a silhouette selects, against drawn pictures."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _point_tracker
+from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link
+from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _cut, _follow
+from gyrotrack.tracking._silhouettes import Foreground, Spot
+
+TIME = np.arange(40) / 40.0
+FULL = np.full((120, 160), 90.0, np.float32)
+
+
+def _pattern(seed=0, contrast=25.0):
+    """A texture of 60 x 60 px about the centre of a body."""
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(61, 61)), (0, 0), 2.0)
+    return (140.0 + contrast * noise / noise.std()).astype(np.float32)
+
+
+def _frame(pattern, place, turn, radius=9.0):
+    """The disc of a pattern about a place, turned clockwise as seen."""
+    y, x = np.mgrid[0:120, 0:160].astype(np.float32)
+    c, s = np.cos(turn), np.sin(turn)
+    dx, dy = x - place[0], y - place[1]
+    shown = cv2.remap(
+        pattern,
+        (30 + c * dx + s * dy).astype(np.float32),
+        (30 - s * dx + c * dy).astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    cover = np.clip(radius + 0.5 - np.hypot(dx, dy), 0.0, 1.0)
+    return (FULL + cover * (shown - FULL)).astype(np.float32)
+
+
+def _spot(place, radius):
+    half = int(radius) + 1
+    v, u = np.ogrid[-half : half + 1, -half : half + 1]
+    return Spot(place, radius, (np.hypot(u, v) <= radius).astype(np.uint8))
+
+
+@pytest.mark.parametrize(("contrast", "seen"), [(25.0, True), (0.0, False)])
+def test_the_rotation_of_a_patch_is_followed_where_its_picture_shows_it(contrast, seen):
+    turn = 1.2 * np.sin(6.0 * TIME)
+    place = np.stack([80 + 30 * np.sin(5 * TIME), 60 + 10 * TIME], axis=1)
+    pattern = _pattern(contrast=contrast)
+    frames = [np.rint(_frame(pattern, p, a)).astype(np.uint8) for p, a in zip(place, turn, strict=True)]
+    film = SimpleNamespace(frames=lambda: iter(frames))
+    there, turns, found = _follow(film, np.arange(len(frames)), _spot(tuple(place[0]), 8.0), FULL)
+    assert found.all()
+    assert np.abs(there - place).max() < 0.5
+    assert np.abs(turns - (turn if seen else 0.0)).max() < 0.05
+
+
+@pytest.mark.parametrize(("away", "caught"), [(0.8, True), (2.5, False)])
+def test_a_rotation_is_caught_up_to_five_steps_at_the_edge_away(away, caught):
+    """Five steps of 1.5 px at 8 px are 0.94 rad."""
+    pattern = _pattern(1)
+    picture = _frame(pattern, (80.0, 60.0), away)
+    spot = _spot((80.0, 60.0), 8.0)
+    template = _cut(_frame(pattern, (80.0, 60.0), 0.0), np.array([80.0, 60.0]), spot.mask.shape[0])
+    found = _best_turn(picture, np.array([80.0, 60.0]), 0.0, template, spot.mask.astype(np.float32), 0.0)
+    assert (found is not None and abs(found.turn - away) < 0.02) == caught
+
+
+def _seen(picture, noise=0.5):
+    return Foreground([picture], FULL, noise)
+
+
+@pytest.mark.parametrize(
+    ("width", "length", "click", "body"),
+    [
+        (30, 45, (80.0, 60.0), True),  # compact
+        (30, 90, (80.0, 60.0), False),  # three times as long as wide
+        (30, 90, (110.0, 60.0), False),  # far from the centroid
+    ],
+)
+def test_a_click_on_a_long_body_selects_the_place_and_on_a_compact_one_the_body(width, length, click, body):
+    rng = np.random.default_rng(0)
+    picture = FULL + rng.normal(0, 0.5, FULL.shape)
+    rows, columns = (
+        slice(60 - width // 2, 60 + width // 2),
+        slice(80 - length // 2, 80 + length // 2),
+    )
+    picture[rows, columns] = (
+        180 + cv2.GaussianBlur(rng.normal(0, 60, picture.shape), (0, 0), 2.0)[rows, columns]
+    )
+    spot = next(_clicked(picture.clip(0, 255).astype(np.uint8), _seen(picture), click))
+    if body:
+        assert spot.radius == pytest.approx(np.sqrt(width * length / np.pi), rel=0.15)
+    else:
+        assert spot.place == click
+        assert spot.radius <= 15.0
+
+
+def test_a_blank_long_body_is_followed_as_a_whole():
+    picture = FULL.copy()
+    picture[50:70, 40:120] = 180.0
+    (spot,) = _clicked(picture.astype(np.uint8), _seen(picture), (80.0, 60.0))
+    assert spot.place == pytest.approx((79.5, 59.5), abs=1.0)
+
+
+def test_the_second_choice_is_tried_where_the_first_one_is_lost(monkeypatch):
+    tried = []
+
+    def lost(film, usable, spot, *rest):
+        tried.append(spot)
+        if len(tried) == 1:
+            raise _point_tracker.TrackingError("lost", "")
+        return spot
+
+    monkeypatch.setattr(_point_tracker, "_track_spot", lost)
+    monkeypatch.setattr(_point_tracker, "fresh_frames", lambda _: np.arange(60))
+    monkeypatch.setattr(_point_tracker, "refuse_cut", lambda *_: None)
+    monkeypatch.setattr(_point_tracker, "_clicked", lambda *_: iter(["body", "patch", "more"]))
+    film = SimpleNamespace(some=lambda _: [np.zeros((9, 9), np.uint8)])
+    assert _point_tracker.track_point(film, (3.0, 3.0), lambda *_: None, seen=_seen(FULL)) == "patch"
+    assert tried == ["body", "patch"]
+
+
+@pytest.mark.parametrize(
+    ("beside", "off", "found"),
+    [((0.6, -0.4), 1.0, True), ((6.0, -4.0), 7.3, True), ((0.0, 0.0), 1.0, False)],
+)
+def test_a_point_beside_the_joint_on_the_second_link_is_corrected(beside, off, found):
+    t = np.linspace(0.0, 12.0, 200)
+    first, second = 0.7 * np.sin(t), 1.1 * np.sin(1.7 * t + 1.0)  # counter-clockwise
+    joint = np.array([160.0, 80.0]) + 90.0 * np.stack([np.cos(first), -np.sin(first)], axis=1)
+    c, s = np.cos(second), np.sin(second)
+    away = np.stack([c * beside[0] + s * beside[1], -s * beside[0] + c * beside[1]], axis=1)
+    noise = np.random.default_rng(0).normal(0, 0.05, joint.shape)
+    path = PointPath(
+        np.arange(200), joint + away + noise, np.tile(0.05**2 * np.eye(2), (200, 1, 1)), 9.0, 200, True, FULL
+    )
+    link = SimpleNamespace(frame=np.arange(200), angle=second)
+    moved = _on_second_link(SimpleNamespace(path=path), link, off)
+    assert (moved is not None) == found
+    if moved is not None:
+        assert np.abs(moved.place - joint - noise).max() < 0.1
+        assert np.all(moved.covariance[:, 0, 0] > path.covariance[:, 0, 0])
+
+
+@pytest.mark.parametrize("size", [0.1, 0.4])
+def test_errors_that_neighbouring_frames_share_count_along_the_path_as_across(size):
+    """White noise of 0.1 px is seen along the path; the errors of a codec only across it, as residuals of the arc."""
+    from gyrotrack.tracking._point_motion import about_pivot
+
+    rng = np.random.default_rng(1)
+    theta = 0.8 * np.sin(np.linspace(0, 20, 400))
+    error = np.apply_along_axis(
+        lambda v: np.convolve(v, np.ones(9) / 3.0, "same"), 0, rng.normal(0, size, (400, 2))
+    )
+    place = np.array([160.0, 60.0]) + 90.0 * np.stack([np.sin(theta), np.cos(theta)], axis=1) + error
+    path = PointPath(np.arange(400), place, np.tile(0.01**2 * np.eye(2), (400, 1, 1)), 9.0, 400, True, FULL)
+    found = about_pivot(path, "film.mp4", (160.0, 60.0))
+    assert isinstance(found, TrackedPoint)
+    z = (found.angle - theta - np.mean(found.angle - theta)) / found.sigma
+    assert 0.7 < float(np.sqrt(np.mean(z**2))) < 1.4
+
+
+@pytest.mark.parametrize(("rod", "body"), [(0.6, True), (0.8, False)])
+def test_a_click_on_a_bob_on_rods_selects_the_bob_where_the_rods_are_narrower(rod, body):
+    """The limit is a depth of 0.7 times the inscribed radius, 14 px, at 1.5 times this radius."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[0:120, 0:160]
+    inside = (np.hypot(x - 110, y - 60) < 14.0) | ((np.abs(y - 60) < rod * 14.0) & (x < 110))
+    texture = 180 + cv2.GaussianBlur(rng.normal(0, 60, FULL.shape), (0, 0), 2.0)
+    picture = np.where(inside, texture, FULL).clip(0, 255)
+    click = (115.0, 60.0)
+    spot = next(_clicked(picture.astype(np.uint8), _seen(picture), click))
+    assert (spot.place != click) == body
+
+
+@pytest.mark.parametrize(("width", "radius"), [(12, 6.0), (26, 11.0), (70, 15.0)])
+def test_a_patch_on_a_silhouette_is_as_large_as_this_allows(width, radius):
+    rng = np.random.default_rng(0)
+    picture = FULL.copy()
+    texture = 180 + cv2.GaussianBlur(rng.normal(0, 80, FULL.shape), (0, 0), 1.5)
+    picture[60 - width // 2 : 60 + width // 2, 5:155] = texture[60 - width // 2 : 60 + width // 2, 5:155]
+    frame = picture.clip(0, 255).astype(np.uint8)
+    assert _point_tracker._patch_at(frame, FULL, 0.5, (80.0, 60.0)).radius == radius
+
+
+@pytest.mark.parametrize(("long", "whole"), [(1.0, False), (0.5, True)])
+def test_the_edge_of_a_round_patch_does_not_show_its_rotation(long, whole):
+    v, u = np.mgrid[-12:13, -12:13]
+    mask = (np.hypot(u, v / long) <= 12).astype(np.float32)
+    assert (_point_tracker._interior(mask).sum() == mask.sum()) == whole
