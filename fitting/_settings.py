@@ -21,7 +21,7 @@ import pkgutil
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 from types import MappingProxyType, ModuleType
 from typing import Any, TypeAlias
 
@@ -52,6 +52,9 @@ class Setting:
         """The value as text, to six digits; of a long grid the ends."""
         return _text(self.value)
 
+    def __str__(self) -> str:
+        return f"  {self.name} = {self.value_text} [{self.unit}]\n    {self.meaning}\n    {self.origin}"
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -71,7 +74,7 @@ class Settings:
         return [{**vars(s), "value": _plain(s.value)} for s in self.settings]
 
     def __str__(self) -> str:
-        return "\n\n".join("\n".join([module, *map(_lines, own)]) for module, own in self.by_module().items())
+        return "\n\n".join("\n".join([module, *map(str, own)]) for module, own in self.by_module().items())
 
 
 def fitting_settings() -> Settings:
@@ -101,12 +104,13 @@ def settings_of(module: ModuleType) -> list[Setting]:
 
 def _described(module: ModuleType, owner: object, prefix: str, body: list[ast.stmt]) -> list[Setting]:
     found = []
-    for node, below in pairwise([*body, None]):
+    for i, node in enumerate(body):
+        text = ast.get_docstring(ast.Module(body[i + 1 : i + 2], [])) or ""
         targets = getattr(node, "targets", [getattr(node, "target", None)])
         for name in (n.id for t in targets if t for n in ast.walk(t) if isinstance(n, ast.Name)):
             if (value := _number(getattr(owner, name, None))) is None:
                 continue
-            described = _DESCRIPTION.fullmatch(" ".join(_docstring(below).split()))
+            described = _DESCRIPTION.fullmatch(" ".join(text.split()))
             if described is None:
                 raise LookupError(f"{module.__name__}.{prefix}{name} lacks its unit, meaning or origin.")
             meaning, unit, kind, reason = described.groups()
@@ -117,15 +121,6 @@ def _described(module: ModuleType, owner: object, prefix: str, body: list[ast.st
 
 def _is_table(kind: object) -> bool:
     return is_dataclass(kind) and all(_number(f.default) is not None for f in fields(kind))
-
-
-def _lines(s: Setting) -> str:
-    return f"  {s.name} = {s.value_text} [{s.unit}]\n    {s.meaning}\n    {s.origin}"
-
-
-def _docstring(node: ast.stmt | None) -> str:
-    text = node.value if isinstance(node, ast.Expr) else None
-    return text.value if isinstance(text, ast.Constant) and isinstance(text.value, str) else ""
 
 
 def _number(value: object) -> Value | None:

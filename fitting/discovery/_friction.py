@@ -42,8 +42,8 @@ _AMPLITUDE = 4.0
 """Amplitude of the second motion over the angle through which a contact yields [1]. Chosen: at a smaller value the
 contact does not slide, at a larger one it yields for a small part of the motion."""
 _SHARE = 0.1
-"""Share of the rms torque on the casing that is the strength of a law whose strength the fit does not contain [1].
-Chosen: a smaller value understates what the motions separate, a larger one exceeds realistic friction."""
+"""Dry friction of a model that has none, as a share of its rms net torque [1]. Chosen: a smaller value understates what
+the motions separate, a larger one exceeds realistic friction."""
 
 
 @dataclass(frozen=True)

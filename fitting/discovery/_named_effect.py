@@ -69,8 +69,7 @@ _POWER = 0.9
 """Probability of detection, and share of the deviations, of the detection limit [1]. Chosen: as
 `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
 _DRAWS = 4000
-"""Random deviations whose quantile is the limit [1]. Chosen: fewer make the limit random by several per cent, more cost
-time."""
+"""Random deviations whose quantile is the limit [1]. Chosen: fewer make the limit random, more cost time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
 `fitting.discovery._lack_of_fit`; a smaller value tests rounding, a larger one omits deviations that are nearly

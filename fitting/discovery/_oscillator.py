@@ -41,7 +41,7 @@ _BLOCKS = 12
 """Parts of the jackknife [1]. Chosen: fewer give uncertain standard errors, more have correlated parts."""
 _OF_AVERAGING = 5e-3
 """Relative error of a strength by the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
-simulated pendulum of 94 degrees and for springs that soften by a tenth."""
+pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
 _CONTRADICTING_SHARE = 0.2
 """Relative difference from the averaged equations above which an exact value contradicts them [1]. Chosen: a smaller
 value takes their error for a contradiction, a larger one accepts a fit to a wrong motion."""

@@ -154,8 +154,8 @@ _RANK = 1e-6
 projects out rounding, a larger one leaves a part of the free columns."""
 
 _BAND = 1.96
-"""Standard deviations of zero within which the torque ends an interval [standard deviations]. Derived: quantile 0.975
-of the standard normal distribution, a band of 95 %."""
+"""Distance of the torque from zero within which an interval ends [standard deviations]. Derived: quantile 0.975 of the
+standard normal distribution, a band of 95 %."""
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 """Shortest reported interval, as a share of the record [1]. Chosen: a smaller value reports fluctuations, a larger one

@@ -498,8 +498,8 @@ _SMALL = 1e-9
 """Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
 next change is rounding."""
 _EXACT = 1e-13
-"""Change of the times that is rounding [1]. Derived: a thousand times the relative precision of a number, for sums over
-many reversals."""
+"""Change of the times that is rounding [1]. Derived: some hundred times the relative precision of a number, for sums
+over many reversals."""
 _SLOW = 1e-3
 """Speed of an oscillating casing, over its largest one, below which errors are no longer relative to it [1]. Chosen: a
 smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""

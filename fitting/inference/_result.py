@@ -335,9 +335,9 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
 
 
 _FEWEST_TURNS = 5.0
-"""Turns of the casing from which on a harmonic of its angle is not a slow torque [1]. Measured: simulated constant
-torques have up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise
-within six."""
+"""Turns of the casing from which on a harmonic of its angle is not a slow torque [1]. Measured: constant torques have
+up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise within six; the
+recordings are not stated."""
 
 
 @dataclass(frozen=True, repr=False)
