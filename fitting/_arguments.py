@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 from fitting._errors import EstimationError
 
-# longest value that a message repeats
 _SHOWN = 30
+"""Longest value that a message repeats [characters]. Chosen: a smaller value hides short arguments, a larger one fills
+the message with arrays."""
 
 
 class Kind(NamedTuple):

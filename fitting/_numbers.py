@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-# number of digits above which a number with a power of ten is printed with all of them
 _LONG = 3
+"""Number of digits above which a number with a power of ten is printed with all of them [1]. Chosen: up to here one
+digit of the mantissa suffices; a larger value rounds precise numbers, a smaller one prints long ones."""
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
@@ -153,6 +154,7 @@ def scaled(largest: float) -> tuple[float, str]:
 
 _RAD_PER_S = frozenset({"rad/s", "rad s-1"})
 _RPM = 30.0 / math.pi
+"""Revolutions per minute in one radian per second [1]. Derived: 60 / (2 pi)."""
 _SPEED: ContextVar[str] = ContextVar("speed", default="rad/s")
 
 
@@ -214,8 +216,12 @@ def per_inertia(unit: str) -> str:
     return (f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1") + tail
 
 
-# lines and columns of the repr of a result
-_LINES, _COLUMNS = 20, 120
+_LINES = 20
+"""Lines of the repr of a result [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger
+one scrolls."""
+_COLUMNS = 120
+"""Columns of the repr of a result [characters]. Chosen: a smaller value cuts sentences, a larger one wraps in narrow
+consoles."""
 
 
 def on_screen(lines: Iterable[str]) -> str:

@@ -33,7 +33,8 @@ from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
 LOCK_TIMEOUT = 10.0
-"""Time [s] after which waiting for a lock ends with an error."""
+"""Time after which waiting for a lock ends with an error [s]. Chosen: writing takes milliseconds; a smaller value fails
+on slow network disks, a larger one delays the message about a lock that stays."""
 
 
 def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda: True) -> None:
@@ -129,7 +130,9 @@ def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
             return
 
 
-_POLL = 0.02  # s
+_POLL = 0.02
+"""Time between two attempts to get a lock [s]. Chosen: a smaller value loads the disk, a larger one delays writers that
+wait."""
 
 
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}

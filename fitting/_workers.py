@@ -21,6 +21,8 @@ T = TypeVar("T")
 Common = TypeVar("Common")
 Item = TypeVar("Item")
 _MOST_PROCESSES = 4
+"""Largest number of worker processes [1]. Chosen: a smaller value makes searches slower, a larger one needs more memory
+than the gain in time justifies."""
 
 
 @contextmanager
@@ -161,8 +163,9 @@ class _Unpickler(pickle.Unpickler):
         return self._shared[index]
 
 
-# attempts to pickle a call whose arguments change in the meantime
 _ATTEMPTS = 20
+"""Attempts to pickle a call whose arguments change in the meantime [1]. Chosen: fewer raise an error while another
+thread fills a cache, more delay a permanent error."""
 
 
 def _packed(work: Callable[..., object], *args: object) -> bytes:

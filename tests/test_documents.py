@@ -11,7 +11,7 @@ from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers import _format_names as names
 
 DOCS = Path(__file__).parents[1] / "docs"
-MADE = ["make_command_line", "make_effects", "make_format", "make_import", "make_tracking_settings"]
+MADE = ["make_command_line", "make_effects", "make_format", "make_import"]
 FORMS = [*sorted((DOCS.parent / ".github").rglob("*.yml")), DOCS.parent / "CITATION.cff"]
 
 
@@ -26,6 +26,11 @@ def maker(name):
 def test_a_made_page_is_up_to_date(name):
     module = maker(name)
     assert module.TARGET.read_text(encoding="utf-8") == module.page(), f"run python docs/{name}.py"
+
+
+def test_the_pages_of_settings_are_up_to_date():
+    for target, text in maker("make_settings").pages().items():
+        assert target.read_text(encoding="utf-8") == text, "run python docs/make_settings.py"
 
 
 def test_no_effect_is_left_out():

@@ -46,12 +46,20 @@ if TYPE_CHECKING:
 
 Kind = Literal["null", "truth", "rival"]
 
-# rivals that are simulated at most, and simulated recordings of each of them per null recording
-_MOST_RIVALS, _RIVAL_SHARE, _FEWEST = 3, 0.25, 4
-# half width of a 95 % interval in standard uncertainties
+_MOST_RIVALS = 3
+"""Rivals that are simulated at most [1]. Chosen: fewer leave confusions unknown, more cost time."""
+_RIVAL_SHARE = 0.25
+"""Simulated recordings of each rival per null recording [1]. Chosen: a smaller value widens the intervals of the rates,
+a larger one costs time."""
+_FEWEST = 4
+"""Smallest number of simulated recordings of a rival [recordings]. Chosen: fewer do not show which effect is usually
+named, more cost time in short certificates."""
 _INTERVAL = 1.96
-# recordings per process between two calls of `keep`
+"""Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
+quantile 0.975 of the standard normal distribution."""
 _PER_PROCESS = 4
+"""Recordings per process between two calls of `keep` [recordings]. Chosen: fewer leave processes idle, more lose more
+work when a run is killed."""
 _FAILED = "failed"
 
 

@@ -38,21 +38,39 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_COLUMNS = 10  # splines of a torque of one variable in the test
-_FINE = 36  # splines of the curve that is shown
-_PAIR = 4  # splines along each of two variables
-_CUBIC = 3  # degree of the splines
-_HARMONICS = (1, 2, 3, 4)  # harmonics of the angle of the casing
-# of the rotor, as far as it turns by less than this between two frames of the casing [rad]
+_COLUMNS = 10
+"""Splines of a torque of one variable in the test [1]. Chosen: fewer overlook narrow laws, more lower the power for
+broad ones."""
+_FINE = 36
+"""Splines of the curve that is shown [1]. Chosen: fewer do not resolve a resonance, more cost time; the prior smooths
+them."""
+_PAIR = 4
+"""Splines along each of two variables [1]. Chosen: the test has its square; fewer overlook bent laws, more lower the
+power."""
+_CUBIC = 3
+"""Degree of the splines [1]. Chosen: a smaller value gives curves with kinks, a larger one oscillates at the ends."""
+_HARMONICS = (1, 2, 3, 4)
+"""Harmonics of the angle of the casing in the test [1]. Chosen: fewer overlook higher harmonics, more lower the power
+for the first two."""
 _ROTOR_HARMONICS = (1, 2)
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: fewer overlook the second one, more are aliased at the
+frame rate of the casing."""
 _FASTEST = np.pi
-_DRAWS = 1000  # null data sets; p-values down to 0.001
-_RANK = 1e-5  # singular values below this share of the largest are rounding
-_CURVE = 120  # points of a curve that is shown
-# trial standard deviations of a torque, in units of the determined one
+"""Angle between two frames of the casing below which a harmonic of the rotor is tested [rad]. Derived: the Nyquist
+limit, half a period per frame."""
+_DRAWS = 1000
+"""Null data sets [1]. Chosen: the smallest p-value is 0.001; fewer make it coarser, more cost time."""
+_RANK = 1e-5
+"""Singular values, relative to the largest column, below which a direction is rounding [1]. Chosen: a smaller value
+counts rounding as a degree of freedom, a larger one omits directions that the data determine weakly."""
+_CURVE = 120
+"""Points of a curve that is shown [1]. Chosen: fewer show corners, more make larger files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
-# correlation lengths over the range of the variable
+"""Trial standard deviations of a torque, in units of the determined one [1]. Chosen: four per decade from far below the
+noise to far above it; a shorter range ends at a bound, a coarser grid rounds the most likely value."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
+"""Trial correlation lengths over the range of the variable [1]. Chosen: shorter ones are not resolved by the splines,
+longer ones do not differ from a straight line."""
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",

@@ -29,8 +29,9 @@ from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
 
-# shared parameters with the largest scores that are fitted with a value for each recording
 _REFITTED = 2
+"""Shared parameters with the largest scores that are fitted with a value for each recording [1]. Chosen: fewer may omit
+the best one, because scores are first order; more cost time."""
 
 
 @dataclass(frozen=True)

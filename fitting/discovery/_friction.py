@@ -33,12 +33,17 @@ Array = NDArray[np.float64]
 
 # laws that every description contains: Coulomb and viscous friction
 _ALWAYS = FRICTION[:2]
-# times at which a law is evaluated in each cell of the recording
 _FINE = 16
-# reversals of the second motion, and its amplitude over the angle through which a contact yields
-_REVERSALS, _AMPLITUDE = 10, 4.0
-# share of the torque without which a strength cannot be taken from the fit
+"""Times at which a law is evaluated in each cell of the recording [1]. Chosen: fewer blur laws that change within a
+cell, more cost time."""
+_REVERSALS = 10
+"""Reversals of the second motion [1]. Chosen: fewer show less of the hysteresis, more are not a practical proposal."""
+_AMPLITUDE = 4.0
+"""Amplitude of the second motion over the angle through which a contact yields [1]. Chosen: at a smaller value the
+contact does not slide, at a larger one it yields for a small part of the motion."""
 _SHARE = 0.1
+"""Dry friction of a model that has none, as a share of its rms net torque [1]. Chosen: a smaller value understates what
+the motions separate, a larger one exceeds realistic friction."""
 
 
 @dataclass(frozen=True)

@@ -37,28 +37,45 @@ from fitting.effects._effect import (
 )
 from fitting.effects._expression import parse
 
-# bits for each symbol of a formula
 _BITS = 2.0
+"""Bits for each symbol of a formula [1]. Chosen: a vocabulary of four symbols; a smaller value prefers long formulas, a
+larger one refuses them."""
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 _SPEEDS: dict[str, tuple[str, ...]] = {
     "rotor": ("omega_r",),
     "casing": ("omega_c", "omega_r"),
     "bearing": ("delta", "omega_r"),
 }
-# trial exponents: quarters and halves beside the integers of the library
 _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
+"""Trial exponents of a power law [1]. Chosen: quarters and halves beside the integers of the library; fewer start far
+from the optimum, more cost time."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
+"""Trial speeds of a law over the largest speed [1]. Chosen: six per decade; fewer start far from the optimum, more cost
+time."""
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
+"""Trial thresholds of a law over the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws, more cost
+time."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-# share of the largest speed below which a speed is near zero
+"""Trial time constants over the length of the record [1]. Chosen: shorter ones act in few rows, longer ones do not
+differ from a straight line."""
 _NEAR_ZERO = 0.01
+"""Speed, over the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
+smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
-# smallest number of periods within a record; with fewer the law is a trend
+"""Trial moments of a law with several shape constants, over the length of the record [1]. Chosen: every third of
+`MOMENTS`; fewer start far from the optimum, more cost time."""
 _FEWEST_PERIODS = 0.5
-# trial frequencies: phase difference over the record [rad], and the highest of them [rad/s]
+"""Smallest number of periods of an oscillating law within a record [1]. Chosen: with fewer the law is a trend; a larger
+value overlooks slow oscillations."""
 _PHASE_STEP = 2.0
-_HIGHEST = 5.0  # highest trial frequency [rad/s]; a faster one is a spectral line
-_MOST_FREQUENCIES = 800  # trial frequencies at most
+"""Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
+larger one passes over narrow peaks."""
+_HIGHEST = 5.0
+"""Highest trial frequency of a law [rad/s]. Chosen: a faster oscillation is a spectral line; a larger value tries it
+twice, a smaller one overlooks slow oscillations."""
+_MOST_FREQUENCIES = 800
+"""Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
+time."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +192,9 @@ _SWITCHED = {
     "bearing": ("delta", "delta*abs(delta)"),
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
-_HARMONICS = (3, 4)  # orders of the angle beyond those of the library
+_HARMONICS = (3, 4)
+"""Orders of the angle beyond those of the library [1]. Chosen: more orders cost significance, fewer overlook laws of
+three or four periods per turn."""
 
 
 def grammar(

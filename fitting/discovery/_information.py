@@ -47,9 +47,18 @@ from fitting.inference._simulation import Experiment, simulate_path
 
 Array = NDArray[np.float64]
 
-# blocks of a planned recording, and samples of each, sufficient for a smooth motion without noise
-_BLOCKS, _PER_BLOCK = 24, 64
-_RANK, _TINY = 1e-7, 1e-12
+_BLOCKS = 24
+"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; fewer do not resolve the start,
+more cost time."""
+_PER_BLOCK = 64
+"""Samples of a block of a planned recording [samples]. Chosen: fewer than the polynomials of a block need are not
+enough, more cost time."""
+_RANK = 1e-7
+"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
+a larger one counts information twice."""
+_TINY = 1e-12
+"""Relative eigenvalue below which a direction of the information is not determined [1]. Chosen: a smaller value inverts
+rounding, a larger one omits weakly determined strengths."""
 
 
 @dataclass(frozen=True)
@@ -214,10 +223,12 @@ def simulated(fit: Fit, run: Run) -> Fit:
     )
 
 
-# determinant of the correlation of two candidates below which no data separates them
 _COLLINEAR = 1e-6
-# share of the information about a strength that the shared parameters leave, below which they absorb it
+"""Determinant of the correlation of candidates below which no data separates them [1]. Chosen: a smaller value keeps
+sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
+"""Share of the information about a strength that the shared parameters leave, below which they absorb it [1]. Chosen:
+at the rounding of the projection; a larger value drops weakly determined candidates, a smaller one keeps rounding."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +241,8 @@ class Rival:
     weight: float = 1.0  # its posterior probability among the rivals
 
 
-MOST_RIVALS = 6  # rivals of an effect that a plan considers
+MOST_RIVALS = 6
+"""Rivals of an effect that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:

@@ -55,7 +55,9 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-KNOTS = (4, 8)  # knots of the piecewise linear torques of a speed, coarse and fine
+KNOTS = (4, 8)
+"""Knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: fewer overlook narrow deviations, more
+lower the power for broad ones."""
 
 
 def speeds(times: Array, prediction: Prediction) -> Array:
@@ -83,10 +85,17 @@ def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     return max(found)
 
 
-_RANK = 1e-4  # singular values below this share of the largest are not tested
-_RANK_FREE = 1e-7  # the same for columns that are projected out
-_TINY = 1e-300  # avoids a division by zero
-_DRAWS = 2000  # null data sets for the smallest of several p-values
+_RANK = 1e-4
+"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
+rounding, a larger one omits deviations that are nearly absorbed."""
+_RANK_FREE = 1e-7
+"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
+projects out rounding, a larger one leaves a part of the free columns."""
+_TINY = 1e-300
+"""Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
+_DRAWS = 2000
+"""Null data sets for the smallest of several p-values [1]. Chosen: fewer make p-values coarser than
+`Criteria.doubt_adequate`, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -164,16 +173,23 @@ def _choices(values: Array) -> list[tuple[int, Array, int]]:
     ]
 
 
-_FEWEST_PERIODS = 10  # periods within a record from which a frequency is tried; fewer are a trend
-# trial frequencies per peak, and of the finer search about the highest one
+_FEWEST_PERIODS = 10
+"""Periods within a record from which a frequency is tried [1]. Chosen: fewer are a trend, which the test against slow
+torques covers; a larger value leaves a gap between both tests."""
 _PER_PEAK = 2
-_FINER = 16  # trial frequencies of the finer search about the highest peak
-# share of its response that a torque must retain orthogonal to the free columns
+"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer pass over peaks, more
+cost time; the finer search follows."""
+_FINER = 16
+"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer lose height of the
+peak, more cost time."""
 _RETAINED = 1e-3
+"""Share of its response that a torque must retain orthogonal to the free columns [1]. Chosen: a smaller value tests
+rounding, a larger one omits torques that are nearly absorbed."""
 
 
-# least difference of the squares of a drive's and an oscillator's frequency, as a share of the latter
 _NEAR_RESONANCE = 0.01
+"""Smallest difference of the squares of the frequencies of a drive and an oscillator, as a share of the latter [1].
+Chosen: a smaller value gives unbounded angles, a larger one understates a resonance."""
 
 
 @dataclass(frozen=True)
@@ -300,10 +316,16 @@ class _Periodogram:
         return orthogonal_to(self._basis, rows)
 
 
-_ORDERS = (3, 4, 5, 6)  # harmonics of the angle that no law of the library has
+_ORDERS = (3, 4, 5, 6)
+"""Harmonics of the angle that no law of the library has [1]. Chosen: more orders cost significance, fewer overlook
+torques of several periods per turn."""
 _HARMONIC_AMPLITUDE = "harmonic.k"
-# initial amplitude as a share of the largest torque; amplitude of a determined harmonic in standard errors
-_FIRST_SHARE, _DETERMINED = 0.01, 2.0
+_FIRST_SHARE = 0.01
+"""Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: a larger value starts in a
+wrong motion, a smaller one needs more steps."""
+_DETERMINED = 2.0
+"""Amplitude of a determined harmonic [standard errors]. Chosen: a smaller value reports harmonics of noise, a larger
+one omits weak ones; the p-value has decided before."""
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 

@@ -85,19 +85,39 @@ from fitting.inference._trace import Refit, attempt, recorded_map, recording
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-_DRAWS = 1000  # simulated scores: a quantile of 1 % has an error of a third of its tail
-# laws that are refitted after the first and after each later search, and laws that take part in the later ones
-_FIRST, _LATER, _KEPT = 5, 9, 48
-_SEARCHES = 3  # searches, each beside the laws found before
-_POINTS = 1000  # points of a curve along the motion
-# share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise
+_DRAWS = 1000
+"""Simulated scores [1]. Chosen: at this number a quantile of 1 % has an error of a third of its tail; fewer have a
+larger one, more cost time."""
+_FIRST = 5
+"""Laws that are refitted after the first search [1]. Chosen: fewer may omit the right form, more cost time; the later
+searches refine the list."""
+_LATER = 9
+"""Laws that are refitted after each later search [1]. Chosen: fewer may omit the best form, more cost time."""
+_KEPT = 48
+"""Laws that take part in the later searches [1]. Chosen: fewer may omit the best form, more cost time."""
+_SEARCHES = 3
+"""Searches, each beside the laws found before [1]. Chosen: fewer leave scores of a wrong motion, more cost time and
+change little."""
+_POINTS = 1000
+"""Points of a curve along the motion [1]. Chosen: fewer blur narrow laws, more cost time."""
 _COMPARABLE_SHARE = 0.8
-# difference of explained shares below which two variables explain as much
+"""Share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise [1].
+Chosen: a smaller value costs time, a larger one names a formula where a known effect describes the data as well."""
 _EXPLAINED_TIE = 0.01
-# steps of the refinement of two shape constants, and points of each
-_ROUNDS, _GRID = 4, 5
-_STEPS = 8  # steps of the progress bar
-_RANK = 1e-9  # relative singular value below which a direction is rounding
+"""Difference of explained shares below which two variables explain as much [1]. Chosen: a smaller value prefers one by
+chance, a larger one hides the better one."""
+_ROUNDS = 4
+"""Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; fewer start the refit far away,
+more cost time."""
+_GRID = 5
+"""Points of each shape constant in a step of the refinement [1]. Chosen: fewer may overlook the optimum, more cost
+time."""
+_STEPS = 8
+"""Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
+stop before its end."""
+_RANK = 1e-9
+"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
+a larger one leaves a part of the free columns."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +133,11 @@ class Difference:
     omega_r: tuple[float, float]
 
 
-# lines of a repr: laws, and columns of a sentence
-_SHOWN, _WIDTH = 6, 100
+_SHOWN = 6
+"""Laws, and lines of the sentence, of a repr [1]. Chosen: fewer hide equivalent laws, more fill the console."""
+_WIDTH = 100
+"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
+one needs more lines."""
 
 
 @dataclass(frozen=True, repr=False)

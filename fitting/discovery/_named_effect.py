@@ -60,13 +60,27 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-_KNOTS = 4  # knots of the relative deviation of a law from the named one
-_INNER_KNOTS = 5  # inner knots of the spline in time
-_POWER = 0.9  # probability of detection, and share of the deviations, of the detection limit
-_DRAWS = 4000  # random deviations whose quantile is the limit
-_RANK = 1e-4  # singular values below this share of the largest are not tested
-_RANK_FREE = 1e-7  # the same for columns that are projected out
-_TINY = 1e-300  # avoids a division by zero
+_KNOTS = 4
+"""Knots of the relative deviation of a law from the named one [1]. Chosen: fewer describe a straight deviation only,
+more raise the detection limit of broad deviations."""
+_INNER_KNOTS = 5
+"""Inner knots of the spline in time [1]. Chosen: fewer do not follow a change of the torque, more absorb noise."""
+_POWER = 0.9
+"""Probability of detection, and share of the deviations, of the detection limit [1]. Chosen: as
+`fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
+_DRAWS = 4000
+"""Random deviations whose quantile is the limit [1]. Chosen: fewer make the limit random, more cost time."""
+_RANK = 1e-4
+"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
+`fitting.discovery._lack_of_fit`; a smaller value tests rounding, a larger one omits deviations that are nearly
+absorbed."""
+_RANK_FREE = 1e-7
+"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
+`fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one leaves a part of the free
+columns."""
+_TINY = 1e-300
+"""Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
+other square."""
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "factor": "delta"}
 
 
@@ -199,8 +213,9 @@ def _rise_with_spline(
 
 
 INERTIA = "setup.inertia"
-# largest number of effects that are refitted with a free ratio
 _MOST_REFITS = 5
+"""Largest number of effects that are refitted with a free ratio of the moments of inertia [1]. Chosen: fewer may omit
+the effect that a wrong ratio hides, more cost time."""
 _SHARE = f"{INERTIA}.eps"
 
 

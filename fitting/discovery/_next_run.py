@@ -37,21 +37,30 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# moment of inertia of a casing with an inertia ring over the present one
 _RING = 1.5
-# friction of another surface over the present one
+"""Moment of inertia of a casing with an inertia ring over the present one [1]. Chosen: a ring that is easily made; a
+larger value proposes heavy ones, a smaller one gains little information."""
 _SURFACE = 3.0
-# factor of the gain in information from which on a change of the apparatus is proposed
+"""Largest factor between the friction of another surface and the present one [1]. Chosen: usual surfaces differ by
+about as much; a larger value proposes unknown ones, a smaller one gains little information."""
 _APPARATUS_GAIN = 1.5
-# largest separation that counts, over the square of `Criteria.experiment_sigma`
+"""Factor of the gain in information from which on a change of the apparatus is proposed [1]. Chosen: a smaller value
+proposes work for little, a larger one hides useful changes."""
 _AMPLE = 4.0
-# largest logarithm of a gain in information that counts
+"""Largest separation that counts, over the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value is
+content with a bare separation, a larger one neglects the detection limits."""
 _CAP = 50.0
-_RANDOM = 20  # random runs before the model of the gain directs the search
-# steps of the local search end at this share of the bounds
+"""Largest logarithm of a gain in information that counts [1]. Chosen: a strength that is undetermined without the run
+gains without bound; a larger value lets it decide alone, a smaller one hides differences between runs."""
+_RANDOM = 20
+"""Random runs before the model of the gain directs the search [1]. Chosen: fewer may start about a local maximum, more
+leave less for the directed search."""
 _FINEST = 0.02
-# difference of deviance that some run must reach, or two rivals count as inseparable
+"""Step, as a share of the bounds, at which the local search ends [1]. Chosen: a smaller value is finer than a run can
+be prepared, a larger one loses information."""
 _SEPARABLE = 1.0
+"""Difference of deviance that some run must reach, or two rivals count as inseparable [1]. Chosen: one standard
+deviation; a smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
 _ELSE = "change what only one of them depends on (air pressure, surface, lubricant)."
 
 
@@ -178,8 +187,9 @@ def next_run(
     return search.result()
 
 
-# simulated runs of a search that is part of a diagnosis
 _FEW = 24
+"""Simulated runs of a search that is part of a diagnosis [1]. Chosen: fewer give a worse proposal, more delay the
+diagnosis."""
 
 
 def separating_run(

@@ -34,15 +34,20 @@ _SPRING, _CUBIC, _GRAVITY = "casing.spring.linear", "casing.spring.cubic", "casi
 _RESTORING: tuple[Names, ...] = ((_SPRING,), (_GRAVITY,), (_SPRING, _CUBIC))
 _DAMPING = ("touchpoint.constant", "casing.air.linear", "casing.air.quadratic")
 _GENERAL = (_SPRING, _CUBIC, *_DAMPING)
-# upper limit of the correlation of adjacent amplitudes: a hundred effective samples of 10,000
 _MOST_CORRELATED = 0.98
-_BLOCKS = 12  # parts of the jackknife
-# relative error of a strength by the averaged equations, which are of first order: up to 0.5 % for a pendulum of 94
-# degrees and for springs that soften by a tenth
+"""Upper limit of the correlation of adjacent amplitudes [1]. Chosen: a hundred effective samples of 10,000; a larger
+value makes chi-square vanish, a smaller one understates the errors of slow deviations."""
+_BLOCKS = 12
+"""Parts of the jackknife [1]. Chosen: fewer give uncertain standard errors, more have correlated parts."""
 _OF_AVERAGING = 5e-3
-# an exact value contradicts that of the averaged equations if it differs by more than this share, and by more than this
-# number of standard uncertainties
-_CONTRADICTING_SHARE, _CONTRADICTING_SIGMA = 0.2, 5.0
+"""Relative error of a strength by the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
+pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
+_CONTRADICTING_SHARE = 0.2
+"""Relative difference from the averaged equations above which an exact value contradicts them [1]. Chosen: a smaller
+value takes their error for a contradiction, a larger one accepts a fit to a wrong motion."""
+_CONTRADICTING_SIGMA = 5.0
+"""Difference from the averaged equations above which an exact value contradicts them [standard uncertainties]. Chosen:
+a smaller value takes noise for a contradiction, a larger one accepts a fit to a wrong motion."""
 
 
 @dataclass(frozen=True)

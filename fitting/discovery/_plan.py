@@ -69,13 +69,20 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pair = tuple[Finite, Finite]
 
-_SEED = 1  # of simulated runs: a plan is reproducible
-_LARGEST = 1_000_000  # characters of a plan: a limit of memory
+_SEED = 1
+"""Seed of simulated runs [1]. Chosen: any value makes a plan reproducible; another one changes limits within their
+error."""
+_LARGEST = 1_000_000
+"""Longest text of a plan [characters]. Chosen: a limit of memory; a larger value admits malicious files, a smaller one
+refuses long descriptions."""
 _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 
 
-# lines of a repr: effects, and columns of a sentence
-_SHOWN, _WIDTH = 8, 100
+_SHOWN = 8
+"""Effects in a repr [1]. Chosen: fewer hide detection limits, more fill the console."""
+_WIDTH = 100
+"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
+one needs more lines."""
 
 
 class _Table(BaseModel):
@@ -278,10 +285,14 @@ def _first_error(fault: ValidationError) -> str:
 
 Progress = Callable[[int, int | None], None]
 
-_EVALUATIONS = 60  # runs that the search of the next run tries
-# simulations of described recordings over which the power is averaged, and further ones for estimates of the process
-# noise alone
-_SIMULATIONS, _ESTIMATES = 2, 8
+_EVALUATIONS = 60
+"""Runs that the search of the next run tries [1]. Chosen: fewer may omit the best run, more cost time."""
+_SIMULATIONS = 2
+"""Simulations of described recordings over which the power is averaged [1]. Chosen: fewer make the limits depend on the
+noise of one, more cost time."""
+_ESTIMATES = 8
+"""Further simulations for estimates of the process noise alone [1]. Chosen: the threshold of a step was 66, 18 and 17
+in three simulations of one description; fewer estimates make the limits depend on a single one, more cost time."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -57,26 +57,44 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-POWER = 0.9  # probability of detection at the detection limit
-CONFIDENCE = 0.95  # of upper limits
-# standard errors of a one-sided limit at this confidence
+POWER = 0.9
+"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits, a smaller one promises
+too much."""
+CONFIDENCE = 0.95
+"""Confidence of upper limits [1]. Chosen: the usual value; a larger one raises the limits, a smaller one excludes true
+strengths more often."""
 _ONE_SIDED = 1.6448536
-# standard errors above a threshold at which it is exceeded with 90 % probability
+"""Distance of a one-sided limit of 95 % from the estimate [standard errors]. Derived: quantile 0.95 of the standard
+normal distribution, at `CONFIDENCE`."""
 _POWER_SIGMA = 1.2815516
-_DRAWS = 1500  # null data sets for thresholds
-_POWER_DRAWS = 600  # simulated data sets for a power; its standard error is 0.02 at most
-# dense where a parameter reaches its bound
+"""Distance above a threshold at which it is exceeded with 90 % probability [standard errors]. Derived: quantile 0.9 of
+the standard normal distribution, at `POWER`."""
+_DRAWS = 1500
+"""Null data sets for thresholds [1]. Chosen: fewer make thresholds of a long list uncertain, more cost time."""
+_POWER_DRAWS = 600
+"""Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; fewer enlarge it, more
+cost time."""
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
-# share of the bearing's torque that is the size of an effect if none is given
+"""Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; fewer
+round the limits, more cost time."""
 _SIZE = 0.01
-_MOST_RUNS = 10_000  # runs that are counted at most
-# thresholds are sought below this score
+"""Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value asks for many
+runs, a larger one finds every plan sufficient."""
+_MOST_RUNS = 10_000
+"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides what several
+hundred runs reach."""
 _LARGEST_SCORE = 2000.0
-# effects in the sentence of an adequate fit
+"""Score below which thresholds are sought [1]. Chosen: a smaller value ends below high thresholds, a larger one costs
+time."""
 _MOST_HIDDEN = 5
-_RANK = 1e-6  # eigenvalues below this share of the largest are not determined
-# share of the data sets, summed over the strengths, below which a parameter at its bound is neglected
+"""Effects in the sentence of an adequate fit [1]. Chosen: fewer hide undetected effects, more make the sentence
+unreadable."""
+_RANK = 1e-6
+"""Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value inverts rounding, a larger
+one omits weakly determined strengths."""
 _RARE = 0.5
+"""Share of the data sets, summed over the strengths, below which a parameter at its bound is neglected [1]. Chosen: a
+smaller value costs time for rare cases, a larger one biases the power."""
 
 
 @dataclass(frozen=True)

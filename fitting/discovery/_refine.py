@@ -32,11 +32,18 @@ from fitting.inference._trace import attempt, with_purpose
 
 Array = NDArray[np.float64]
 
-# neighbourhood of a changepoint as a share of the record, and times that are tried in it
-_NEIGHBOURHOOD, _STEPS = 0.04, 48
-# searches for changepoints of cases whose process noise remains high
+_NEIGHBOURHOOD = 0.04
+"""Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
+refit in a local minimum, a larger one leaves the range in which the motion is linear."""
+_STEPS = 48
+"""Times that are tried in the neighbourhood of a changepoint [1]. Chosen: fewer pass over the minimum, more cost
+time."""
 _SEARCHES = 3
-_RANK = 1e-7  # relative singular value below which a direction is rounding
+"""Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: fewer leave cases
+with a wrong time, more cost time."""
+_RANK = 1e-7
+"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
+a larger one leaves a part of the free columns."""
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
@@ -301,7 +308,9 @@ def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
     return values
 
 
-_WIDTHS = (0.02, 0.1, 0.5, 2.0)  # trial widths of a step [s]
+_WIDTHS = (0.02, 0.1, 0.5, 2.0)
+"""Trial widths of a step [s]. Chosen: from a few frames to a slow transition; fewer start far from the optimum, more
+cost time."""
 _POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_[rc]|delta)\*\*2")
 _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 

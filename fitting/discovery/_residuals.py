@@ -28,8 +28,12 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_LAGS = 12  # lags of the test of independence at most [blocks]
-_POWERS = 4  # lowest rows of a block that are tested
+_LAGS = 12
+"""Largest lag of the test of independence [blocks]. Chosen: fewer overlook slow correlations, more lower the power; a
+quarter of the blocks limits it as well."""
+_POWERS = 4
+"""Lowest rows of a block that are tested [1]. Chosen: fewer overlook correlations within a block, more lower the power
+for slow ones."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,12 @@ def whiteness(fit: Fit) -> list[Whiteness]:
     return results
 
 
-# correlation time of the unmodelled torque over the length of the record; smallest sigma over the prior one
-_SHARE, _FLOOR = 1 / 30, 3e-3
+_SHARE = 1 / 30
+"""Correlation time of the unmodelled torque over the length of the record [1]. Chosen: a smaller value follows noise, a
+larger one blurs failing intervals."""
+_FLOOR = 3e-3
+"""Smallest standard deviation of the unmodelled torque, over the prior one [1]. Chosen: it keeps rounding from a
+variance below zero; a larger value hides well-determined torques, a smaller one prints rounding."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -141,13 +149,19 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
     return np.asarray(inverse - weighted @ np.linalg.pinv(columns.T @ weighted, hermitian=True) @ weighted.T)
 
 
-_RANK = 1e-6  # singular values below this share of the largest are rounding
+_RANK = 1e-6
+"""Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
+projects out rounding, a larger one leaves a part of the free columns."""
 
-# an interval ends where the torque is within this number of standard deviations of zero
 _BAND = 1.96
+"""Distance of the torque from zero within which an interval ends [standard deviations]. Derived: quantile 0.975 of the
+standard normal distribution, a band of 95 %."""
 _TURNS = {1: "once a turn", 2: "twice a turn"}
-# shortest reported interval as a share of the record, and number of reported intervals
-_SHORTEST, _MOST = 1 / 100, 6
+_SHORTEST = 1 / 100
+"""Shortest reported interval, as a share of the record [1]. Chosen: a smaller value reports fluctuations, a larger one
+overlooks short events."""
+_MOST = 6
+"""Number of reported intervals at most [1]. Chosen: fewer hide failures, more make the list unreadable."""
 
 
 @dataclass(frozen=True)
@@ -288,8 +302,9 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
     return failures
 
 
-# share of a record before which its highest speed is that of its start
 _AT_START = 0.02
+"""Share of a record before which its highest speed is that of its start [1]. Chosen: a smaller value takes noise at the
+start for a rise, a larger one overlooks a short rise."""
 
 
 def _place(curve: ResidualTorque, a: int, b: int) -> str:

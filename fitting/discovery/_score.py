@@ -44,12 +44,17 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_LEVELS = 9  # trial levels of the process noise
-# share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it
+_LEVELS = 9
+"""Trial levels of the process noise [1]. Chosen: fewer make the profiled score coarse, more cost time and memory."""
 _ABSORBED = 1e-7
-# relative singular value below which a direction of the free columns is none
+"""Share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it [1]. Chosen: a
+smaller value scores rounding, a larger one drops weakly determined effects."""
 RANK = 1e-10
-_SEED = 7  # of the null data sets
+"""Relative singular value below which a direction of the free columns is rounding [1]. Chosen: a smaller value projects
+out rounding, a larger one leaves a part of the free columns."""
+_SEED = 7
+"""Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another one changes them within their
+error."""
 
 
 class Level(NamedTuple):
@@ -170,17 +175,24 @@ def _level_between(least: float, level: float, share: float) -> float:
     return float(floor * (level / floor) ** share)
 
 
-# spacing of trial frequencies: phase difference over the record [rad]
 _PHASE_STEP = 1.5
-# highest trial frequency that the cells resolve [rad per cell]
+"""Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
+larger one passes over narrow peaks."""
 _FASTEST = 1.0
-_MAX_FREQUENCIES = 1500  # trial frequencies at most
-# share of a law's torque that acts on rotor and casing; in the bearing and as a factor of its torque -1 and 1
+"""Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
+a smaller one overlooks fast chirps."""
+_MAX_FREQUENCIES = 1500
+"""Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
+time."""
 _ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
-# changepoints are tried on a grid this many times finer than declared
+"""Share of a law's torque that acts on rotor and on casing [1]. Derived: Newton's third law; a torque in the bearing,
+or a factor of it, acts on both, with -1 and 1."""
 _FINER = 8
-# choices of shape constants that are evaluated at once
+"""Factor between the declared grid of changepoints and the one that is tried [1]. Chosen: a smaller value passes over
+narrow maxima of the score, a larger one costs time."""
 _CHOICES = 128
+"""Choices of shape constants that are evaluated at once [1]. Chosen: fewer make small matrix products, more need
+memory; the result does not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -580,9 +592,14 @@ class FamilywiseNull:
         return float(_any_of(self._tests, p) @ weights)
 
 
-# refinements of a shape constant, points of each; largest number of cases whose shapes are chosen in turn
-_ROUNDS, _POINTS = 3, 9
-_MOST_SWEPT = 4  # cases up to which the shapes of all are chosen in turn
+_ROUNDS = 3
+"""Refinements of a shape constant [1]. Chosen: fewer leave it on the coarse grid, more change the score by less than
+the noise."""
+_POINTS = 9
+"""Points of a refinement of a shape constant [1]. Chosen: fewer may overlook the optimum, more cost time."""
+_MOST_SWEPT = 4
+"""Cases up to which the shapes of all are chosen in turn [1]. Chosen: a larger value costs time, a smaller one scores
+joint fits with shapes that are not the best ones."""
 
 
 def score(

@@ -88,10 +88,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# candidates that a notebook shows
 _MOST_CANDIDATES = 10
-# lines of the sentence, and candidates, of a repr, and its width
-_IN_REPR, _WIDTH = 8, 100
+"""Candidates that a notebook shows [1]. Chosen: fewer hide alternatives, more make a long table."""
+_IN_REPR = 8
+"""Lines of the sentence, and candidates, of a repr [1]. Chosen: fewer hide alternatives, more fill the console."""
+_WIDTH = 100
+"""Columns of a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller one cuts
+sentences."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -801,6 +804,7 @@ def _capital(text: str) -> str:
 
 
 _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
+"""Thousandths in one unit, by unit [1]. Derived: 1000, and its square for a squared time."""
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
@@ -825,8 +829,9 @@ def _strength(c: Candidate) -> str:
     return f", {symbol} = {', '.join(stated)}" if stated else ""
 
 
-# relative difference above which the statistical part of an uncertainty is stated beside the whole
 _MOSTLY_STATISTICAL = 0.05
+"""Relative difference above which the statistical part of an uncertainty is stated beside the whole [1]. Chosen: a
+smaller value repeats equal numbers, a larger one hides systematic parts."""
 
 
 def _with_both(e: Estimate, total: float) -> str:

@@ -38,28 +38,45 @@ from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]
 
-NODES = 10  # Gauss nodes of an interval
-# times per interval above which one product for each interval is faster than one for each time
+NODES = 10
+"""Gauss nodes of an interval [1]. Chosen: the method has twice this order; fewer need more intervals, more make larger
+systems."""
 _MANY_PER_INTERVAL = 12
-TOLERANCE = 1e-10  # relative truncation error of an interval: far below the noise of any camera
-_MAX_NEWTON = 25  # iterations; Newton doubles the digits in each
-MAX_INTERVALS = 40_000  # intervals at most: a limit of memory
-_CASING = 1  # place of the casing in a state
-# step after which the error is rounding
+"""Times per interval above which one product for each interval is faster than one for each time [1]. Chosen: another
+value costs time and does not change the result."""
+TOLERANCE = 1e-10
+"""Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
+intervals, a larger one makes derivatives inaccurate."""
+_MAX_NEWTON = 25
+"""Iterations of Newton's method at most [1]. Chosen: it doubles the digits in each; fewer give up too early, more delay
+the failure."""
+MAX_INTERVALS = 40_000
+"""Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
+failure of stiff ones."""
+_CASING = 1
+"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 _SMALL = 1e-9
-# largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten
+"""Relative step of Newton's method after which the error is rounding [1]. Derived: convergence is quadratic, so the
+next step is about the square of this one."""
 _LARGEST_ERROR = 1e-13
-# steps below this size contain rounding and do not measure the convergence
+"""Largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten [1].
+Chosen: a smaller value adds steps at the rounding, a larger one stops before convergence."""
 _MEASURED = 1e-6
-# truncation error below which an interval of twice the length is resolved as well (the error grows by 2^9 and more)
+"""Size of a step above which it measures the convergence [1]. Chosen: smaller steps contain rounding; a larger value
+uses too few steps."""
 _RESOLVED = 1e-14
-_FEWEST = 12  # intervals that a coarser mesh keeps
-# relaxation time so long that a slip is constant [s]
+"""Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` over the
+growth of the error, 2^9 and more, with a margin."""
+_FEWEST = 12
+"""Intervals that a coarser mesh keeps [1]. Chosen: fewer overlook what the nodes do not show, more cost time."""
 _CONSTANT_SLIP = 1e12
+"""Relaxation time at which a slip is constant [s]. Derived: longer than any record, so that the relaxation has no
+effect."""
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 TOO_SHARP = "the equations of motion change too sharply to be integrated"
-# fewer edges than this are chained one by one
 _FEW = 24
+"""Number of edges below which they are chained one by one [1]. Chosen: another value costs time and does not change the
+result."""
 
 
 class Rule(NamedTuple):
@@ -497,13 +514,15 @@ def coarsened(path: Path) -> Path:
     return replace(coarse, kinks=path.kinks)
 
 
-# numbers of Runge-Kutta steps between two nodes of the mesh; a motion that needs more is given up
 _PARTS_OF_STEPS = (1, 4, 16, 64)
-# largest step over the time of decay: a step is stable up to 2.8
+"""Runge-Kutta steps between two nodes of the mesh that are tried [1]. Chosen: a motion that needs more is given up; a
+larger last value delays the failure of stiff motions."""
 _STABLE = 2.5
-# a mesh with more edges, as of an input that changes often, gets one step per interval, and the states are interpolated
-# linearly in it: its intervals are so short that Newton's method converges from there
+"""Largest step of the Runge-Kutta method over the time of decay [1]. Derived: the method of order 4 is stable up to
+2.8; the rest is a margin."""
 _SHORT_INTERVALS = 400
+"""Edges of a mesh from which it gets one step per interval, with states interpolated linearly [1]. Chosen: intervals of
+a mesh that fine are short enough for Newton's method; a smaller value spoils its start, a larger one costs time."""
 
 
 def _stepped(

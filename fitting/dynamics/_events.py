@@ -47,10 +47,13 @@ from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]
 
-_CASING = 1  # place of the casing in a state
-# relative speed below which a change of sign is rounding
+_CASING = 1
+"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 ROUNDING = 1e-10
-_STOPPED = 1e-11  # share of the largest speed below which the casing stands: rounding
+"""Relative speed below which a change of sign is rounding [1]. Derived: the truncation error of the motion,
+`fitting.dynamics._collocation.TOLERANCE`."""
+_STOPPED = 1e-11
+"""Share of the largest speed below which the casing stands [1]. Derived: rounding, below `ROUNDING`."""
 
 
 @dataclass(frozen=True)
@@ -468,23 +471,41 @@ def _first_crossing(path: Path) -> float | None:
     return float(t + share * (times[i] - t))
 
 
-_MAX_EVENTS = 2000  # reversals of a record at most
-# number of reversals from which on all stretches of an oscillation are solved at once
+_MAX_EVENTS = 2000
+"""Reversals of a record at most [1]. Chosen: a limit of time; a smaller value refuses long oscillations, a larger one
+delays the failure of a motion that chatters."""
 _MANY = 3
-_MOST_STEPS = 25  # Newton steps for the times of all reversals
-# largest time between two reversals of an oscillation, within which the next event is sought first
+"""Reversals from which on all stretches of an oscillation are solved at once [1]. Chosen: a smaller value does so where
+the number of events may still change, a larger one costs time."""
+_MOST_STEPS = 25
+"""Newton steps for the times of all reversals at most [1]. Chosen: fewer give up too early, more delay the failure."""
 _HORIZON = 2.0
-# shares of the reversals that are solved at once: near a known solution, and near the measured motion
+"""Time within which the next event is sought first, over the largest one between two reversals [1]. Chosen: a smaller
+value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
+"""Shares of the reversals that are solved at once near a known solution [1]. Chosen: the second one leaves out
+reversals at the end that may not exist; a smaller one costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-# longest first stretch that is determined again, over the second one, and longest one that is added
-_BRIEF, _LONGEST_BEGINNING = 0.1, 0.3
-_SMALL = 1e-9  # relative change of the times below which Newton has converged
-_EXACT = 1e-13  # change that is rounding
-# speed of an oscillating casing, over its largest one, below which errors are no longer relative to it
+"""Shares of the reversals that are solved at once near the measured motion [1]. Chosen: decreasing shares survive
+larger errors of the frequency; fewer give up, more cost time."""
+_BRIEF = 0.1
+"""Longest first stretch that is determined again, over the second one [1]. Chosen: a smaller value keeps a first
+stretch that need not exist, a larger one discards a regular one."""
+_LONGEST_BEGINNING = 0.3
+"""Longest first stretch that is added, over the time to the first reversal [1]. Chosen: a smaller value solves a motion
+without its first reversal, a larger one extrapolates the first rate too far."""
+_SMALL = 1e-9
+"""Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
+next change is rounding."""
+_EXACT = 1e-13
+"""Change of the times that is rounding [1]. Derived: some hundred times the relative precision of a number, for sums
+over many reversals."""
 _SLOW = 1e-3
-# largest change of the time of a reversal in a step, as a share of the time to its neighbours
+"""Speed of an oscillating casing, over its largest one, below which errors are no longer relative to it [1]. Chosen: a
+smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
 _LONGEST_DELAY = 0.45
+"""Largest change of the time of a reversal in a step, as a share of the time to its neighbours [1]. Derived: below one
+half, so that two reversals do not change their order."""
 
 
 def solve(

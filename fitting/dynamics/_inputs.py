@@ -26,12 +26,15 @@ Array = NDArray[np.float64]
 Interpolation = Literal["linear", "hold"]
 
 INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
-# largest number of times at which an input changes value or slope
 MOST_CHANGES = 4000
-# a smaller step of a held input, relative to its largest value, is rounding
+"""Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
+cells, a larger one costs time."""
 _ROUNDING = 1e-9
-# a kink that shifts the next sample by less, relative to the range of the input, is rounding: eight digits in a file
+"""Step of a held input, relative to its largest value, below which it is rounding [1]. Chosen: a smaller value
+integrates from one rounding to the next, a larger one overlooks steps."""
 _ROUNDED = 1e-7
+"""Shift of the next sample by a kink, relative to the range of the input, below which it is rounding [1]. Derived:
+eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -294,7 +294,8 @@ INERTIA_ROTOR = "inertia.rotor"
 INERTIA_CASING = "inertia.casing"
 # the sense in which the casing turns: +1, -1, or 0 while friction holds it
 SENSE = "sense"
-_CASING = 1  # place of the casing in a state
+_CASING = 1
+"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 
 
 class Dynamics:

@@ -31,10 +31,12 @@ from fitting.dynamics._model import Dynamics
 
 Array = NDArray[np.float64]
 
-# share of a deviation that is kept where the casing comes to rest
 _KEPT = 1e-6
-# smallest singular value of the scaled columns of Phi for an accurate inverse
+"""Share of a deviation that is kept where the casing comes to rest [1]. Chosen: Phi needs an inverse; a smaller value
+makes it inaccurate, a larger one carries deviations past the stop."""
 _DEPENDENT = 1e-9
+"""Smallest singular value of the scaled columns of Phi for an accurate inverse [1]. Chosen: half of the digits remain;
+a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
 
 
 class LinearMotion:

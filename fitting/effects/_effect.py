@@ -24,11 +24,16 @@ Dimension = tuple[float, ...]
 
 _SYMBOLS = ("kg", "m", "s", "K", "A", "V")
 NONE: Dimension = (0.0,) * len(_SYMBOLS)
+"""Exponents of the dimension of a pure number [1]. Derived: zero for each of the base units kg, m, s, K, A and V."""
 _BASE: dict[str, Dimension] = {
     "1": NONE, "rad": NONE, "px": NONE, "N": (1, 1, -2, 0, 0, 0), "J": (1, 2, -2, 0, 0, 0),
 } | {name: (*NONE[:i], 1.0, *NONE[i + 1 :]) for i, name in enumerate(_SYMBOLS)}  # fmt: skip
+"""Exponents of kg, m, s, K, A and V in each unit [1]. Source: the International System of Units; the volt is a base
+unit here."""
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
-_TOLERANCE = 1e-9  # difference of exponents of units that is rounding
+_TOLERANCE = 1e-9
+"""Difference of exponents of units that is rounding [1]. Chosen: a smaller value refuses sums of decimal exponents, a
+larger one accepts wrong units."""
 
 
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
@@ -172,8 +177,9 @@ def refuse_input_name(name: str) -> None:
         )
 
 
-# trial changepoints, as shares of the length of the recording
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
+"""Trial changepoints, as shares of the length of the recording [1]. Chosen: in steps of 0.02, without the ends, where a
+change is an initial value; fewer start far from the optimum, more cost time."""
 # joints whose law is a torque; that of the others is a number
 _TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip

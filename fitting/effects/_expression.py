@@ -161,8 +161,12 @@ def symbols(e: Expr) -> set[str]:
     return {node.name for node in nodes(e) if node.op == "sym"}
 
 
-MAX_LENGTH = 500  # characters of a formula
-MAX_DEPTH = 40  # levels of a formula: below the recursion limit of Python
+MAX_LENGTH = 500
+"""Longest formula [characters]. Chosen: a limit of time and memory; a smaller value refuses long laws, a larger one
+admits malicious ones."""
+MAX_DEPTH = 40
+"""Nested levels of a formula at most [1]. Chosen: below the recursion limit of Python; a smaller value refuses long
+laws, a larger one may exceed it."""
 _BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
     ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: div, ast.Pow: power,
 }  # fmt: skip
@@ -299,7 +303,8 @@ def _power_rule(e: Expr, du: Expr, dv: Expr) -> Expr:
 
 
 Array = NDArray[np.float64]
-_TINY = 1e-300  # smallest argument of a logarithm
+_TINY = 1e-300
+"""Smallest argument of a logarithm [1]. Derived: it avoids the logarithm of zero and is below any other argument."""
 
 
 def _log(x: Any) -> Any:
@@ -368,7 +373,12 @@ _LATEX_NAMES = {
     "temperature": "T", "phi": r"\varphi", "eps": r"\varepsilon", "omega": r"\omega", "psi": r"\psi",
     "tau_T": r"\tau_T", "chirp": r"\chi",
 }  # fmt: skip
-_SUM, _PRODUCT, _ATOM = 0, 1, 2
+_SUM = 0
+"""Rank of a sum in a typeset formula [1]. Derived: it binds least, so all other operands need no brackets in it."""
+_PRODUCT = 1
+"""Rank of a product in a typeset formula [1]. Derived: it binds more than a sum and less than a power."""
+_ATOM = 2
+"""Rank of an operand that is one symbol or in brackets [1]. Derived: it binds most."""
 
 
 def latex(e: Expr) -> str:

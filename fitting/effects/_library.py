@@ -84,6 +84,8 @@ AIR = (
 )
 
 _ANY = -math.inf
+"""Lower bound of a parameter that may have any sign [1]. Derived: minus infinity; it is in the unit of the
+parameter."""
 
 BEARING = (
     Effect("bearing.constant", "bearing", "c*sign(delta)",
@@ -439,7 +441,6 @@ def find(name: str) -> Effect:
     )
 
 
-# table 5 of the paper, case 1, the reduced model on full data
 PAPER = MappingProxyType(
     {
         "rotor.air.quadratic.a2": 9.97e-11,
@@ -453,8 +454,14 @@ PAPER = MappingProxyType(
         "bearing.quadratic.e": 8.01e-11,
     }
 )
-INERTIA_ROTOR, INERTIA_CASING = 5.54e-5, 2.06e-5
-_BUDGET = 1e-4  # torque budget of the paper [N m], from which the starts of constants are scaled
+"""Typical values of the parameters, from which initial values are taken [SI units]. Source: table 5 of the paper, case
+1, the reduced model on full data; it lacks a1, c and e, whose origin is not recorded."""
+INERTIA_ROTOR = 5.54e-5
+"""Moment of inertia of the rotor of the paper [kg m2]. Source: the paper."""
+INERTIA_CASING = 2.06e-5
+"""Moment of inertia of the casing of the paper [kg m2]. Source: the paper."""
+_BUDGET = 1e-4
+"""Torque from which the initial values of constants are scaled [N m]. Source: the torque budget of the paper."""
 
 
 def of_the_rotor(effect: Effect) -> Effect | None:

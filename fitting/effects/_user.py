@@ -50,14 +50,17 @@ from fitting.effects._library import LIBRARY, find
 
 # the unit of a strength that cannot be derived because other units were not given
 UNKNOWN_UNIT = "SI"
-# step through the trial changepoints where a law has other shape constants as well
 _COARSE = 5
-# trial values of a shape constant over its initial value
+"""Step through the trial changepoints where a law has other shape constants as well [1]. Chosen: a smaller value costs
+time, a larger one starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+"""Trial values of a shape constant over its initial value [1]. Chosen: two per decade; fewer start far from the
+optimum, more cost time."""
 _BODIES = ("rotor", "casing", "bearing")
 _FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
-# largest number of edits by which a misspelt name differs from a variable
 _EDITS = 2
+"""Largest number of edits by which a misspelt name differs from a variable [1]. Chosen: a smaller value suggests
+nothing, a larger one suggests unrelated names."""
 
 
 def formula(

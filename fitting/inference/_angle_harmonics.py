@@ -27,8 +27,11 @@ from fitting.inference._problem import Problem, is_driven
 Array = NDArray[np.float64]
 
 _LAWS = ("casing.unbalance", "casing.asymmetry")
-_ANGLE_POINTS = 73  # points of a curve over one turn: 5 degrees
-_RANK = 1e-6  # singular values below this share of the largest are rounding
+_ANGLE_POINTS = 73
+"""Points of a curve over one turn [1]. Chosen: steps of 5 degrees; fewer show corners, more make larger files."""
+_RANK = 1e-6
+"""Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
+projects out rounding, a larger one leaves a part of the free columns."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -56,26 +56,54 @@ from fitting.inference._process_noise import (
 
 Array = NDArray[np.float64]
 
-# share of `Criteria.correlated_noise` that a coarse search, or the sum of two kinds alone, does not reach where there
-# is none
 _UNLIKELY = 0.25
-# correlation times in lengths of a block, levels in units of the white noise of the rows, those that are tried first
+"""Share of `Criteria.correlated_noise` that a coarse search, or the sum of two kinds alone, does not reach where there
+is no angle noise [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine search would
+find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+"""Trial correlation times [lengths of a block]. Chosen: shorter ones are white for the rows, longer ones are part of
+the polynomials."""
 _LEVELS = np.geomspace(0.3, 300.0, 13)
-_FIRST_LEVELS = (2, 5, 8)  # places in _LEVELS of a first, coarse search
-# half width of the parabola at the most likely level, in its logarithm
+"""Trial levels, in units of the white noise of the rows [1]. Chosen: lower ones change nothing, higher ones do not
+occur; a coarser grid rounds the most likely level."""
+_FIRST_LEVELS = (2, 5, 8)
+"""Places in `_LEVELS` of a first, coarse search [1]. Chosen: fewer may overlook noise, more cost time."""
 _HALF_WIDTH = 0.3
-_FEWEST_BLOCKS = 4  # blocks of the shortest stretch, in which the motion is a cubic
-# correlation times of the process noise, in lengths of a block
+"""Half width of the parabola at the most likely level, in its logarithm [1]. Chosen: a smaller value is sensitive to
+rounding, a larger one to the asymmetry of the likelihood."""
+_FEWEST_BLOCKS = 4
+"""Blocks of the shortest stretch, in which the motion is a cubic [1]. Chosen: fewer rows do not separate motion and
+noise, more refuse short records."""
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
-_FINER = 16  # points of the finer grid per interval of the coarse one
-_NEGLIGIBLE = 0.01  # variance of a stated error in units of the white noise of a row
-# standard deviation of the logarithm of a level that the data hardly determine
+"""Trial correlation times of the process noise [lengths of a block]. Chosen: fewer take process noise for angle noise,
+more cost time."""
+_FINER = 16
+"""Points of the finer grid per interval of the coarse one [1]. Chosen: fewer make the posterior mean coarse, more cost
+time."""
+_NEGLIGIBLE = 0.01
+"""Variance of a stated error, in units of the white noise of a row, below which it is neglected [1]. Chosen: 1 % of the
+variance; a smaller value costs time, a larger one understates uncertainties."""
 _LARGEST_RELATIVE_U = 0.7
-# noise periodic in the angle: largest number of turns per block, correlation times, samples of all blocks
-TURNS_PER_BLOCK, _PERIODIC_TIMES, _FEWEST_BINS, _ALL_BINS = 3.0, 5, 24, 1500
-# two kinds of angle noise at once: levels over the most likely ones of each kind alone
-_LOWER_LEVELS, _NEAR_LEVELS = (0.1, 0.2, 0.4, 0.8), (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Largest standard deviation of the logarithm of a level that the data hardly determine [1]. Chosen: a factor of two; a
+smaller value claims too much, a larger one gives the mean to improbable high levels."""
+TURNS_PER_BLOCK = 3.0
+"""Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
+blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
+_PERIODIC_TIMES = 5
+"""Trial correlation times of noise periodic in the angle [1]. Chosen: fewer pass over the maximum of the likelihood,
+more cost time."""
+_FEWEST_BINS = 24
+"""Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: fewer blur a turn, more
+cost time and memory."""
+_ALL_BINS = 1500
+"""Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: fewer blur a turn in few blocks, more
+cost time and memory."""
+_LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
+"""Trial levels of the exponential noise beside periodic noise, over the most likely one alone [1]. Chosen: two kinds
+share the variance, so it is lower; fewer pass over the maximum, more cost time."""
+_NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Trial levels of the periodic noise beside exponential noise, over the most likely one alone [1]. Chosen: fewer pass
+over the maximum, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -262,10 +290,11 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
     return _Peak(float(np.exp(at)) * unit, relative_u, float(value))
 
 
-# orders of an error that repeats with the angle, beyond those that the camera's nuisance functions describe
 HARMONICS = range(3, 13)
-# size of a column below which it adds less than 1 % to the variance of a row
+"""Orders of an error that repeats with the angle, beyond those that the camera's nuisance functions describe [1].
+Derived: the nuisance functions have the first two; tracking states errors of up to 12 periods per turn."""
 _NEGLIGIBLE_ROWS = 0.1
+"""Norm of a column below which it is neglected [1]. Derived: it adds less than 0.1^2, 1 %, to the variance of a row."""
 
 
 def stated_error_rows(
@@ -420,18 +449,42 @@ def _spectrum(frequency: Array, time: float) -> Array:
     return np.asarray(1 / (1 + (2 * np.pi * frequency * time) ** 2))
 
 
-# of a window of one block: degree of the polynomial, to whose rows a smooth torque adds little
 _WINDOW_DEGREE = 5
-# groups of samples per block, fewest samples in one, fewest groups
-_GROUPS, _FEWEST_IN_GROUP, _FEWEST_GROUPS = 128, 4, 40
-# number of correlation times; length of a block over the shortest and the longest one: slower noise is a polynomial
-_WINDOW_TIMES, _SHORTEST, _LONGEST = 15, 64.0, 3.0
-# variance of angle noise over that of the white noise of a group
+"""Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to the rows beyond; a
+smaller value takes motion for noise, a larger one absorbs noise."""
+_GROUPS = 128
+"""Groups of samples per block [1]. Chosen: fewer average short correlations, more cost time."""
+_FEWEST_IN_GROUP = 4
+"""Fewest samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages short
+correlations."""
+_FEWEST_GROUPS = 40
+"""Fewest groups of all windows from which angle noise is estimated [1]. Chosen: fewer do not determine a level, more
+leave short windows without it."""
+_WINDOW_TIMES = 15
+"""Number of trial correlation times in the windows [1]. Chosen: fewer make the posterior mean coarse, more cost
+time."""
+_SHORTEST = 64.0
+"""Length of a block over the shortest correlation time in the windows [1]. Chosen: shorter correlations are white for
+the rows; a larger value costs time, a smaller one overlooks fast noise."""
+_LONGEST = 3.0
+"""Length of a block over the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
+smaller value estimates what the rows do not show, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
-_NEGLIGIBLE_SHARE = 1e-4  # share of the weight below which a correlation time is left out: four digits remain
-_RANK = 1e-7  # relative singular value below which a direction is rounding
-# median of chi-square with one degree of freedom; variance of the third difference of unit white noise
-_MEDIAN_CHI2, _THIRD_DIFFERENCE, _TINY = 0.4549, 20.0, 1e-300
+"""Variances of angle noise over that of the white noise of a group [1]. Chosen: lower ones change nothing, higher ones
+do not occur; a coarser grid rounds the posterior mean."""
+_NEGLIGIBLE_SHARE = 1e-4
+"""Share of the weight below which a correlation time is left out [1]. Derived: four digits of the covariance remain."""
+_RANK = 1e-7
+"""Relative singular value below which a direction is rounding [1]. Chosen: a smaller value counts rounding as motion, a
+larger one takes motion for noise."""
+_MEDIAN_CHI2 = 0.4549
+"""Median of chi-square with one degree of freedom [1]. Derived: the square of quantile 0.75 of the standard normal
+distribution."""
+_THIRD_DIFFERENCE = 20.0
+"""Variance of the third difference of white noise of variance 1 [1]. Derived: 1 + 9 + 9 + 1."""
+_TINY = 1e-300
+"""Smallest variance by which another is divided [rad2]. Derived: it avoids a division by zero and is below any other
+variance."""
 
 
 def estimate_window_noise(

@@ -29,12 +29,21 @@ Array = NDArray[np.float64]
 Parts = Sequence[tuple[NDArray[np.intp], Array, Array]]
 
 _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
-_STEPS = 3  # passes: the equations are linear about the strengths found before
-_DEGREE = 5  # degree of the polynomial between averaged points
-# share of the harmonics of a torque below which its averages vanish
+"""Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; fewer blur the jump of dry friction,
+more cost time."""
+_STEPS = 3
+"""Passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; fewer leave the
+second order, more cost time."""
+_DEGREE = 5
+"""Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
+oscillates at the ends."""
 _NEGLIGIBLE = 1e-6
+"""Share of the harmonics of a torque below which its averages vanish [1]. Chosen: a smaller value fits rounding, a
+larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
-"""Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]."""
+"""Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]. Chosen:
+well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
+values."""
 
 
 class Averaged(NamedTuple):

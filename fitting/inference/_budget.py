@@ -39,12 +39,20 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 CRYSTAL = 50e-6 / math.sqrt(3)
-"""Relative standard uncertainty of a camera's clock: crystals are specified to 50 ppm (rectangular distribution)."""
+"""Relative standard uncertainty of a camera's clock [1]. Derived: crystals are specified to 50 ppm; a rectangular
+distribution has 1 / sqrt(3) of its half width."""
 
-# Gauss-Hermite rule of three nodes for a normal distribution, in standard uncertainties
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
+"""Nodes of a quadrature rule for a normal distribution [standard uncertainties]. Derived: the Gauss-Hermite rule of
+three nodes."""
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
-_RANK, _ROUNDING = 1e-7, 1e-12
+"""Weights of a quadrature rule for a normal distribution [1]. Derived: the Gauss-Hermite rule of three nodes."""
+_RANK = 1e-7
+"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
+rounding, a larger one leaves a part of the nuisance columns."""
+_ROUNDING = 1e-12
+"""Share of the total below which a contribution is rounding [1]. Chosen: a smaller value lists contributions that are
+zero, a larger one hides small ones."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,8 @@ class Contribution:
     share: float  # of the combined variance
 
 
-# contributions in a repr
 _SHOWN = 3
+"""Contributions in a repr [1]. Chosen: fewer hide the second cause, more make a long line."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -135,23 +135,39 @@ Array = NDArray[np.float64]
 
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
-_GENERATED_BLOCKS = 20  # blocks of a generated curve, which is smooth
-# share of the casing's record below which a window of the rotor is one block, and blocks of a window of the same length
-_SHORT_WINDOW, _WINDOW_BLOCKS = 0.25, 20
-# smallest number of rows of a rotor window with which correlated noise is estimated
+_GENERATED_BLOCKS = 20
+"""Blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost time."""
+_SHORT_WINDOW = 0.25
+"""Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
+in it; a smaller value divides windows needlessly, a larger one fits one polynomial to a changing speed."""
+_WINDOW_BLOCKS = 20
+"""Blocks of a window of the rotor as long as the record of the casing [1]. Chosen: fewer do not resolve the
+deceleration, more leave few samples for each."""
 _WINDOW_ROWS = 8
-# of an oscillation: smallest number of samples of a block, rough speeds in each period
+"""Smallest number of rows of a rotor window with which correlated noise is estimated [rows]. Chosen: fewer do not
+separate motion and noise, more leave short windows without an estimate."""
 _PERIOD_SAMPLES = 24
-_POINTS_PER_PERIOD = 24  # rough speeds in each period of an oscillation
-# of a driven body: largest number of rough speeds, smallest number of samples of each
-_DRIVEN_POINTS, _DRIVEN_SAMPLES = 1000, 6
-# least rise of the speed of a driven body, over its largest speed
+"""Smallest number of samples of a block of an oscillation [samples]. Chosen: fewer leave none for the noise, more give
+blocks of several periods at low frame rates."""
+_POINTS_PER_PERIOD = 24
+"""Rough speeds in each period of an oscillation [1]. Chosen: fewer cut the turning points, more are noisy."""
+_DRIVEN_POINTS = 1000
+"""Largest number of rough speeds of a driven body [1]. Chosen: fewer blur the response to the input, more are noisy."""
+_DRIVEN_SAMPLES = 6
+"""Smallest number of samples of each rough speed of a driven body [samples]. Chosen: fewer are noisy, more blur the
+response to the input."""
 _RISE = 0.1
-# least relative singular value of independent responses to inputs
+"""Smallest rise of the speed of a driven body, over its largest speed [1]. Chosen: a smaller value takes noise for a
+drive, a larger one overlooks weak drives."""
 _INDEPENDENT = 1e-6
-# for smoothed speeds: blocks that are long compared with the smoothing, and noise rows of a window that resolve it
+"""Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding, a
+larger one drops weak responses."""
 SPEED_BLOCKS = 30
-SPEED_NOISE_ROWS = 28  # further polynomials of a block of speeds, twice those of angles
+"""Blocks of a record of smoothed speeds [1]. Chosen: they are long compared with the smoothing; more contain correlated
+noise, fewer do not resolve the motion."""
+SPEED_NOISE_ROWS = 28
+"""Further polynomials of a block of speeds [1]. Chosen: twice those of angles, so that the rows of a window resolve the
+smoothing; fewer understate the noise, more cost time."""
 
 
 class Block(NamedTuple):
@@ -179,6 +195,8 @@ _OSCILLATION_BLOCKS = (
     OscillationBlocks(200, Block(4, 24, 50)),
     OscillationBlocks(math.inf, Block(12, 50, 126)),
 )
+"""Blocks of an oscillation: largest number of periods, then periods, degree and noise rows of a block [1]. Chosen:
+longer blocks in longer records limit the rows; longer ones need higher degrees, shorter ones cost time."""
 
 
 def blocks_of_window(window: Samples, casing: Samples) -> int:
@@ -881,8 +899,9 @@ def _reverses(record: Record) -> bool:
     return abs(float(way.sum())) < _ONE_SENSE * path
 
 
-# net rotation over the path of a driven body from which on harmonics of its angle are tested
 _ONE_SENSE = 0.9
+"""Net rotation over the path of a driven body from which on harmonics of its angle are tested [1]. Chosen: a smaller
+value tests angles that are passed back and forth, a larger one leaves out slightly reversing bodies."""
 
 
 def _turning_angle(record: Record) -> Array | None:
@@ -900,17 +919,33 @@ def _gradients(speeds: Samples) -> Array:
     return np.asarray(np.gradient(camera_columns(angle), speeds.time, axis=0))
 
 
-# columns of `camera_columns` that belong to each nuisance effect, in the order of the library
 CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
-_SMOOTHED = 25  # samples between the knots of a rough speed
-_RUN_PARTS, _PERIOD_PARTS = 50, 16
-# standard deviations of a displaced centre, of the radius, of the second harmonic of a tilt, and of the change of the
-# first harmonic by motion blur at the largest speed [rad]; tracked films err by 0.5 to 5 mrad once a turn
-_CENTRE, _TILT, _BLUR = 0.15, 0.05, 5e-3
-# longest step of the integral of speeds from sample to sample [rad]
+"""Columns of `camera_columns` that belong to each nuisance effect [1]. Derived: a cosine and a sine of each, in the
+order of the library."""
+_SMOOTHED = 25
+"""Samples between the knots of a rough speed [samples]. Chosen: fewer follow noise, more blur the motion."""
+_RUN_PARTS = 50
+"""Parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: fewer understate it, more
+follow noise."""
+_PERIOD_PARTS = 16
+"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: fewer
+understate it, more follow noise."""
+_CENTRE = 0.15
+"""Prior standard deviation of the displacement of a centre over the radius [1]. Chosen: tracked films have 0.5 to 5
+mrad once a turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
+_TILT = 0.05
+"""Prior standard deviation of the second harmonic of a tilt [rad]. Chosen: a tilt of 26 degrees; a smaller value biases
+oblique films, a larger one absorbs slow motion."""
+_BLUR = 5e-3
+"""Prior standard deviation of the change of the first harmonic by motion blur at the largest speed [rad]. Chosen: the
+upper end of the once-a-turn errors of tracked films; a smaller value biases blurred films, a larger one absorbs slow
+motion."""
 _LONGEST_STEP = 1.0
-# smallest range of a harmonic of the angle that is more than rounding
+"""Longest step of the integral of speeds from sample to sample [rad]. Chosen: a larger one does not resolve a harmonic
+of the angle, a smaller one gives up slow sensors."""
 _ROUNDING = 1e-7
+"""Smallest range of a harmonic of the angle that is more than rounding [1]. Chosen: a smaller value fits rounding, a
+larger one drops slowly turning bodies."""
 
 
 def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:

@@ -19,9 +19,14 @@ from fitting.inference._record import Quantity, Record, is_body_name, make_recor
 
 Array = NDArray[np.float64]
 
-_MAX_SAMPLES = 50_000_000  # samples of an array: 53 hours at 260 frames per second
-# largest compression ratio of deflate is 1032; chunks are padded
-_INFLATION, _SLACK = 1100, 2**22
+_MAX_SAMPLES = 50_000_000
+"""Samples of an array at most [samples]. Chosen: 53 hours at 260 frames per second; a smaller value refuses long films,
+a larger one admits files that fill the memory."""
+_INFLATION = 1100
+"""Largest ratio of the size of an array to its stored size [1]. Derived: deflate reaches 1032; the rest is a margin."""
+_SLACK = 2**22
+"""Size of an array that is admitted beyond the compression ratio [bytes]. Chosen: chunks are padded; a smaller value
+refuses small arrays, a larger one admits malicious files."""
 
 
 def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
@@ -90,8 +95,10 @@ def text(value: Any) -> str:
 
 _CHECKSUM_PREFIX = b"\ngyrotrack sha256 "
 _CHECKSUM_LENGTH = len(_CHECKSUM_PREFIX) + 65
+"""Length of the line with the checksum [bytes]. Derived: its prefix, 64 digits of SHA-256 and a line end."""
 _STRING_HEAP = b"GCOL\x01\x00\x00\x00"
-_HEADER = 16  # bytes of the header of a heap object (HDF5 file format, level 1E)
+_HEADER = 16
+"""Length of the header of an object in a string heap [bytes]. Source: HDF5 file format, level 1E."""
 
 
 def is_open_elsewhere(path: Path) -> bool:
@@ -138,7 +145,8 @@ def _is_endless(content: bytes, place: int) -> bool:
 
 
 FORMAT = "gyrotrack"
-MAJOR = 2  # major version of the layout
+MAJOR = 2
+"""Major version of the layout that is read [1]. Derived: the layout that this version of the program writes."""
 
 
 def read_record(path: str | Path) -> Record:
@@ -356,8 +364,9 @@ def _modes(path: Path, file: Any, body: _Body) -> Iterator[ErrorMode]:
             yield ErrorMode(name=name, time=body.series[0][rows], basis=basis[rows], **rotor, **known)
 
 
-# largest number of inputs, bodies, series or error modes that are read
 _MOST_MEMBERS = 64
+"""Inputs, bodies, series or error modes that are read at most [1]. Chosen: a smaller value refuses large set-ups, a
+larger one admits malicious files."""
 
 
 def _inputs(path: Path, file: Any) -> tuple[Input, ...]:

@@ -28,12 +28,24 @@ from fitting.inference._compression import Compressed
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
-_GAUSS = 3  # nodes of the Gauss rule in a cell: exact to degree 5
-# iterations of the argument of a law that it changes itself; change of the angle at convergence, relative to the
-# uncertainty of a mean of all samples; that of a derivative, relative to its fast part; iterations remembered
-_PASSES, _NEGLIGIBLE, _CHANGE, _MEMORY = 20, 0.01, 1e-3, 6
-# parts of the error of an integrated angle: seven eighths of the variance are in the first two
+_GAUSS = 3
+"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
+time."""
+_PASSES = 20
+"""Iterations of the argument of a law that it changes itself, at most [1]. Chosen: fewer stop before convergence, more
+delay the failure."""
+_NEGLIGIBLE = 0.01
+"""Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
+costs iterations, a larger one biases the angle."""
+_CHANGE = 1e-3
+"""Change of the derivative of the angle at convergence, relative to its fast part [1]. Chosen: a smaller value costs
+iterations, a larger one gives inaccurate derivatives."""
+_MEMORY = 6
+"""Iterations that the acceleration of the convergence remembers [1]. Chosen: fewer converge slowly, more make its
+least-squares problem degenerate."""
 _ERRORS = 6
+"""Parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; the first two parts
+have nine tenths of the variance, six have 97 %."""
 
 
 class AngleRows(NamedTuple):
@@ -124,7 +136,8 @@ def angle_dependent_rows(
     return AngleRows(_observed(data, speed, angle), strength, value)
 
 
-_DIVERGED = 1e100  # speed [rad/s] or angle [rad] that no body reaches; sums of squares overflow from 1e154 on
+_DIVERGED = 1e100
+"""Speed or angle that no body reaches [rad/s or rad]. Derived: sums of squares overflow from 1e154 on."""
 
 
 class _FixedPoint:
@@ -178,21 +191,30 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 
 Array = NDArray[np.float64]
 
-_INTERVALS = 12  # intervals of the first mesh, which is refined to the tolerance
-# intervals of the first mesh between two reversals of an oscillation: ten nodes resolve a sinusoid over a fifth of the
-# half period to 1e-11 (Bessel function J_8 of pi / 10), so that few intervals have to be halved
+_INTERVALS = 12
+"""Intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; fewer need more refinements, more cost
+time."""
 _PER_REVERSAL = 5
-# largest number of intervals: a motion with several changes between two samples is not measured, and the solution of
-# equations that are this stiff takes minutes to fail
-_LEAST_INTERVALS, _PER_SAMPLE = 600, 2
-# number of reversals from which on all of them are solved at once
+"""Intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a sinusoid over a
+fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so that few intervals have to be halved."""
+_LEAST_INTERVALS = 600
+"""Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
+smaller value refuses short records, a larger one delays the failure."""
+_PER_SAMPLE = 2
+"""Intervals per sample at most [1]. Chosen: a motion with several changes between two samples is not measured; a
+smaller value refuses fast changes, a larger one delays the failure."""
 _MANY_REVERSALS = 3
-# stops and reversals of a trial beyond twice those of the measured motion
+"""Reversals from which on all of them are solved at once [1]. Chosen: as `fitting.dynamics._events._MANY`; a smaller
+value does so where the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
-# stretches between reversals that may be integrated one by one: each takes as long as all of them at once
+"""Stops and reversals of a trial beyond twice those of the measured motion [1]. Chosen: a smaller value refuses trials
+that converge, a larger one delays the failure of trials that chatter."""
 _FEW_SINGLE = 40
-# largest number of bisections of the step between two solutions
+"""Stretches between reversals that may be integrated one by one [1]. Chosen: each takes as long as all of them at once;
+a smaller value refuses trials that converge, a larger one costs time."""
 _HALVINGS = 2
+"""Bisections of the step between two solutions at most [1]. Chosen: fewer refuse long steps, more cost time in hopeless
+ones."""
 
 
 @dataclass(frozen=True)

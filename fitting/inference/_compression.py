@@ -26,13 +26,18 @@ from fitting.inference._record import Samples
 
 Array = NDArray[np.float64]
 
-HARMONICS = 4  # rows for the first two harmonics of the angle, sine and cosine
-# amplitude orthogonal to the polynomials from which a harmonic has rows, relative to its amplitude
+HARMONICS = 4
+"""Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which the camera's centre and
+tilt cause."""
 _MIN_INDEPENDENCE = 0.2
-# change of an angle [rad] below which the integrals of its harmonics are series: the fourth power is 1e-12
+"""Amplitude orthogonal to the polynomials from which a harmonic has rows, relative to its amplitude [1]. Chosen: a
+smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
 _SMALL_CHANGE = 1e-3
-# share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than rounding
+"""Change of an angle below which the integrals of its harmonics are series [rad]. Derived: the neglected fourth power
+is 1e-12."""
 _MIN_RESPONSE = 1e-6
+"""Share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than rounding [1].
+Chosen: a smaller value adds rows of rounding, a larger one drops weak responses."""
 
 
 def _harmonics(y: Array) -> Array:
@@ -84,8 +89,12 @@ def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
     return speeds - speeds.mean(axis=0), angles - drift @ np.linalg.lstsq(drift, angles, rcond=None)[0]
 
 
-# time constants with which the responses to an input are computed; the shortest one over the sampling interval
-_TIME_CONSTANTS, _SHORTEST = 8, 2.0
+_TIME_CONSTANTS = 8
+"""Time constants with which the responses to an input are computed [1]. Chosen: fewer leave responses to other time
+constants in the noise, more need rows."""
+_SHORTEST = 2.0
+"""Shortest time constant of a response to an input over the sampling interval [1]. Chosen: a smaller value is not
+resolved, a larger one leaves fast responses in the noise."""
 
 
 def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
@@ -112,11 +121,15 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
     return np.stack([np.interp(time, even, c) for c in columns], axis=1)
 
 
-# of an abrupt change: its least size over the range of the input, and the number of changes from which on an input is
-# not a sequence of steps
-_ABRUPT, _MOST_STEPS = 0.1, 12
-# samples of the first blocks after a step; the later ones are of usual length
+_ABRUPT = 0.1
+"""Smallest size of an abrupt change over the range of the input [1]. Chosen: a smaller value cuts blocks at noise, a
+larger one lets a block contain a kink."""
+_MOST_STEPS = 12
+"""Abrupt changes up to which an input is a sequence of steps [1]. Chosen: more leave blocks without enough samples,
+fewer refuse stepped inputs."""
 _AFTER_STEP = (20, 40)
+"""Samples of the first blocks after a step [samples]. Chosen: the response changes fastest there and later blocks are
+of usual length; fewer leave none for the noise, more need a higher degree."""
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
@@ -162,21 +175,36 @@ def harmonic_scatter(rows: Array) -> Array:
     return np.asarray(np.maximum(1.0, np.repeat(pairs, 2)))
 
 
-CASING_DEGREE = 7  # degree of the polynomial of a block of the casing
-ROTOR_DEGREE = 7  # the same for a window of the rotor
-NOISE_ROWS = 14  # further polynomials of a block, from which the white noise is measured
-BLOCKS = 60  # blocks of a record of angles
-_MIN_SAMPLES = 60  # samples of a block at least
-_SPEED_RATIO = 1.6  # ratio of the speeds in a block above which it is cut
-# speed at rest, as a share of the largest: 0.5 rad/s of the 160 rad/s of the paper's casing
+CASING_DEGREE = 7
+"""Degree of the polynomial of a block of the casing [1]. Chosen: a smaller value does not follow the motion, a larger
+one costs rows."""
+ROTOR_DEGREE = 7
+"""Degree of the polynomial of a window of the rotor [1]. Chosen: as `CASING_DEGREE`; a smaller value does not follow
+the motion, a larger one costs rows."""
+NOISE_ROWS = 14
+"""Further polynomials of a block, from which the white noise is measured [1]. Chosen: fewer measure it less precisely,
+more measure it at frequencies that do not matter."""
+BLOCKS = 60
+"""Blocks of a record of angles [1]. Chosen: fewer need a higher degree, more leave few samples for the noise."""
+_MIN_SAMPLES = 60
+"""Samples of a block at least [samples]. Chosen: fewer leave none for the noise, more blur fast parts of the motion."""
+_SPEED_RATIO = 1.6
+"""Ratio of the speeds in a block above which it is cut [1]. Chosen: a smaller value makes short blocks, a larger one
+fits one polynomial to a changing angle."""
 _AT_REST = 0.003
-_MOST_CUTS = 12  # cuts of a record at most
-# groups of samples of a block
+"""Speed at rest, as a share of the largest [1]. Source: the casing of the paper, 0.5 rad/s of 160 rad/s."""
+_MOST_CUTS = 12
+"""Cuts of a record at most [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the noise."""
 _BINS = 128
-# smallest range of a harmonic that is more than rounding
+"""Groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
 _SAME = 1e-7
-_CLIP = 3.0  # standard deviations at which outliers are cut off in the scale of the noise
-_CLIPPED_VARIANCE = 0.9733  # of a standard normal variable cut off at 3
+"""Smallest range of a harmonic that is more than rounding [1]. Chosen: a smaller value adds rows of rounding, a larger
+one drops slowly turning bodies."""
+_CLIP = 3.0
+"""Standard deviations at which outliers are cut off in the scale of the noise [standard deviations]. Chosen: a smaller
+value loses efficiency, a larger one includes outliers."""
+_CLIPPED_VARIANCE = 0.9733
+"""Variance of a standard normal variable cut off at 3 [1]. Derived: 1 - 6 phi(3) / (2 Phi(3) - 1), at `_CLIP`."""
 
 
 @dataclass(frozen=True)
@@ -409,8 +437,9 @@ def _block(
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - fixed))
 
 
-# smallest share of a response to an input that is orthogonal to the others and to the model
 _DEPENDENT = 1e-6
+"""Smallest share of a response to an input that is orthogonal to the others and to the model [1]. Chosen: a smaller
+value keeps rounding, a larger one leaves a part of the response in the noise."""
 
 
 def _with_driven(responses: Array, driven: Array, model: Array) -> Array:

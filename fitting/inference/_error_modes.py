@@ -21,10 +21,12 @@ from fitting._errors import RecordError
 
 Array = NDArray[np.float64]
 
-# largest number of amplitudes of a record: each is a parameter of every fit
 MOST_AMPLITUDES = 400
-# asymmetry and negative eigenvalues of a covariance, relative to its largest, that are rounding
+"""Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
+slow, a smaller one refuses recordings of many windows."""
 _ROUNDING = 1e-9
+"""Asymmetry and negative eigenvalues of a covariance, relative to its largest, that are rounding [1]. Chosen: a smaller
+value refuses computed covariances, a larger one accepts invalid ones."""
 
 
 @dataclass(frozen=True, repr=False)

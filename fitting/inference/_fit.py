@@ -51,10 +51,15 @@ from fitting.inference._trace import attempt, of_model, record_result, with_purp
 
 Array = NDArray[np.float64]
 
-_OTHER_POWERS = (0.7, 1.35)  # further starts of the exponent of a power law, on either side of 1
-# a casing slower than this share of its largest speed counts as at rest
+_OTHER_POWERS = (0.7, 1.35)
+"""Further initial exponents of a power law, on either side of 1 [1]. Chosen: chi-square has a minimum on each side of
+the exponent of the linear law; fewer may end in the wrong one, more cost time."""
 _AT_REST = 0.01
-_MOST_STEPS = 60  # iterations of a trial search; a fit that needs more is continued
+"""Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
+noise, a larger one takes slow bodies for stopped ones."""
+_MOST_STEPS = 60
+"""Iterations of a trial search [1]. Chosen: a fit that needs more is continued; fewer leave trials that cannot be
+compared, more cost time."""
 
 
 def search_with_noise(
@@ -191,8 +196,10 @@ def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | N
             yield begin
 
 
-# random torque of a case, relative to that of its recording, from which a model does not describe it
 _GIVEN_UP = 30.0
+"""Random torque of a case, relative to that of its recording, from which a model does not describe it [1]. Chosen: a
+smaller value gives up recordings with a small lack of fit, a larger one lets a wrong motion decide shared
+parameters."""
 
 
 def _from_separate_fits(
@@ -232,8 +239,9 @@ def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
     return float(np.average([e.value for e in known], weights=[e.stderr**-2 for e in known]))
 
 
-# chi2 per row above which the process noise is estimated again at the minimum
 _REFINED_ABOVE = 1.5
+"""Chi-square per row above which the process noise is estimated again at the minimum [1]. Chosen: a smaller value costs
+time, a larger one leaves the noise of the initial values."""
 
 
 def fit(
@@ -427,10 +435,16 @@ def _changes_sign(divisor: Expr, data: CaseData) -> bool:
 
 Psi = Callable[[Array], tuple[Array, Array]]
 
-# 95 % of the efficiency of least squares for normal noise
-_HUBER, _CAUCHY = 1.345, 2.385
-# iterations at most, and change of a parameter in standard errors at convergence
-_ITERATIONS, _CONVERGED = 12, 0.01
+_HUBER = 1.345
+"""Deviation from which Huber's loss is linear [standard deviations]. Derived: 95 % of the efficiency of least squares
+for normal noise."""
+_CAUCHY = 2.385
+"""Scale of the Cauchy loss [standard deviations]. Derived: 95 % of the efficiency of least squares for normal noise."""
+_ITERATIONS = 12
+"""Iterations of a robust fit at most [1]. Chosen: fewer stop before convergence, more delay the failure."""
+_CONVERGED = 0.01
+"""Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
+larger one leaves a bias."""
 
 
 def huber(x: Array) -> tuple[Array, Array]:

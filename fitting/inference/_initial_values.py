@@ -46,19 +46,32 @@ from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
 
-_FIRST_SHARE = 0.1  # share of the bearing torque that the power law has at the start of the search
-# smallest first torque of a bearing, over the torque that would stop the rotor within the record
+_FIRST_SHARE = 0.1
+"""Share of the bearing torque that the power law has at the start of the search [1]. Chosen: at zero the exponent has
+no gradient; a larger value prefers the power law."""
 _LEAST_SHARE = 1e-5
-# a casing slower than this share of its largest speed counts as at rest, for initial values
+"""Smallest first torque of a bearing, over the torque that would stop the rotor within the record [1]. Chosen: it keeps
+the search from a zero strength; a larger value starts above weak bearings."""
 _AT_REST = 0.01
-# the last tenth of a run is its end
+"""Share of its largest speed below which the casing counts as at rest, for initial values [1]. Chosen: a smaller value
+uses the sign of noise, a larger one omits slow parts."""
 _END = 10
-# dead times of an input that are tried, and the longest over the length of a record
-_DEAD_TIMES, _LONGEST_DEAD_TIME = 40, 0.1
-# of an oscillation: periods of the first search, smallest number of its samples, largest number of its steps
+"""Parts of a run of which the last one is its end [1]. Chosen: more parts leave few speeds, fewer include the middle of
+the run."""
+_DEAD_TIMES = 40
+"""Dead times of an input that are tried [1]. Chosen: fewer start far from the optimum, more cost time."""
+_LONGEST_DEAD_TIME = 0.1
+"""Longest dead time over the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one loses
+the start of the record."""
 _FIRST_PERIODS = 2.0
-_FEWEST_SAMPLES = 24  # smallest number of its samples
-_MOST_STEPS = 60  # largest number of its steps
+"""Periods of the first search of an oscillation [1]. Chosen: fewer do not determine the frequency, more may start a
+period off."""
+_FEWEST_SAMPLES = 24
+"""Smallest number of samples of the first search of an oscillation [samples]. Chosen: fewer do not determine all laws,
+more may start a period off."""
+_MOST_STEPS = 60
+"""Largest number of steps of the first search of an oscillation [1]. Chosen: fewer stop before convergence, more cost
+time."""
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
@@ -374,12 +387,17 @@ def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
     return inside
 
 
-# trial exponents of a power law, and largest number of trial shapes of a law
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-_MOST = 80  # largest number of trial shapes of a law
-_COLLINEAR = 1e-7  # relative singular value below which columns are collinear
-# trial levels over the level of random torque without the law
+"""Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; fewer may start in a wrong
+minimum, more cost time."""
+_MOST = 80
+"""Largest number of trial shapes of a law [1]. Chosen: fewer may omit the best one, more cost time."""
+_COLLINEAR = 1e-7
+"""Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a
+larger one holds degenerate strengths."""
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
+"""Trial levels over the level of random torque without the law [1]. Chosen: at the level without the law any shape is
+consistent; fewer may choose a wrong shape, more cost time."""
 
 
 def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -> list[Effect]:

@@ -179,12 +179,25 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 
 LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
-_ROUNDING = 1e-20  # share of the largest response below which a row does not respond
-# ratio to the lowest level that the recording allows from which on a level counts as raised
+"""Trial levels of random torque, in units to which the median row responds as much as to white noise [1]. Chosen: eight
+per decade from none to far above any misfit; a shorter range ends at a bound, a coarser grid rounds the level."""
+_ROUNDING = 1e-20
+"""Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest have rounding
+only; a larger value excludes slow rows, a smaller one includes those at rest."""
 _MORE = 1.5
-# unresolved levels: the lowest over that to which the most responsive row responds as much as to white noise, or over
-# the expected one, the highest over the expected one, their number
-_LEAST_RESPONSE, _LEAST_EXPECTED, _MOST_EXPECTED, _UNRESOLVED_LEVELS = 0.1, 0.03, 4.0, 16
+"""Ratio to the lowest level that the recording allows from which on a level counts as raised [1]. Chosen: a smaller
+value calls its uncertainty a lack of fit, a larger one leaves a raised level unnoticed."""
+_LEAST_RESPONSE = 0.1
+"""Lowest unresolved level over that to which the most responsive row responds as much as to white noise [1]. Chosen: a
+lower one changes nothing, a higher one leaves a gap above zero."""
+_LEAST_EXPECTED = 0.03
+"""Lowest unresolved level over the expected one [1]. Chosen: a lower one changes nothing, a higher one leaves a gap
+above zero."""
+_MOST_EXPECTED = 4.0
+"""Highest unresolved level over the expected one [1]. Chosen: a normal prior has 6e-5 beyond it; a smaller value cuts
+the prior, a larger one makes the grid coarser."""
+_UNRESOLVED_LEVELS = 16
+"""Number of unresolved levels [1]. Chosen: fewer make the posterior mean coarse, more cost time."""
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
@@ -255,9 +268,12 @@ def _deviance(rotated: Array, variance: Array) -> float:
     return float(np.log(variance).sum() + 2 * np.log(np.maximum(r[:-1], 1e-12)).sum() + r[-1] ** 2)
 
 
-# cells of the torque per row, and groups of cells of which the first rows that respond are known
 _CELLS_PER_ROW = 2.5
-_GROUPS = 8  # groups of cells of which the first rows that respond are known
+"""Cells of the random torque per row [1]. Chosen: as in `fitting.inference._process_noise`; fewer blur the response of
+the highest row, more cost time."""
+_GROUPS = 8
+"""Groups of cells of which the first rows that respond are known [1]. Chosen: another value costs time and does not
+change the result."""
 
 
 class TorqueResponse:

@@ -23,9 +23,11 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
-# a fall of the sum of squares, in variances of the noise, with which no parameter changes by a tenth of its error
 _NEGLIGIBLE_FALL = 0.01
-_NO_DAMPING = 1e-20  # damping of a Gauss-Newton step: far below rounding
+"""Fall of the sum of squares with which no parameter changes by a tenth of its standard error [variances of the noise].
+Derived: the square of a tenth."""
+_NO_DAMPING = 1e-20
+"""Damping of a Gauss-Newton step [1]. Derived: far below rounding, so that the step is undamped."""
 
 
 @dataclass(frozen=True)
@@ -135,16 +137,26 @@ def _step(r: Array, j: Array, scale: Array, damping: float, down: Array, up: Arr
     return step
 
 
-# fall of chi-square at which a search ends: no parameter changes by a hundredth of its error; enough for a ranking
-_CONVERGED, _CONVERGED_QUICK = 1e-5, 3e-3
-# chi2 per row above which a search is repeated from other initial values
+_CONVERGED = 1e-5
+"""Fall of chi-square at which a search ends [1]. Derived: no parameter changes by a hundredth of its standard error,
+with a margin of ten."""
+_CONVERGED_QUICK = 3e-3
+"""Fall of chi-square at which a quick search ends [1]. Chosen: enough for a ranking; a smaller value costs time, a
+larger one confuses neighbours in the list."""
 _FAR = 10.0
-# largest number of steps of one of several searches, and of a quick one
-_STEPS, _QUICK_STEPS = 60, 40
-# number of trial exponents of a law at a bound
+"""Chi-square per row above which a search is repeated from further initial values [1]. Chosen: a smaller value repeats
+searches of models with a lack of fit, a larger one accepts a wrong minimum."""
+_STEPS = 60
+"""Largest number of steps of one of several searches [1]. Chosen: fewer stop before the minimum is known, more cost
+time."""
+_QUICK_STEPS = 40
+"""Largest number of steps of a quick search [1]. Chosen: fewer stop before the minimum is known, more cost time."""
 _EXPONENTS = 241
-# relative difference below which two searches have the same minimum
+"""Trial exponents of a law at a bound [1]. Chosen: fewer may omit the minimum, more cost time; the rows are linear in
+the strengths."""
 _SAME = 1e-3
+"""Relative difference of chi-square below which two searches have the same minimum [1]. Chosen: a smaller value repeats
+searches, a larger one takes neighbouring minima for one."""
 
 
 @dataclass(frozen=True)

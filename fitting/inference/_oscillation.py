@@ -20,18 +20,33 @@ from fitting.inference._record import Record
 
 Array = NDArray[np.float64]
 
-# hysteresis of a reversal: in standard uncertainties, and as a share of the range
 _SIGMAS = 8.0
-_SHARE = 0.01  # hysteresis of a reversal, as a share of the range
-_FEWEST = 3  # reversals of an oscillation at least
-# largest net rotation over the total path of a body that oscillates
+"""Hysteresis of a reversal [standard uncertainties]. Chosen: a smaller value counts noise as reversals, a larger one
+ends a decaying oscillation early."""
+_SHARE = 0.01
+"""Hysteresis of a reversal, as a share of the range [1]. Chosen: a smaller value counts vibrations as reversals, a
+larger one ends a decaying oscillation early."""
+_FEWEST = 3
+"""Reversals of an oscillation at least [1]. Derived: three successive turning points determine the equilibrium."""
 _PROGRESS = 0.6
-_PHASE_DEGREE = 5  # degree of the polynomial of the phase
-# harmonics of an oscillation, and highest power of time of the amplitude of each
-_HARMONICS, _MODULATION = 3, 3
-# largest number of windows of a slow motion, number below which they are shorter than three periods, smallest number of
-# samples in one
-_MOST_WINDOWS, _WINDOWS, _FEWEST_SAMPLES = 300, 20, 10
+"""Largest net rotation over the total path of a body that oscillates [1]. Chosen: a larger value takes a rotation with
+a reversal for an oscillation, a smaller one refuses strongly damped oscillations."""
+_PHASE_DEGREE = 5
+"""Degree of the polynomial of the phase [1]. Chosen: a smaller value does not follow a changing frequency, a larger one
+oscillates at the ends."""
+_HARMONICS = 3
+"""Harmonics of an oscillation [1]. Chosen: fewer leave motion in the noise, more absorb noise."""
+_MODULATION = 3
+"""Highest power of time of the amplitude of each harmonic [1]. Chosen: a smaller value does not follow the decay, a
+larger one absorbs noise."""
+_MOST_WINDOWS = 300
+"""Largest number of windows of a slow motion [1]. Chosen: fewer blur the decay, more cost time."""
+_WINDOWS = 20
+"""Number of windows below which they are shorter than three periods [1]. Chosen: fewer do not resolve the decay of
+short records, more have uncertain amplitudes."""
+_FEWEST_SAMPLES = 10
+"""Smallest number of samples in a window [samples]. Chosen: fewer do not determine amplitude and phase, more refuse
+slow cameras."""
 
 
 class SlowMotion(NamedTuple):

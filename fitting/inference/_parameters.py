@@ -208,9 +208,12 @@ def covers(name: str, key: str) -> bool:
     return key == name or key.startswith(name.rstrip(".") + ".") or key.rpartition(".")[2] == name
 
 
-# smallest |g - m|: closer to m the difference of the two terms loses digits, and the torque hardly changes
 _NEAREST = 3e-3
-_SAME = 1e-9  # relative difference that a change of coordinates may leave: rounding
+"""Smallest distance of an exponent from that of a fixed power law [1]. Chosen: closer to it the difference of the two
+terms loses digits and the torque hardly changes; a larger value excludes exponents that the data determine."""
+_SAME = 1e-9
+"""Relative difference that a change of coordinates may leave [1]. Chosen: rounding; a smaller value refuses valid
+changes, a larger one accepts inaccurate ones."""
 
 
 @dataclass(frozen=True)
@@ -398,8 +401,9 @@ def _places(
     return [PowerLaw(d[0] if d else None, f, g, reference, order) for f, g, *d in places]
 
 
-# smallest strength, which has a phase but no influence
 _TINY = 1e-30
+"""Smallest strength, which has a phase but no influence [1]. Derived: it is below any torque and above zero; it is in
+the unit of the strength."""
 
 
 @dataclass(frozen=True)

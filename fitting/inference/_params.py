@@ -22,8 +22,10 @@ from fitting.inference._metrics import CaseMetrics
 from fitting.inference._record import Record
 from fitting.inference._ties import find_key
 
-# lines of a repr, and smallest correlation in a report
-_SCREEN, LEAST_CORRELATION = 20, 0.1
+_SCREEN = 20
+"""Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
+LEAST_CORRELATION = 0.1
+"""Smallest correlation in a report [1]. Source: lmfit, whose report has the same default."""
 # what a user may set of a parameter
 SETTINGS = ("value", "vary", "min", "max", "expr")
 

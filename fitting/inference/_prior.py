@@ -30,8 +30,9 @@ from fitting.inference._linear_algebra import block_diagonal
 
 Array = NDArray[np.float64]
 
-# relative eigenvalue below which a covariance is singular
 _SINGULAR = 1e-13
+"""Relative eigenvalue below which a covariance is singular [1]. Chosen: a smaller value accepts rounding, a larger one
+refuses strongly correlated parameters."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,12 @@ from fitting.inference._ties import chain, follow
 
 Array = NDArray[np.float64]
 
-_RANK, _ROUNDING = 1e-7, 1e-11
+_RANK = 1e-7
+"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
+rounding, a larger one leaves a part of the nuisance columns."""
+_ROUNDING = 1e-11
+"""Share of a column orthogonal to the nuisance columns below which it is rounding [1]. Chosen: a smaller value
+determines parameters by rounding, a larger one holds weakly determined ones."""
 
 
 class Projection:
@@ -181,10 +186,12 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     return float(max(np.mean(typical), 1e-3))
 
 
-# a parameter equals its bound if the unconstrained optimum is this many standard errors beyond it
 _BEYOND = 3.0
-# smallest relative change that is part of a degenerate direction
+"""Distance of the unconstrained optimum beyond a bound from which on a parameter equals its bound [standard errors].
+Chosen: a smaller value ignores the uncertainty at a bound, a larger one counts a parameter as free that cannot move."""
 _LEAST_CHANGE = 0.2
+"""Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
+parameters, a larger one omits involved ones."""
 
 
 def surely_at_bound(
@@ -224,11 +231,15 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
     return directions
 
 
-_FIRST_LEVEL = 0.01  # first random torque, as a share of the median torque on the rotor
-# share of the blocks at rest up to which these are left out where the level of random torque is estimated
+_FIRST_LEVEL = 0.01
+"""First random torque, as a share of the median torque on the rotor [1]. Chosen: a smaller value lets the worst
+interval dominate the search, a larger one hides the shape of laws."""
 _MOST_AT_REST = 0.5
-# correlation time over the length of the record: a slower torque would absorb the error of the initial values
+"""Share of the blocks at rest up to which these are left out where the level of random torque is estimated [1]. Chosen:
+a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
 _FIRST_TIME = 1 / 200
+"""Correlation time of the first random torque over the length of the record [1]. Chosen: a slower torque would absorb
+the error of the initial values, a faster one is white noise."""
 
 
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:

@@ -32,33 +32,63 @@ from fitting.inference._linear_algebra import cubic_spline
 
 Array = NDArray[np.float64]
 
-# standard deviation of a prior without information: far beyond any angle [rad] or speed [rad/s]
 FLAT_PRIOR_SIGMA = 1e6
-# twice the logarithm of a likelihood ratio up to which two descriptions of the data are consistent
+"""Standard deviation of a prior without information [rad or rad/s]. Derived: far beyond any angle and speed."""
 CONSISTENT = 6.0
+"""Twice the logarithm of a likelihood ratio up to which two descriptions of the data are consistent [1]. Chosen:
+chi-square with two degrees of freedom exceeds it in 5 % of the cases; a smaller value refuses the right description, a
+larger one accepts wrong ones."""
 
-_MOST_STRETCHES = 6  # stretches of a record, each with a level
-# grid of the level in one stretch, in units of the noise of the rows; cells of the random torque per row
+_MOST_STRETCHES = 6
+"""Stretches of a record, each with a level [1]. Chosen: fewer let a kink spoil the level, more leave few rows in
+each."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-_CELLS_PER_ROW = 2.5  # cells of the random torque per row
-_DEGREE = 11  # degree of the polynomial of a stretch
-# number of blocks, and degree, of a stretch that holds several periods of an oscillation
-_SHORT_BLOCKS, _SHORT_DEGREE = 4, 14
-_MOST_ROWS = 170  # rows of two stretches together: the cost is their cube
-# up to this number of stretches none may have a separate level
+"""Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
+not occur; a coarser grid rounds the level."""
+_CELLS_PER_ROW = 2.5
+"""Cells of the random torque per row [1]. Chosen: fewer blur the response of the highest row, more cost time."""
+_DEGREE = 11
+"""Degree of the polynomial of a stretch [1]. Chosen: a smaller value takes motion for noise, a larger one absorbs slow
+noise."""
+_SHORT_BLOCKS = 4
+"""Blocks of a stretch that holds several periods of an oscillation [1]. Chosen: fewer leave no rows for the noise, more
+contain too many periods for a polynomial."""
+_SHORT_DEGREE = 14
+"""Degree of the polynomial of a stretch that holds several periods of an oscillation [1]. Chosen: a smaller value takes
+the oscillation for noise, a larger one absorbs noise."""
+_MOST_ROWS = 170
+"""Rows of two stretches together at most [rows]. Chosen: the cost is their cube; a larger value costs time, a smaller
+one leaves out the correlation between stretches."""
 _FEW_STRETCHES = 2
-_OWN_LEVEL_SHARE = 0.05  # prior probability of a separate level
-# correlation times in lengths of a block, levels in units of the noise of the rows, finer levels per level
+"""Number of stretches up to which none may have a separate level [1]. Derived: of two stretches the noisier one cannot
+be called the exception."""
+_OWN_LEVEL_SHARE = 0.05
+"""Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; a smaller value lets a
+kink raise the level, a larger one discards noisy stretches."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
+"""Trial correlation times [lengths of a block]. Chosen: shorter ones are white for the rows, three blocks are a
+twentieth of a long record; longer ones are part of the polynomials."""
 _LEVELS = np.geomspace(1e-4, 1e6, 121)
-_FINER = 16  # levels of the finer grid per level of the coarse one
-# share of the largest probability of a time from which on the grid of times is refined about it
+"""Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower ones change nothing, higher
+ones do not occur, a coarser grid rounds the posterior mean."""
+_FINER = 16
+"""Levels of the finer grid per level of the coarse one [1]. Chosen: fewer make the posterior mean coarse, more cost
+time."""
 _REFINED_SHARE = 1e-4
-_STUDENT_DOF = 3  # degrees of freedom of the prior of a level: heavy tails, finite variance
-# the lowest level that the recording allows is this quantile
+"""Share of the largest probability of a time from which on the grid of times is refined about it [1]. Chosen: a smaller
+value costs time, a larger one rounds the posterior."""
+_STUDENT_DOF = 3
+"""Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
+heavy."""
 _LEAST_QUANTILE = 1e-3
-_NEGLIGIBLE = 1e-25  # probability below which a level is left out
-_BINS = 60  # bins of the marginal distribution of the level
+"""Quantile of the posterior that is the lowest level which the recording allows [1]. Chosen: a smaller value calls any
+level raised, a larger one none that the recording allows."""
+_NEGLIGIBLE = 1e-25
+"""Probability below which a level is left out [1]. Chosen: a smaller value costs time, a larger one changes integrals
+over far tails."""
+_BINS = 60
+"""Bins of the marginal distribution of the level [1]. Chosen: fewer round its quantiles, more have few levels in
+each."""
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,17 @@ from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.95  # coverage of an interval
-# tolerance of an end in standard deviations, fits for each end, steps of each fit
-_NEAR, _FITS, _MOST_STEPS = 0.02, 20, 300
-# relative uncertainty above which a parameter is weakly determined
+LEVEL = 0.95
+"""Coverage of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one narrows them."""
+_NEAR = 0.02
+"""Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
+_FITS = 20
+"""Fits for each end at most [1]. Chosen: fewer leave ends open, more cost time."""
+_MOST_STEPS = 300
+"""Steps of each fit at most [1]. Chosen: fewer stop before convergence, more delay the failure."""
 _WEAK = 0.3
+"""Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
+with symmetric intervals, a larger one trusts linear ones."""
 
 
 @dataclass(frozen=True)

@@ -31,17 +31,27 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
 
-# samples of a block of the compression: 12 for the model, and as many for the noise
 _FEWEST_OF_BODY = 24
-# numbers of pieces of a smoothed curve; least samples and number of coefficients of a piece
-_PIECES, _MIN_PIECE, _CUBIC = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1), 12, 4
-# samples of a rotor window: a speed follows from several angles, or from one measured speed
+"""Smallest number of samples of the first body [samples]. Derived: 12 for the model, and as many for the noise, in a
+block of the compression."""
+_PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
+"""Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; fewer smooth too much or too little, more
+cost time."""
+_MIN_PIECE = 12
+"""Smallest number of samples of a piece [samples]. Chosen: fewer follow noise, more blur the motion."""
+_CUBIC = 4
+"""Coefficients of a piece [1]. Derived: a polynomial of degree 3."""
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
-# windows and inputs that a repr lists
+"""Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a speed follows from several angles, or
+from one measured speed; fewer angles give no uncertainty, more refuse short films."""
 _SHOWN = 6
-# largest time [s], angle [rad] or rate [rad/s], so that products of several are finite; least one of a body that is not
-# at rest; largest ratio of a value to its uncertainty (floating-point numbers have 1e16)
-LARGEST, SMALLEST, PRECISION = 1e20, 1e-20, 1e18
+"""Windows and inputs that a repr lists [1]. Chosen: fewer hide windows, more fill the console."""
+LARGEST = 1e20
+"""Largest time, angle or rate [SI units]. Derived: products of several are finite."""
+SMALLEST = 1e-20
+"""Smallest largest value of a body that is not at rest [SI units]. Derived: products of several do not vanish."""
+PRECISION = 1e18
+"""Largest ratio of a value to its uncertainty [1]. Derived: floating-point numbers have 1e16."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -391,10 +401,13 @@ def _digest(record: Record) -> str:
     return hasher.hexdigest()
 
 
-WIDTH = 51  # points of the running median of the paper
-DROPPED = 50  # points that the paper drops at each end
-# windows sorted at a time: their copies stay in the cache
+WIDTH = 51
+"""Points of the running median [samples]. Source: the paper."""
+DROPPED = 50
+"""Points that are dropped at each end of a smoothed curve [samples]. Source: the paper."""
 _CHUNK = 1024
+"""Windows sorted at a time [1]. Chosen: their copies stay in the cache; another value costs time and does not change
+the result."""
 
 
 def speeds(
@@ -431,9 +444,11 @@ def running_median(value: Array, width: int) -> Array:
     return out
 
 
-_POINTS = 160  # points of the rough speeds of a run
-# share of a run from which on a rotor window is divided like the run
+_POINTS = 160
+"""Points of the rough speeds of a run [1]. Chosen: fewer blur the motion, more are noisy."""
 _LONG_WINDOW = 0.5
+"""Share of a run from which on a rotor window is divided like the run [1]. Chosen: a smaller value divides windows in
+which the speed is nearly constant, a larger one averages a changing speed."""
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:

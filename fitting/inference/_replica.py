@@ -32,11 +32,20 @@ from fitting.inference._sampled import predicted_samples
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-_GAUSS = 3  # nodes of the Gauss rule in a cell: exact to degree 5
-# iterations of a law of an angle that changes its own argument; the response is small compared with a radian
+_GAUSS = 3
+"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
+time."""
 _PASSES = 8
-# cells of a random torque: per correlation time at least, and in all
-_CELLS_PER_TIME, _FEWEST_CELLS, _MOST_CELLS = 5, 400, 40_000
+"""Iterations of a law of an angle that changes its own argument [1]. Chosen: the response is small compared with a
+radian; fewer leave an error, more cost time."""
+_CELLS_PER_TIME = 5
+"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer make it a sequence of steps, more
+cost time."""
+_FEWEST_CELLS = 400
+"""Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""
+_MOST_CELLS = 40_000
+"""Largest number of cells of a random torque [1]. Chosen: a limit of memory; fewer blur short correlation times, more
+cost memory."""
 
 
 def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:

@@ -75,11 +75,14 @@ VERDICT_TEXT = {
 }
 
 
-# lines of a repr
 _SCREEN = 20
-# points of a drawn curve
+"""Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
 _POINTS = 600
-_ROTOR, _CASING = 0, 1
+"""Points of a drawn curve [1]. Chosen: fewer show corners, more make larger files."""
+_ROTOR = 0
+"""Number of the rotor in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
+_CASING = 1
+"""Number of the casing in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
@@ -331,9 +334,10 @@ def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
     ]
 
 
-# turns of the casing from which on a harmonic of its angle is not a slow torque: constant torques have up to 6 standard
-# deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise within six
 _FEWEST_TURNS = 5.0
+"""Turns of the casing from which on a harmonic of its angle is not a slow torque [1]. Measured: constant torques have
+up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise within six; the
+recordings are not stated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -915,8 +919,9 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
     )
 
 
-# factor of the variance from which on the residuals of a driven body are not those of white noise
 _INEXACT = 1.5
+"""Factor of the variance from which on the residuals of a driven body are not those of white noise [1]. Chosen: a
+smaller value enlarges uncertainties by chance, a larger one understates them."""
 
 
 def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], covariance: Array) -> Array:

@@ -17,7 +17,8 @@ from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
-_CASING = 1  # place of the casing in a state
+_CASING = 1
+"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 
 
 class Solved(Protocol):

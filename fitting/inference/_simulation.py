@@ -23,48 +23,56 @@ from fitting.inference._record import Record, Samples
 
 Array = NDArray[np.float64]
 
-# intervals per turn that a law of the casing's angle needs at least
 _PER_TURN = 0.5
-# a mesh for a boundary layer at the start: its first interval over the duration, and its number of intervals
-_FIRST_INTERVAL, _GRADED = 1e-6, 60
-_NOISE_STEP = 0.02  # step of a simulated random torque [s]; its correlation time is 1 s by default
+"""Turns per interval of the mesh at most, for a law of the casing's angle [1]. Chosen: a larger value does not resolve
+a turn, a smaller one costs time."""
+_FIRST_INTERVAL = 1e-6
+"""First interval of a mesh for a boundary layer at the start, over the duration [1]. Chosen: a larger value does not
+resolve fast transients, a smaller one costs intervals."""
+_GRADED = 60
+"""Intervals of a mesh for a boundary layer at the start [1]. Chosen: fewer grow too fast, more cost time."""
+_NOISE_STEP = 0.02
+"""Step of a simulated random torque [s]. Chosen: short compared with its default correlation time of 1 s; a larger
+value makes it a sequence of steps, a smaller one costs time."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """How a run is filmed.
-
-    Attributes
-    ----------
-    omega_rotor, omega_casing : float
-        Speeds at the start [rad/s].
-    duration : float
-        Length of the casing's recording [s].
-    casing_fps, rotor_fps : float
-        Frame rates.
-    windows : tuple of float
-        Starts of the rotor clips [s].
-    window_length : float
-        Their length [s].
-    sigma : float
-        Noise of each angle [rad].
-    torque_noise, torque_time : float
-        Rms [N m] on the casing and in the bearing, and correlation time [s], of a random torque.
-    centre_offset : float
-        Once-a-turn error of the casing's angle [rad].
-    """
+    """How a run is filmed."""
 
     omega_rotor: float = 900.0
+    """Speed of the rotor at the start [rad/s]. Chosen: a fast rotor at the scale of the paper; a smaller value leaves
+    less energy for the casing, a larger one needs a faster camera."""
     omega_casing: float = 5.0
+    """Speed of the casing at the start [rad/s]. Chosen: the casing has just been released; a smaller value starts near
+    rest, a larger one shows less of the acceleration."""
     duration: float = 200.0
+    """Length of the casing's recording [s]. Chosen: both bodies slow down in it; a shorter one determines the laws less
+    precisely, a longer one adds a body at rest."""
     casing_fps: float = 260.0
+    """Frame rate of the casing's camera [s-1]. Chosen: a casing of up to 160 rad/s turns by a tenth of a turn per
+    frame; a smaller value aliases fast bodies, a larger one needs more light."""
     rotor_fps: float = 1000.0
+    """Frame rate of the rotor's camera [s-1]. Chosen: a rotor of 900 rad/s turns by a seventh of a turn per frame; a
+    smaller value aliases fast bodies, a larger one needs more light."""
     windows: tuple[float, ...] = field(default=(5.0, 70.0, 150.0))
+    """Starts of the rotor clips [s]. Chosen: at the start, in the middle and near the end of the run; fewer determine
+    the rotor's drag poorly, more need more films."""
     window_length: float = 3.0
+    """Length of each rotor clip [s]. Chosen: a shorter one determines the speed less precisely, a longer one makes
+    larger films."""
     sigma: float = 1e-3
+    """Noise of each angle [rad]. Chosen: the order of tracked films; a smaller value shows smaller effects than films
+    do, a larger one hides them."""
     torque_noise: float = 0.0
+    """Rms random torque on the casing and in the bearing [N m]. Chosen: none by default; a larger value raises
+    detection limits."""
     torque_time: float = 1.0
+    """Correlation time of the random torque [s]. Chosen: a shorter one is white noise for the blocks, a longer one a
+    trend."""
     centre_offset: float = 0.0
+    """Once-a-turn error of the casing's angle [rad]. Chosen: none by default; a larger value tests the nuisance
+    functions."""
 
     def __post_init__(self) -> None:
         require("windows", self.windows, FINITE.several)

@@ -34,20 +34,32 @@ from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_in
 
 Array = NDArray[np.float64]
 
-_FEWEST_PERIODS = 10  # periods of a line in a record: fewer are a slow torque
-# trial frequencies per peak, and of the finer search about the highest one
+_FEWEST_PERIODS = 10
+"""Periods of a line in a record [1]. Chosen: fewer are a slow torque; a larger value leaves slow lines in the process
+noise."""
 _PER_PEAK = 2
-_FINER = 16  # trial frequencies of the finer search about the highest peak
-# highest frequency: radians per row
+"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer pass over peaks, more
+cost time; the finer search follows."""
+_FINER = 16
+"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer lose height of the
+peak, more cost time."""
 _FASTEST = 2.5
-_MOST = 4  # lines of a record at most
-# share of its rows that a line must have orthogonal to the polynomials
+"""Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
+smaller one overlooks fast lines."""
+_MOST = 4
+"""Lines of a record at most [1]. Chosen: fewer leave lines in the process noise, more take a broad spectrum apart."""
 _RETAINED = 0.05
-_TINY = 1e-6  # determinant of cosine and sine below which phases are not determined
-# relative singular value of a direction that is rounding
+"""Share of its rows that a line must have orthogonal to the polynomials [1]. Chosen: a smaller value finds lines in the
+motion, a larger one overlooks slow lines."""
+_TINY = 1e-6
+"""Determinant of cosine and sine, over the product of their squares, below which phases are not determined [1]. Chosen:
+a smaller value inverts rounding, a larger one drops lines in short stretches."""
 _ROUNDING = 1e-7
-# shares of the most likely process noise without a line, which is an upper bound
+"""Relative singular value of a direction that is rounding [1]. Chosen: a smaller value projects out rounding, a larger
+one leaves a part of the nuisance columns."""
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
+"""Trial levels over the most likely process noise without a line [1]. Chosen: that noise is an upper bound; fewer
+understate the deviance, more cost time."""
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:

@@ -25,7 +25,10 @@ from fitting.inference._problem import Problem
 
 Array = NDArray[np.float64]
 
-ROTOR, CASING = 0, 1
+ROTOR = 0
+"""Number of the rotor in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
+CASING = 1
+"""Number of the casing in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
 
 
 class Fitted(Protocol):
@@ -57,9 +60,13 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
 
 
 _PARTS = {"casing": 2, "rotor": 5}
-# parts of a period of an oscillation: errors of its amplitude and of its phase are both seen
+"""Parts of a block over which a residual speed is averaged, by body [1]. Chosen: fewer blur residuals, more are noisy;
+a window of the rotor is one block."""
 _PERIOD_PARTS = 8
-_POINTS = 40  # points of the mean over a block
+"""Parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its amplitude and
+of its phase are both visible; fewer hide the latter, more are noisy."""
+_POINTS = 40
+"""Points of the mean over a block [1]. Chosen: fewer make the mean coarse, more cost time."""
 
 
 @dataclass(frozen=True, repr=False)

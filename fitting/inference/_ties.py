@@ -20,8 +20,9 @@ from fitting.effects._expression import Expr, Tape, derivative, nodes, parse, su
 Array = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
-# nodes of an expression, beyond which it grows by substitution in a circle
 _LARGEST = 5000
+"""Nodes of an expression, beyond which it grows by substitution in a circle [1]. Chosen: a smaller value refuses long
+expressions, a larger one delays the message about a circle."""
 
 
 def find_key(name: str, keys: Iterable[str]) -> str:

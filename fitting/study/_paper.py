@@ -22,9 +22,12 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _POINTS = 2000
+"""Points of the generated rotor curve [1]. Chosen: a smooth curve needs few; fewer blur its start, more cost time."""
 _STEPS = 400
-# weight of the slopes of the windows relative to their speeds
+"""Steps of the integration of the rotor curve [1]. Chosen: fewer are inaccurate, more cost time."""
 _SLOPES = 0.01
+"""Weight of the slopes of the windows relative to their speeds [1]. Chosen: a smaller value lets the curve oscillate
+between windows, a larger one follows the noise of the slopes."""
 
 
 def with_generated_rotor(record: Record) -> Record:

@@ -38,21 +38,42 @@ from fitting.dynamics._model import Model
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# fewest runs of a population, and on each side of a step
-FEWEST_RUNS, FEWEST = 8, 3
-# probability of any false change, and of any false outlying run, in a set of runs
-LEVEL, OUTLYING = 0.01, 0.01
-# simulated sets for the null distribution of the largest step, and numbers simulated at a time
-_SETS, _AT_A_TIME = 20000, 2**21
-# runs on each side over which a first estimate is a median; rounds of leaving out; share left out at most
-_NEIGHBOURS, _ROUNDS, _MOST_OUT = 7, 8, 0.2
-# difference of BIC from which one of drift and step is preferred (R. E. Kass, A. E. Raftery, JASA 90, 773 (1995))
+FEWEST_RUNS = 8
+"""Fewest runs of a population [runs]. Chosen: fewer do not determine a spread, more refuse short studies."""
+FEWEST = 3
+"""Fewest runs on each side of a step [runs]. Chosen: fewer take an outlying run for a step, more overlook steps near
+the ends."""
+LEVEL = 0.01
+"""Probability of any false change in a set of runs [1]. Chosen: a larger value reports more false changes, a smaller
+one overlooks changes."""
+OUTLYING = 0.01
+"""Probability of any false outlying run in a set of runs [1]. Chosen: a larger value leaves out regular runs, a smaller
+one keeps outlying ones."""
+_SETS = 20000
+"""Simulated sets for the null distribution of the largest step [1]. Chosen: fewer make small p-values coarse, more cost
+time."""
+_AT_A_TIME = 2**21
+"""Numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
+result."""
+_NEIGHBOURS = 7
+"""Runs on each side over which a first estimate is a median [runs]. Chosen: fewer follow outlying runs, more blur a
+drift."""
+_ROUNDS = 8
+"""Rounds of leaving out outlying runs at most [1]. Chosen: fewer stop before the set is stable, more delay the end."""
+_MOST_OUT = 0.2
+"""Share of the runs that are left out at most [1]. Chosen: a larger value takes a second population for outlying runs,
+a smaller one keeps outlying ones."""
 _PREFERRED = 2.0
-# variance of a parameter that a run does not determine, over that of the others
+"""Difference of BIC from which one of drift and step is preferred [1]. Source: R. E. Kass, A. E. Raftery, JASA 90, 773
+(1995)."""
 _UNKNOWN = 1e10
-# share of the runs that must determine a parameter
+"""Variance of a parameter that a run does not determine, over that of the others [1]. Derived: large enough to have no
+weight, small enough for the rounding of the inverse."""
 _LEAST_SHARE = 0.8
+"""Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
+one drops parameters for single runs."""
 _SHOWN = 12
+"""Outlying runs in a sentence [1]. Chosen: fewer hide runs, more make the sentence unreadable."""
 
 
 @dataclass(frozen=True)
@@ -530,8 +551,9 @@ def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
     return min(simulated, bound) if beyond == 0 else simulated
 
 
-# simulated sets with a larger step after which the probability is known well enough
 _ENOUGH = 400
+"""Simulated sets with a larger step after which the probability is known well enough [1]. Derived: its relative
+standard error is 1 / sqrt(400), 5 %."""
 
 
 def _holm(p: Array) -> Array:

@@ -85,7 +85,6 @@ def shade(r2: float) -> str:
     return next((name for least, name in _SHADES if r2 >= least), "dark gray")
 
 
-# relative half width of the range of each parameter; all others keep their declared bounds
 WIDTHS = {
     "rotor.air.quadratic.a2": 0.2,
     "casing.air.linear.b2": 0.2,
@@ -93,6 +92,8 @@ WIDTHS = {
     "bearing.linear.d": 0.5,
     "bearing.power.f": 0.5,
 }
+"""Relative half width of the range of each parameter; all others keep their declared bounds [1]. Source: bounds that
+the paper prints."""
 
 
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
@@ -112,8 +113,12 @@ def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str
     return ranges
 
 
-# relative changes: parameters that the paper calls robust change by a few percent, unstable ones by half or more
-_ROBUST, _UNSTABLE = 0.1, 0.5
+_ROBUST = 0.1
+"""Relative change below which a parameter is robust [1]. Source: parameters that the paper calls robust change by a few
+per cent."""
+_UNSTABLE = 0.5
+"""Relative change from which on a parameter is unstable [1]. Source: parameters that the paper calls unstable change by
+half or more."""
 
 
 @dataclass(frozen=True)
@@ -244,8 +249,9 @@ def _prediction_error(body: BodyMetrics) -> float:
     return math.sqrt(body.reduced_chi2)
 
 
-# difference of deviances with which no parameter changes significantly
 _SAME_MINIMUM = 0.1
+"""Difference of deviances with which no parameter changes significantly [1]. Chosen: a third of a standard error; a
+smaller value repeats fits, a larger one accepts a wrong minimum."""
 
 Progress = Callable[[int, int | None], None]
 

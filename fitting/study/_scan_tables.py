@@ -19,8 +19,8 @@ from fitting.inference._result import Fit
 from fitting.study._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits, Robustness, Row, Scan, shade
 from fitting.study._serialisation import fit_document
 
-# value below which the paper prints "about 0"
 NEARLY_ZERO = 1e-4
+"""Value, in units of the header, below which a parameter is printed as about 0 [1]. Source: the tables of the paper."""
 
 
 def three_digits(x: float) -> str:
@@ -58,7 +58,11 @@ LEGEND = (
     "dBIC: against the best run of the table",
 )
 _WIDTH = 8
+"""Width of a column [characters]. Chosen: four digits, sign and mark fit; a smaller value joins columns, a larger one
+widens the table."""
 _SMALLEST_SHARE = 1e-4
+"""Smallest share that is printed as a number [1]. Chosen: a smaller value prints digits without meaning, a larger one
+hides small shares."""
 
 
 def scan_lines(scan: Scan) -> list[str]:

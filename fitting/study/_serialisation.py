@@ -100,11 +100,14 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-# number of candidates whose fits are stored, best first; a report draws fewer
+"""Points of a stored curve [1]. Chosen: fewer show corners, more make larger files."""
 _FITS = 4
+"""Candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; more make larger files, fewer lack
+curves."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
-# trial values of a shape constant over the fitted one
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Trial values of a shape constant over the fitted one [1]. Chosen: fewer start far from the optimum of other data,
+more cost time."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 

@@ -199,6 +199,9 @@ def config_command(
     tracking: Annotated[
         bool, option("--tracking", "Show the numbers by which films are tracked instead.")
     ] = False,
+    fitting: Annotated[
+        bool, option("--fitting", "Show the numbers by which fits and diagnoses decide instead.")
+    ] = False,
     as_json: shared.Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
@@ -208,7 +211,8 @@ def config_command(
     addresses, ports, certificates, --force or paths outside of the folder.
 
     --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: derived,
-    measured, a source, or chosen. They are part of the program; no file changes them.
+    measured, a source, or chosen. --fitting shows those of fits, noise estimates, searches and verdicts. They are part
+    of the program; no file changes them.
 
     Example: gyrotrack config extract
     """
@@ -216,14 +220,17 @@ def config_command(
     from gyrotrack.apps.cli._settings import options_of
 
     out = Output(as_json=as_json)
-    if tracking:
+    if tracking or fitting:
         if name is not None or everything:
-            raise UsageError("--tracking shows no options of commands.", "Omit the command and --all.")
+            kind = "--tracking" if tracking else "--fitting"
+            raise UsageError(f"{kind} shows no options of commands.", "Omit the command and --all.")
+        from fitting._settings import fitting_settings
         from gyrotrack._tracking_settings import tracking_settings
 
-        numbers = tracking_settings()
-        out.result({"tracking": numbers.to_json()})
-        out.show(str(numbers))
+        numbers = {"tracking": tracking_settings()} if tracking else {}
+        numbers |= {"fitting": fitting_settings()} if fitting else {}
+        out.result({of: s.to_json() for of, s in numbers.items()})
+        out.show("\n\n".join(map(str, numbers.values())))
         return
     chosen = [e for e in COMMANDS if name in {None, e.name}]
     if not chosen:

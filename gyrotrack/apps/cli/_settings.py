@@ -50,11 +50,11 @@ NONE = "none"  # file name that disables settings
 # options that a file found in the working folder may set: they affect computation and display only
 _COMPUTE = (
     "add all appendix beyond_library body body_name bound capture_fps casing casing_fps centre centre_offset "
-    "clock_rate colour column cut data drop dry_run duration fix format friction from hide hold_out hub improve "
-    "inertia inertia_casing inertia_rotor joint json keep_all label law likelihood links loss marker model "
-    "omega_casing omega_rotor per_case point profile pulses_per_turn quiet recordings resume rotor rotor_fps "
-    "rotor_start scale seed set share sigma size speed_scale start_u strength surface table tilt timeout times to "
-    "torque_noise torque_time tracking until verbose verify window window_length"
+    "clock_rate colour column cut data drop dry_run duration fitting fix format friction from hide hold_out "
+    "hub improve inertia inertia_casing inertia_rotor joint json keep_all label law likelihood links loss "
+    "marker model omega_casing omega_rotor per_case point profile pulses_per_turn quiet recordings resume "
+    "rotor rotor_fps rotor_start scale seed set share sigma size speed_scale start_u strength surface table "
+    "tilt timeout times to torque_noise torque_time tracking until verbose verify window window_length"
 )
 # options whose values are files to read or to write; a found file may set them to files in its own folder
 _PATHS = (
