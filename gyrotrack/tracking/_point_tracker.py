@@ -145,13 +145,13 @@ _TURNED = 0.3
 """Rotation by which the residual of a patch increases if it shows its orientation [rad]. Chosen: a smaller value lies
 within the noise, a larger one among the parts of a periodic patch."""
 _TURN_STARTS = 5
-"""Initial values of a rotation on each side, where the residual is unusual [1]. Chosen: fewer lose a fast rotation, more
-cost time."""
+"""Initial angles of a rotation on each side, where the residual is unusual [1]. Chosen: fewer lose a fast rotation,
+more cost time."""
 _TURN_STEP = 1.5
-"""Distance of the initial values at the edge of the patch [px]. Chosen: the width of an edge; a larger one misses the
+"""Distance of these angles, times the radius of the patch [px]. Chosen: the width of an edge; a larger one misses the
 minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Residual over its running mean from which other initial values are tried [1]. Chosen: a smaller value costs time, a
+"""Residual over its running mean from which these angles are tried [1]. Chosen: a smaller value costs time, a
 larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
