@@ -56,7 +56,6 @@ from gyrotrack.tracking._orbit import (
     mixture,
 )
 from gyrotrack.tracking._profile import Profile
-from gyrotrack.tracking._ring_view import WHOLE_TURN
 from gyrotrack.tracking._scene import Marker, Scene
 from gyrotrack.tracking._template_zeros import TemplateZeros, scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
@@ -714,7 +713,7 @@ def _followed(
         texture, flat = _best_ring(seen.bodies[name]), flattening[name]
         if texture is None:
             continue
-        by_place = error_of_ring(texture, net_turn(body.angle), usual_error_by_place(views[name]))
+        by_place = error_of_ring(texture, usual_error_by_place(views[name]))
         others = [b.angle for n, b in bodies.items() if n != name]
         bodies[name] = by_texture(
             body,
@@ -862,7 +861,11 @@ def by_texture(
         coarse,
         {"texture": Candidate(mount=0.0, **columns)},
         fps,
-        floor=max(median_of(texture.slow[good]), usual),
+        # views differ from batch to batch, and those with large errors count
+        floor=max(
+            float(np.sqrt(np.mean(texture.slow[good] ** 2))) if own.any() else median_of(texture.slow[good]),
+            usual,
+        ),
         axis=np.nan_to_num(of_view) * math.sqrt(variance_left(coarse, VIEW_ORDERS)),
         time_base=time_base,
     )
@@ -901,14 +904,17 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
     for moments, error in ((texture.first, np.hypot(centre, CENTRE_ERROR)), (texture.second, flattening)):
         usual = moments[learnt].mean(axis=0) if learnt.any() else np.zeros(2)
         squares += (error * np.hypot(*(moments - usual).T)) ** 2
-    squares[texture.own_view > 0.0] = 0.0  # their error is part of `slow`
-    return math.hypot(math.sqrt(float(np.nanmax(squares))), LEAST_PERIODIC if learnt.any() else 0.0)
+    squares = squares[np.isfinite(texture.angle) & ~(texture.own_view > 0.0)]  # own views: part of `slow`
+    return math.hypot(
+        math.sqrt(float(np.nanmax(squares, initial=0.0))), LEAST_PERIODIC if learnt.any() else 0.0
+    )
 
 
-def error_of_ring(ring: TextureObservations, turned: float, usual: float) -> float:
-    """Return the error by place of a ring [px] of a body that has turned by an angle [rad]; `usual` [px] if unknown."""
-    lit = abs(turned) > WHOLE_TURN * 2.0 * np.pi
-    return RING_ERROR if lit and bool((ring.own_view > 0.0).any()) else usual
+def error_of_ring(ring: TextureObservations, usual: float) -> float:
+    """Return the error by place of a ring [px]: `RING_ERROR` about its own view, `usual` [px] about another one."""
+    known = np.isfinite(ring.angle)
+    own = known & (ring.own_view > 0.0)
+    return RING_ERROR if own.sum() > _ALMOST_ALL * known.sum() else usual
 
 
 def _best_ring(body: BodyObservations) -> TextureObservations | None:

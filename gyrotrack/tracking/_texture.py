@@ -33,7 +33,6 @@ from numpy.polynomial.legendre import legvander
 from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import spread_out
 from gyrotrack.tracking._ring_view import (
-    LEAST_ARC,
     WHOLE_TURN,
     View,
     ViewResponse,
@@ -142,7 +141,7 @@ class TextureObservations:
     # information about the angle, as (real, imaginary): response to a displaced centre, and to an oblique view
     first: Floats
     second: Floats
-    # shape (n,); 1 where centre and flattening are those that the ring itself shows, else 0
+    # shape (n,); number of the batch, from 1, where centre and flattening are those that the ring itself shows, else 0
     own_view: Floats
 
     @classmethod
@@ -191,9 +190,10 @@ class TextureObservations:
         """
         off = centre - self.centre
         own = self.own_view > 0.0
-        for number in np.unique(self.template[own]):  # the mean place of a centre that moves is known
-            some = own & (self.template == number)
-            off[some] -= np.nanmean(off[some], axis=0)
+        placed = own & np.isfinite(off).all(axis=1)
+        for key in np.unique(np.stack([self.template, self.own_view], axis=1)[placed], axis=0):
+            some = placed & (self.template == key[0]) & (self.own_view == key[1])
+            off[some] -= off[some].mean(axis=0)  # the view contains the mean place of a centre that moves
         z = off[:, 0] - 1j * off[:, 1]
         turn = np.exp(-1j * self.angle)
         m1, m2 = (m[:, 0] + 1j * m[:, 1] for m in (self.first, self.second))
@@ -239,7 +239,8 @@ class _Zones:
         """Return the zones with weights by their angles and their rotations, both (ZONES, n) [rad]."""
         share, sigma = zone_weights(angle, self.first)
         apart = _zone_variances(_means(turned))
-        slow = math.sqrt(float(share**2 @ np.where(share > 0, apart, 0.0)))
+        apart = np.where(np.isfinite(apart), apart, np.max(apart[np.isfinite(apart)], initial=0.0))
+        slow = math.sqrt(float(share**2 @ apart))
         return replace(self, share=share, sigma=sigma, slow=slow)
 
     def mean(self, turned: Floats) -> tuple[Floats, Floats]:
@@ -348,7 +349,8 @@ class TextureTracker:
         self._used = False
         self._zero = self._own_zero = 0.0
         self._last: _Zones | None = None
-        self._own: _OwnView | None = None
+        self._own: _OwnView | None = None  # of the last slow batch
+        self._slow, self._batch = False, 0
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_strips": self._strips if self._used else self._strips.shape}
@@ -387,19 +389,20 @@ class TextureTracker:
             zones, turned, misfit = learn_zones(strips, rough, self._radius)
             self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
             self._last = zones
-        else:  # the last frames of a part of the film
+        else:  # too few frames to learn from, as the last ones of a part of the film
             zones = self._last
             turned, misfit = zones.fit(strips)
         seen.set(use, zones, rough + self._zero, turned, misfit)
-        if learning and np.ptp(rough) > MANY_TURNS * TURN:
-            self._own = None
-        elif learning or self._own is not None:
+        self._batch += 1
+        if learning:
+            self._slow = bool(np.ptp(rough) <= MANY_TURNS * TURN)
+        if self._slow:
             own, rough, turned, misfit = self._align(use, rough, None if learning else self._own)
             if learning:
                 self._own_zero += own.zones.ahead_of(self._own.zones) if self._own is not None else 0.0
                 self._own = own
             aligned.set(use, own.zones, rough + self._own_zero, turned, misfit)
-            aligned.own_view[use] = float(own.known)
+            aligned.own_view[use] = float(self._batch) if own.known else 0.0
             aligned.slow[use] = np.hypot(aligned.slow[use], own.error)
         return seen, aligned
 
@@ -412,8 +415,9 @@ class TextureTracker:
         Returns the view, the last rough angles, and what `_OwnView.fit` returns.
         """
         for _ in range(_ALIGNMENTS):
-            rough = angle
-            strips = self._turned(use, (rough - self._angle[use]) / STEP)
+            ahead = np.rint((angle - self._angle[use]) / STEP * FINENESS) / FINENESS
+            rough = self._angle[use] + ahead * STEP
+            strips = self._turned(use, ahead)
             own = learnt or _OwnView.learn(strips, rough, self._radius)
             turned, misfit = own.fit(strips, rough)
             angle = rough + np.nan_to_num(own.zones.mean(turned)[0])
@@ -440,7 +444,6 @@ class _OwnView:
     response: ViewResponse
     light: Singles | None  # what is static in the image; None where it is not distinguishable from the body
     view: View
-    known: bool  # whether the arc determines the view
 
     @classmethod
     def learn(cls, strips: Singles, angle: Floats, radius: Floats) -> _OwnView:
@@ -451,9 +454,8 @@ class _OwnView:
         zones = _templates(lit, radius)
         response = ViewResponse.of(zones.picture, zones.basis, zones.weight, radius)
         turned, _ = zones.fit(lit)
-        known = arc > LEAST_ARC
         view = View(np.zeros(4), np.zeros((4, 4)))
-        if known:
+        if light is not None:
             left = [
                 _fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
                 for z, seen in enumerate(_by_zone(lit))
@@ -461,7 +463,12 @@ class _OwnView:
             view = View.of(response, left, zones.weight, angle, np.isfinite(turned), TOGETHER)
             turned = turned - response.seen(view.value, angle)
         zones = replace(zones, first=response.first, second=response.second)
-        return cls(zones.weighted(angle + turned, turned), response, light, view, known)
+        return cls(zones.weighted(angle + turned, turned), response, light, view)
+
+    @property
+    def known(self) -> bool:
+        """Whether the arc determines view and light."""
+        return self.light is not None
 
     def fit(self, strips: Singles, angle: Floats) -> tuple[Floats, Floats]:
         """Return the rotation [rad] and the relative misfit of each zone at the angles [rad], both (ZONES, n)."""
@@ -561,12 +568,14 @@ def _zone_variances(turned: Floats) -> Floats:
             if known[i] and known[j]:
                 off = turned[i] - turned[j]
                 apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)) ** 2, 1e-14)
+    if (
+        known.sum() > 1
+    ):  # a zone with adjacent ones only: of independent errors, the difference is an upper limit
+        for k in np.flatnonzero(known & ~np.isfinite(apart).any(axis=1)):
+            others = turned[k] - turned[known & (np.arange(count) != k)]
+            limit = min(spread(off - np.nanmedian(off)) for off in others)
+            apart[k, k] = 2.0 * max(limit**2, 1e-14)
     pairs = np.isfinite(apart)
-    if known.sum() == LEAST_ZONES:  # an upper limit of both
-        off = np.subtract(*turned[known])
-        return np.where(known, spread(off - np.nanmedian(off)) ** 2, np.inf)
-    if not pairs.any():
-        return np.full(count, np.inf)
     variance = np.where(pairs.any(axis=1), 0.5 * np.nanmin(np.where(pairs, apart, np.inf), axis=1), np.inf)
     for _ in range(100):
         for k in np.flatnonzero(pairs.any(axis=1)):

@@ -193,7 +193,7 @@ class TestWeights:
         assert (weights >= 0.0).all()
         assert weights.sum() == pytest.approx(1.0)
 
-    def test_two_zones_are_too_few(self):
+    def test_one_zone_is_too_few(self):
         weights, uncertainty = zone_weights(np.zeros((1, 500)), np.zeros(1, dtype=complex))
         assert not weights.any()
         assert np.isnan(uncertainty)
@@ -257,6 +257,12 @@ class TestTwoZones:
         found = texture._zone_variances(turned)
         assert found[5:7] == pytest.approx([25e-6, 25e-6], rel=0.1)
         assert np.isinf(np.delete(found, [5, 6])).all()
+
+    def test_three_adjacent_zones_have_finite_errors(self):
+        turned = np.full((texture.ZONES, 2000), np.nan)
+        turned[3:6] = 1e-3 * np.random.default_rng(4).standard_normal((3, 2000))
+        found = texture._zone_variances(turned)
+        assert found[3:6] == pytest.approx([1e-6, 2e-6, 1e-6], rel=0.3)
 
     def test_they_have_weights(self):
         rng = np.random.default_rng(3)
