@@ -33,6 +33,7 @@ from numpy.polynomial.legendre import legvander
 from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import spread_out
 from gyrotrack.tracking._ring_view import (
+    LEAST_ARC,
     WHOLE_TURN,
     View,
     ViewResponse,
@@ -444,6 +445,7 @@ class _OwnView:
     response: ViewResponse
     light: Singles | None  # what is static in the image; None where it is not distinguishable from the body
     view: View
+    known: bool  # whether the arc determines the view
 
     @classmethod
     def learn(cls, strips: Singles, angle: Floats, radius: Floats) -> _OwnView:
@@ -454,8 +456,9 @@ class _OwnView:
         zones = _templates(lit, radius)
         response = ViewResponse.of(zones.picture, zones.basis, zones.weight, radius)
         turned, _ = zones.fit(lit)
-        view = View(np.zeros(4), np.zeros((4, 4)))
-        if light is not None:
+        known = arc > LEAST_ARC
+        view = View(np.zeros(6), np.zeros((6, 6)))
+        if known:
             left = [
                 _fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
                 for z, seen in enumerate(_by_zone(lit))
@@ -463,12 +466,7 @@ class _OwnView:
             view = View.of(response, left, zones.weight, angle, np.isfinite(turned), TOGETHER)
             turned = turned - response.seen(view.value, angle)
         zones = replace(zones, first=response.first, second=response.second)
-        return cls(zones.weighted(angle + turned, turned), response, light, view)
-
-    @property
-    def known(self) -> bool:
-        """Whether the arc determines view and light."""
-        return self.light is not None
+        return cls(zones.weighted(angle + turned, turned), response, light, view, known)
 
     def fit(self, strips: Singles, angle: Floats) -> tuple[Floats, Floats]:
         """Return the rotation [rad] and the relative misfit of each zone at the angles [rad], both (ZONES, n)."""
@@ -479,8 +477,7 @@ class _OwnView:
     @property
     def error(self) -> float:
         """Standard uncertainty of the angles by that of the view [rad]."""
-        first, second = (complex(self.zones.share @ m) for m in (self.zones.first, self.zones.second))
-        return self.view.error(first, second)
+        return self.view.error(self.zones.share @ self.response.rotation)
 
 
 def zone_weights(angle: Floats, first: Complexes) -> tuple[Floats, float]:
