@@ -8,6 +8,7 @@ from gyrotrack.tracking import _texture as texture
 from gyrotrack.tracking._body_angles import (
     _ALMOST_ALL,
     LEAST_PERIODIC,
+    LEVEL,
     RING_ERROR,
     _best_ring,
     error_of_ring,
@@ -308,14 +309,19 @@ class TestBestRing:
 
     def test_a_body_that_is_always_slow_has_its_own_view(self):
         body = self.rings(_ALMOST_ALL + 0.01)
-        assert _best_ring(body) is body.aligned
+        assert _best_ring(body, 0.0) is body.aligned
 
     def test_a_body_that_is_sometimes_fast_has_that_of_the_markers(self):
         body = self.rings(_ALMOST_ALL - 0.01)
-        assert _best_ring(body) is body.texture
+        assert _best_ring(body, 0.0) is body.texture
+
+    @pytest.mark.parametrize(("share", "own"), [(0.9, True), (1.1, False)])
+    def test_an_oblique_view_is_that_of_the_markers(self, share, own):
+        body = self.rings(1.0)
+        assert _best_ring(body, share * LEVEL) is (body.aligned if own else body.texture)
 
     def test_a_body_without_a_ring_has_none(self):
-        assert _best_ring(BodyObservations(np.zeros(3), {})) is None
+        assert _best_ring(BodyObservations(np.zeros(3), {}), 0.0) is None
 
 
 class TestErrorOfARing:
