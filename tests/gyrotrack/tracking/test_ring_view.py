@@ -228,7 +228,7 @@ class TestSlowBody:
 
     @pytest.mark.parametrize("turns", [0.5, 0.8, 1.2])
     @pytest.mark.parametrize("across", [False, True])
-    def test_shading_is_no_rotation(self, turns, across):
+    def test_shading_does_not_turn_the_ring(self, turns, across):
         rng = np.random.default_rng(5)
         angle = np.linspace(0.0, turns * TURN, 100)
         x, y = np.meshgrid(np.arange(SIZE[0]) - HUB[0], HUB[1] - np.arange(SIZE[1]))
