@@ -714,7 +714,6 @@ def _followed(
         texture = _best_ring(seen.bodies[name], math.hypot(flat.p, flat.q))
         if texture is None:
             continue
-        by_place = error_of_ring(texture, usual_error_by_place(views[name]))
         others = [b.angle for n, b in bodies.items() if n != name]
         bodies[name] = by_texture(
             body,
@@ -723,7 +722,8 @@ def _followed(
             flat,
             seen.bodies[name].coarse,
             fps,
-            by_place / views[name].radius,
+            usual_error_by_place(views[name]),
+            views[name].radius,
             time_base,
             others,
         )
@@ -823,6 +823,7 @@ def by_texture(
     coarse: Floats,
     fps: float,
     usual: float,
+    radius: float,
     time_base: TimeBase | None = None,
     others: Sequence[Floats] = (),
 ) -> BodyAngles:
@@ -831,7 +832,8 @@ def by_texture(
     The zeros of the templates follow from the markers (`template_zeros`), which err beside those of `others`, bodies of
     the angles (n,) [rad]; of a body that turns a few times, they have one zero. Errors that repeat with the angle are
     learnt and the uncertainty is calibrated as for a marker (`join`). Errors by place that the zones share are at least
-    `usual` [rad] if they cannot be learnt: an encoder keeps a body at rest fixed in the picture, in all zones.
+    those of `error_of_ring`, with `usual` [px] and the mean `radius` of the markers [px], if they cannot be learnt: an
+    encoder keeps a body at rest fixed in the picture, in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     off = wrapped(body.angle - angle)
@@ -865,7 +867,7 @@ def by_texture(
         # views differ from batch to batch, and those with large errors count
         floor=max(
             float(np.sqrt(np.mean(texture.slow[good] ** 2))) if own.any() else median_of(texture.slow[good]),
-            usual,
+            error_of_ring(texture, usual) / radius,
         ),
         axis=np.nan_to_num(of_view) * math.sqrt(variance_left(coarse, VIEW_ORDERS)),
         time_base=time_base,

@@ -237,6 +237,9 @@ class SecondLink:
     path: PointPath
 
 
+_FEWEST_COMMON = 7
+"""Smallest number of frames with both points of a link [frames]. Derived: the white noise of an angle is estimated from
+more than three differences of order 2, six values."""
 _RIGID = 0.05
 """Largest relative scatter of the distance of two points of one rigid link [1]. Chosen: as `_links._RIGID`; a smaller
 value refuses views beside the axis, a larger one joins two bodies."""
@@ -285,7 +288,7 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OF
     `off` is the standard deviation of the displacement of the joint's point from its axis, per axis [px].
     """
     frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
-    if len(frame) < _FEWEST_ORBIT:
+    if len(frame) < _FEWEST_COMMON:
         raise TrackingError(
             f"Joint and second link of {name} are seen together in {len(frame)} frames only.",
             "Give more distinct points.",
@@ -587,8 +590,8 @@ def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
 
 
 _FEWEST_ORBIT = 6
-"""Smallest number of positions per quarter of an orbit, and of frames with both points of a link [1]. Chosen: fewer
-leave no redundancy, more refuse short films."""
+"""Smallest number of positions per quarter of an orbit [1]. Chosen: fewer leave no redundancy, more refuse short
+films."""
 _FLATTEST = 0.6
 """Largest stretch of an orbit, (a - b) / (a + b) [1]. Derived: a tilt of 75 degrees."""
 

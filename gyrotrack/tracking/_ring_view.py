@@ -72,15 +72,11 @@ def static_light(strips: Singles, angle: Floats) -> Singles:
     """
     turned = _columns(angle, strips.shape[2])
     light = np.zeros_like(strips[0])
-    for _ in range(
-        _ALTERNATIONS
-    ):  # a motion that is not uniform leaves a part of the light in the mean picture
-        body = np.mean(
-            [strip - np.roll(light, -k, axis=1) for strip, k in zip(strips, turned, strict=True)], axis=0
-        )
-        light = np.mean(
-            [np.roll(strip - body, k, axis=1) for strip, k in zip(strips, turned, strict=True)], axis=0
-        )
+    # a motion that is not uniform leaves a part of the light in the mean picture of the body
+    for _ in range(_ALTERNATIONS):
+        body = without_light(strips, light, angle).mean(axis=0)
+        moved = [np.roll(strip - body, k, axis=1) for strip, k in zip(strips, turned, strict=True)]
+        light = np.asarray(np.mean(moved, axis=0), dtype=np.float32)
         light -= light.mean(axis=1, keepdims=True)
     return np.asarray(light, dtype=np.float32)
 
@@ -121,13 +117,13 @@ class ViewResponse:
         body = picture.reshape(len(radius), -1)
         theta = np.arange(body.shape[1]) * TURN / body.shape[1]
         r = radius[:, None]
-        along = np.asarray(np.gradient(body, radius, axis=0))
-        outward = along - along.mean(axis=1, keepdims=True)
-        across = slope(body) / r
+        radial = np.asarray(np.gradient(body, radius, axis=0))
+        radial = radial - radial.mean(axis=1, keepdims=True)  # the static light contains the circular mean
+        tangential = slope(body) / r
         patterns = []
         for order, size in ((1, np.ones_like(r)), (2, r)):
             cos, sin = size * np.cos(order * theta), size * np.sin(order * theta)
-            patterns += [sin * across - cos * outward, -cos * across - sin * outward]
+            patterns += [sin * tangential - cos * radial, -cos * tangential - sin * radial]
         bright = body * r / radius[-1]
         patterns += [bright * np.cos(theta), bright * np.sin(theta)]
         change = np.stack(patterns, axis=-1).reshape(zones, samples, 6)
@@ -186,15 +182,15 @@ class View:
         covariance is that of the mean of the zones by their differences: what disturbs a zone, another body below it
         or a shadow, is correlated within it.
         """
-        turn = _turned(angle)
+        turn = _rotations(angle)
         zones = [z for z, used in enumerate(known) if used.any()]
         normal, right = np.zeros((len(zones), 6, 6)), np.zeros((len(zones), 6))
         for k, z in enumerate(zones):
             use = known[z]
             moved = turn[use] - turn[use].mean(axis=0)  # the template contains the mean
-            slope_of = (residuals[z][use] * weight[z]) @ response.change[z]
+            projected = (residuals[z][use] * weight[z]) @ response.change[z]
             normal[k] = np.einsum("tji,jk,tkl->il", moved, response.information[z], moved) / together
-            right[k] = np.einsum("tji,tj->i", moved, slope_of) / together
+            right[k] = np.einsum("tji,tj->i", moved, projected) / together
         prior = np.diag([DISPLACEMENT**-2] * 2 + [FLATTENING**-2] * 2 + [SHADING**-2] * 2)
         covariance = np.linalg.inv(normal.sum(axis=0) + prior)
         value = covariance @ right.sum(axis=0)
@@ -208,7 +204,7 @@ class View:
         return float(np.sqrt(0.5 * np.sum(rotation.reshape(3, 2) ** 2 @ np.ones(2) * squares)))
 
 
-def _turned(angle: Floats) -> Floats:
+def _rotations(angle: Floats) -> Floats:
     """Return the matrices that turn a view into coordinates of a body at the angles (n,) [rad], (n, 6, 6)."""
     found = np.zeros((len(angle), 6, 6))
     for at, order in ((0, 1), (2, 2), (4, 1)):

@@ -240,7 +240,8 @@ class _Zones:
         """Return the zones with weights by their angles and their rotations, both (ZONES, n) [rad]."""
         share, sigma = zone_weights(angle, self.first)
         apart = _zone_variances(_means(turned))
-        apart = np.where(np.isfinite(apart), apart, np.max(apart[np.isfinite(apart)], initial=0.0))
+        known = np.isfinite(apart)
+        apart = np.where(known, apart, np.max(apart[known]) if known.any() else sigma**2)
         slow = math.sqrt(float(share**2 @ apart))
         return replace(self, share=share, sigma=sigma, slow=slow)
 

@@ -11,6 +11,7 @@ from gyrotrack.tracking._body_angles import (
     BLOCK_ERROR,
     HEIGHT,
     LIGHT_ERROR,
+    RING_ERROR,
     about_rotor,
     axis_offset,
     by_texture,
@@ -21,7 +22,7 @@ from gyrotrack.tracking._body_angles import (
     usual_error_of_harmonic,
     view,
 )
-from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles
+from gyrotrack.tracking._fusion import FAST, BodyAngles, MarkerAngles
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath, Radii
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._orbit import Flattening
@@ -341,7 +342,7 @@ class TestTexture:
             np.tile(CENTRE, (n, 1)), np.tile([periodic, 0.0], (n, 1)), self.moments(n), 0.0 * column,
         )  # fmt: skip
         flat = Flattening({}, 0.0, 0.0)
-        return true, marker, by_texture(marker, texture, path(n, 0.0), flat, true, 250.0, 1e-5)
+        return true, marker, by_texture(marker, texture, path(n, 0.0), flat, true, 250.0, 1e-3, 100.0)
 
     def moments(self, n):
         """Moments of which those of each template differ."""
@@ -364,6 +365,50 @@ class TestTexture:
         assert found.periodic == pytest.approx(0.002 * CENTRE_ERROR)
         assert found.slow[0] > 0.0
 
+    def arc(self, *, own, slow=1e-4, first=0.0, second=0.0, flat=0.0, usual=RING_ERROR):
+        """Return the uncertainty of a body over an arc of 1.5 turns, by a ring about its own view or another one."""
+        n = 300
+        true = np.linspace(0.0, 3.0 * np.pi, n)
+        rng = np.random.default_rng(1)
+        marker = body(true + 4e-3 * rng.standard_normal(n), 4e-3)
+        column = np.ones(n)
+        ring = TextureObservations(
+            true - 0.3 + 2e-4 * rng.standard_normal(n), 2e-4 * column, slow * column, column,
+            np.tile(CENTRE, (n, 1)), np.tile([first, 0.0], (n, 1)), np.tile([second, 0.0], (n, 1)), own * column,
+        )  # fmt: skip
+        view = Flattening({}, 0.0, 0.0, error=flat)
+        return float(np.median(by_texture(marker, ring, path(n, 0.0), view, true, 250.0, usual, 200.0).sigma))
+
+    def test_the_error_of_its_own_view_is_not_counted_again(self):
+        alone = self.arc(own=0.0)
+        assert self.arc(own=1.0, first=4e-3, second=1.0, flat=1e-3) == pytest.approx(alone, rel=0.05)
+        assert self.arc(own=0.0, first=4e-3) > 2.0 * alone
+        assert self.arc(own=0.0, second=1.0, flat=1e-3) > 2.0 * alone
+
+    def test_views_with_large_errors_count(self):
+        few = np.where(np.arange(300) < 120, 3e-3, 1e-4)
+        assert self.arc(own=1.0, slow=few) > 2.5 * self.arc(own=1.0)
+
+    def test_its_own_view_has_the_error_of_a_ring(self):
+        assert self.arc(own=1.0, usual=0.6) == pytest.approx(self.arc(own=1.0), rel=0.01)
+        assert self.arc(own=0.0, usual=0.6) > 3.0 * self.arc(own=1.0)
+
+    @pytest.mark.parametrize(("rate", "learnt"), [(0.9, False), (1.1, True)])
+    def test_fast_frames_show_the_errors_once_per_turn(self, rate, learnt):
+        n = self.N
+        true = rate * FAST / 250.0 * np.arange(n)
+        rng = np.random.default_rng(2)
+        marker = body(true + 2e-3 * rng.standard_normal(n), 2e-3)
+        column = np.ones(n)
+        ring = TextureObservations(
+            true + 5e-4 * rng.standard_normal(n), 5e-4 * column, 5e-5 * column, column,
+            np.tile(CENTRE, (n, 1)), np.tile([2e-3, 0.0], (n, 1)), self.moments(n), 0.0 * column,
+        )  # fmt: skip
+        found = by_texture(marker, ring, path(n, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-3, 100.0)
+        assert found.periodic == pytest.approx(
+            module.LEAST_PERIODIC if learnt else 2e-3 * CENTRE_ERROR, rel=1e-3
+        )
+
     def test_frames_without_texture_keep_the_angle_of_the_markers(self):
         true, marker, _ = self.both(2e-3, 5e-4)
         column = np.ones(self.N)
@@ -372,6 +417,8 @@ class TestTexture:
             seen, 5e-4 * column, 5e-5 * column, column,
             np.tile(CENTRE, (self.N, 1)), np.zeros((self.N, 2)), np.zeros((self.N, 2)), 0.0 * column,
         )  # fmt: skip
-        found = by_texture(marker, texture, path(self.N, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-5)
+        found = by_texture(
+            marker, texture, path(self.N, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-3, 100.0
+        )
         assert (found.angle[:500] == marker.angle[:500]).all()
         assert np.abs(found.angle[600:] - true[600:]).max() < 1e-3

@@ -519,7 +519,9 @@ def test_the_zero_of_a_texture_varies_after_ten_turns(monkeypatch, turns, varies
     other = np.linspace(0.0, 60.0, 400)
     texture = SimpleNamespace(levelled=lambda centre, p, q: found.angle, template=np.zeros(400, dtype=int))
     with pytest.raises(StopIteration):
-        module.by_texture(found, texture, path(), NO_FLATTENING, found.angle, 100.0, 1e-3, others=[other])
+        module.by_texture(
+            found, texture, path(), NO_FLATTENING, found.angle, 100.0, 1e-1, 100.0, others=[other]
+        )
     # a marker errs with its own angle and with that to the other body
     angles = [found.angle.tolist(), (other - found.angle).tolist()]
     assert asked == [("each", angles) if varies else ("one", [])]

@@ -72,6 +72,12 @@ class TestStaticLight:
         found = static_light(strips, self.ANGLES)
         assert found == pytest.approx(np.tile(6.0 * np.cos(THETA - 0.7), (len(RADIUS), 1)), abs=0.3)
 
+    def test_a_body_that_rests_for_half_of_the_time_shows_it(self):
+        angles = np.concatenate([np.zeros(60), np.linspace(0.0, TURN, 60)])
+        strips = np.stack([spots(angle=a, light=6.0) for a in angles])
+        found = static_light(strips, angles)
+        assert 2.0 * np.abs(np.fft.rfft(found, axis=1)[:, 1]).mean() / COLUMNS == pytest.approx(6.0, abs=0.3)
+
     def test_without_it_the_pictures_are_those_of_the_body(self):
         strips = np.stack([spots(angle=a, light=6.0) for a in self.ANGLES])
         found = without_light(strips, static_light(strips, self.ANGLES), self.ANGLES)
@@ -219,6 +225,24 @@ class TestSlowBody:
         m1 = complex(*found.first[0])
         assert change == pytest.approx(-(m1 * shift[:, 0] * np.exp(-1j * found.angle)).imag, abs=1e-12)
 
+    def test_its_zones_have_the_response_to_both_slopes(self):
+        angles = np.linspace(0.0, 1.2 * TURN, 60)
+        own = texture._OwnView.learn(np.stack([spots(angle=a) for a in angles]), angles, RADIUS)
+        assert own.zones.first == pytest.approx(own.response.first)
+        assert own.zones.second == pytest.approx(own.response.second)
+        along_the_orbit = texture._templates(np.stack([spots(angle=a) for a in angles]), RADIUS)
+        assert np.abs(own.response.first - along_the_orbit.first).max() > 2e-3
+
+    def test_each_view_contains_its_own_mean_place(self):
+        """Two templates of two batches each: a constant displacement of each batch is part of its view."""
+        ring = TextureObservations.unknown(np.zeros((8, 2)))
+        ring.angle[:] = 0.3
+        ring.first[:] = (5e-3, 2e-3)
+        ring.first[4:] = (4e-3, 2e-3)
+        ring.own_view[:] = (1, 1, 2, 2, 1, 1, 2, 2)
+        centre = np.repeat([[1.0, 0.0], [-2.0, 1.0], [0.5, 3.0], [4.0, -1.0]], 2, axis=0)
+        assert ring.levelled(centre, 0.0, 0.0) == pytest.approx(np.full(8, 0.3), abs=1e-12)
+
     @pytest.mark.parametrize(("share", "known"), [(0.98, False), (1.02, True)])
     def test_an_arc_shows_the_view(self, share, known):
         angle = np.linspace(0.0, share * ring_view.LEAST_ARC * TURN, 60)
@@ -332,6 +356,14 @@ class TestErrorOfARing:
         ring.own_view[: round((_ALMOST_ALL + share) * 1000)] = 1.0
         ring.own_view[1000:] = np.nan
         assert error_of_ring(ring, 0.1) == error
+
+
+def test_typical_errors_have_their_stated_sizes():
+    """A tilt of 0.2 rad flattens by a hundredth; 0.055 px of a ring, 0.3 mrad of shading, 7 degrees of a level view."""
+    assert pytest.approx(0.2**2 / 4.0) == ring_view.FLATTENING
+    assert (ring_view.DISPLACEMENT, ring_view.SHADING) == (1.0, 0.1)
+    assert (RING_ERROR, LEAST_PERIODIC) == (0.055, 0.3e-3)
+    assert pytest.approx((np.radians(7.2) / 2.0) ** 2, rel=0.02) == LEVEL
 
 
 class TestPeriodicError:

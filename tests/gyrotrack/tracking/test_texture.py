@@ -264,6 +264,17 @@ class TestTwoZones:
         found = texture._zone_variances(turned)
         assert found[3:6] == pytest.approx([1e-6, 2e-6, 1e-6], rel=0.3)
 
+    def test_a_slow_error_that_cannot_be_measured_is_that_of_single_frames(self, monkeypatch):
+        rng = np.random.default_rng(5)
+        theta = np.arange(texture.COLUMNS) * TURN / texture.COLUMNS
+        strips = np.tile(100.0 + 40.0 * np.cos(3.0 * theta), (60, texture.ZONES * texture.ROWS, 1))
+        strips = (strips + rng.standard_normal(strips.shape)).astype(np.float32)
+        zones = texture._templates(strips, np.linspace(20.0, 90.0, texture.ZONES * texture.ROWS))
+        turned = 1e-3 * rng.standard_normal((texture.ZONES, 60))
+        monkeypatch.setattr(texture, "_zone_variances", lambda turned: np.full(texture.ZONES, np.inf))
+        found = zones.weighted(turned, turned)
+        assert found.slow == pytest.approx(found.sigma * np.sqrt(np.sum(found.share**2)))
+
     def test_they_have_weights(self):
         rng = np.random.default_rng(3)
         angle = 1e-3 * np.array([[1.0], [3.0]]) * rng.standard_normal((2, 2000))

@@ -1,7 +1,7 @@
 """A tilted axis, found by the ellipse of an orbit or of what moves, against analytic projections."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -113,6 +113,27 @@ def test_a_round_outline_shows_no_tilt_and_an_arc_of_a_ring_has_none():
 def test_a_trimmed_ring_keeps_its_stretch():
     ring = Ring.about((160.0, 120.0), 10.0, 80.0, stretch=(0.2, 0.1))
     assert ring.trimmed(np.linspace(0, 1, ring.rows), finest=100.0).stretch == (0.2, 0.1)
+
+
+@pytest.mark.parametrize(("count", "enough"), [(6, False), (7, True)])
+def test_a_second_link_needs_enough_frames_for_its_noise(count, enough):
+    first, second = 0.5 * np.sin(TURNS) - 1.4, 0.9 * np.sin(1.3 * TURNS) - 1.2
+    joint = _seen(first, 0.0, 0.0, 90.0)
+    end = _path(joint + 70.0 * np.stack([np.cos(second), -np.sin(second)], axis=1), seed=1)
+    few = replace(
+        end,
+        **{
+            f.name: v[:count]
+            for f in fields(end)
+            if len(v := np.atleast_1d(getattr(end, f.name))) == len(end.frame)
+        },
+    )
+    about = about_pivot(_path(joint), "film.mp4")
+    if enough:
+        assert np.isfinite(second_link(about, few, "film.mp4").sigma).all()
+    else:
+        with pytest.raises(TrackingError, match="seen together in 6 frames"):
+            second_link(about, few, "film.mp4")
 
 
 def test_the_direction_of_a_second_link():
