@@ -1,5 +1,6 @@
 """Decisions and factors between the observations of markers and the angles of bodies, one small case on either side."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -393,21 +394,28 @@ class TestTexture:
         assert self.arc(own=1.0, usual=0.6) == pytest.approx(self.arc(own=1.0), rel=0.01)
         assert self.arc(own=0.0, usual=0.6) > 3.0 * self.arc(own=1.0)
 
-    @pytest.mark.parametrize(("rate", "learnt"), [(0.9, False), (1.1, True)])
-    def test_fast_frames_show_the_errors_once_per_turn(self, rate, learnt):
+    @pytest.mark.parametrize(
+        ("rate", "share", "learnt"), [(0.9, 1.0, False), (1.1, 0.1, False), (1.1, 0.5, True)]
+    )
+    def test_fast_frames_show_the_errors_once_per_turn(self, rate, share, learnt):
+        """In the slow frames, the template responds to the centre, and in the fast ones it does not."""
         n = self.N
-        true = rate * FAST / 250.0 * np.arange(n)
+        fast = np.arange(n) >= n * (1.0 - share)
+        true = np.cumsum(np.where(fast, rate, 0.8) * FAST / 250.0)
         rng = np.random.default_rng(2)
         marker = body(true + 2e-3 * rng.standard_normal(n), 2e-3)
         column = np.ones(n)
+        first = np.stack([np.where(fast, 1e-3, 3e-3), np.zeros(n)], axis=1)
         ring = TextureObservations(
             true + 5e-4 * rng.standard_normal(n), 5e-4 * column, 5e-5 * column, column,
-            np.tile(CENTRE, (n, 1)), np.tile([2e-3, 0.0], (n, 1)), self.moments(n), 0.0 * column,
+            np.tile(CENTRE, (n, 1)), first, self.moments(n), 0.0 * column,
         )  # fmt: skip
         found = by_texture(marker, ring, path(n, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-3, 100.0)
-        assert found.periodic == pytest.approx(
-            module.LEAST_PERIODIC if learnt else 2e-3 * CENTRE_ERROR, rel=1e-3
+        largest = 1e-3 if share == 1.0 else 3e-3
+        expected = (
+            math.hypot(2e-3 * CENTRE_ERROR, module.LEAST_PERIODIC) if learnt else largest * CENTRE_ERROR
         )
+        assert found.periodic == pytest.approx(expected, rel=0.01)
 
     def test_frames_without_texture_keep_the_angle_of_the_markers(self):
         true, marker, _ = self.both(2e-3, 5e-4)

@@ -1,6 +1,7 @@
 """A camera that shakes is compensated by the background that stands still; its share of the uncertainty is stated."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -9,7 +10,10 @@ import pytest
 
 from gyrotrack import read_case
 from gyrotrack.tracking._any_body import track_body
+from gyrotrack.tracking._extract import _stabilised
 from gyrotrack.tracking._film import Film, Shake, camera_shake
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
+from gyrotrack.tracking._texture import TextureObservations
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 SIZE = 240, 320
@@ -148,3 +152,21 @@ def test_real_films_that_were_shaken_give_the_same_angles(name, words, roll, mos
     apart -= apart.mean()
     assert apart.std() < most
     assert apart.std() < 1.5 * np.hypot(np.median(alone.sigma), np.median(found.sigma))
+
+
+def test_both_angles_of_a_ring_are_those_of_a_camera_at_rest():
+    """A clockwise roll of the picture turns a body at rest against its counter-clockwise angle."""
+    roll = np.array([0.0, 0.01, -0.02])
+    shake = Shake(np.array([[0.0, 0.0], [2.0, -1.0], [1.0, 3.0]]), roll, (160.0, 120.0), 40, 0.02, 1e-4)
+    hub = np.tile([170.0, 110.0], (3, 1))
+    plain, aligned = (TextureObservations.unknown(shake.seen(hub)) for _ in range(2))
+    plain.angle[:], aligned.angle[:] = 0.3 - roll, 0.4 - roll
+    body = BodyObservations(0.5 - roll, {}, plain, aligned)
+    seen = FilmObservations(
+        {"casing": body}, None, np.arange(3.0), SimpleNamespace(), (), SIZE[::-1], np.zeros(3, dtype=bool)
+    )
+    still = _stabilised(seen, shake).bodies["casing"]
+    assert still.coarse == pytest.approx(np.full(3, 0.5))
+    for ring, angle in ((still.texture, 0.3), (still.aligned, 0.4)):
+        assert ring.angle == pytest.approx(np.full(3, angle))
+        assert ring.centre == pytest.approx(hub)
