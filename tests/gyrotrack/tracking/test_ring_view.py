@@ -278,38 +278,40 @@ class TestSlowBody:
         large = measured(angle, angle, pictures, kind=1)
         assert large.slow == pytest.approx(np.hypot(small.slow, 2e-3), rel=0.2)
 
-    def test_batches_have_one_zero_and_views_that_differ(self):
+    def test_batches_have_one_zero_and_views_that_differ(self, monkeypatch):
+        monkeypatch.setattr(texture, "LEARNT", 60)
         rng = np.random.default_rng(6)
-        angle = np.linspace(0.0, 3.6 * TURN, 620)
-        tracker = TextureTracker(HUB, OUTER, SIZE, 300)
+        angle = np.linspace(0.0, 3.6 * TURN, 200)
+        tracker = TextureTracker(HUB, OUTER, SIZE, 90)
         x = np.arange(SIZE[0]) - HUB[0]
         frames = frames_of([picture(a, grain=rng, arms=1) * (1.0 + 0.05 * x / 75.0) for a in angle])
         found = []
-        for first, last, move in ((0, 260, 0.0), (260, 520, 0.6), (520, 620, 0.6)):
+        for first, last, move in ((0, 80, 0.0), (80, 160, 0.6), (160, 200, 0.6)):
             tracker.centre = HUB[0] + move, HUB[1]
             start = angle[first:last] + 4e-3 * move
             tracker.take(frames[first:last], 0, start)
             found.append(tracker.measure(last - first, start)[1])
         ring = TextureObservations(*(np.concatenate([getattr(f, n) for f in found]) for n in vars(found[0])))
-        error = ring.levelled(np.tile(HUB, (620, 1)), 0.0, 0.0) - angle
-        means = [float(error[part].mean()) for part in (slice(0, 260), slice(260, 520), slice(520, 620))]
+        error = ring.levelled(np.tile(HUB, (200, 1)), 0.0, 0.0) - angle
+        means = [float(error[part].mean()) for part in (slice(0, 80), slice(80, 160), slice(160, 200))]
         assert np.ptp(means) < 0.4e-3
         assert (error - error.mean()).std() < 0.6e-3
         assert len(np.unique(ring.own_view)) == 3
 
-    def test_a_fast_batch_between_slow_ones_keeps_their_zero(self):
+    def test_a_fast_batch_between_slow_ones_keeps_their_zero(self, monkeypatch):
+        monkeypatch.setattr(texture, "LEARNT", 60)
         rng = np.random.default_rng(7)
-        slow = np.linspace(0.0, 1.3 * TURN, 260)
-        fast = slow[-1] + np.linspace(0.02, 5.0 * TURN, 260)
+        slow = np.linspace(0.0, 1.3 * TURN, 64)
+        fast = slow[-1] + np.linspace(0.02, 5.0 * TURN, 64)
         angle = np.concatenate([slow, fast, fast[-1] + slow + 0.02])
-        tracker = TextureTracker(HUB, OUTER, SIZE, 300)
+        tracker = TextureTracker(HUB, OUTER, SIZE, 64)
         frames = frames_of([picture(a, grain=rng) for a in angle])
         found = []
         for k in range(3):
-            part = slice(260 * k, 260 * k + 260)
+            part = slice(64 * k, 64 * k + 64)
             start = angle[part] + (0.0, 0.0, 4e-3)[k]
             tracker.take(frames[part], 0, start)
-            found.append(tracker.measure(260, start)[1].angle - angle[part])
+            found.append(tracker.measure(64, start)[1].angle - angle[part])
         assert np.isnan(found[1]).all()
         assert found[2].mean() == pytest.approx(found[0].mean(), abs=0.4e-3)
 
