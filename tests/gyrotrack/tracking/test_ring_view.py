@@ -285,7 +285,8 @@ class TestSlowBody:
         tracker = TextureTracker(HUB, OUTER, SIZE, 90)
         x = np.arange(SIZE[0]) - HUB[0]
         frames = frames_of([picture(a, grain=rng, arms=1) * (1.0 + 0.05 * x / 75.0) for a in angle])
-        found = []
+        found, learnt, learn = [], [], texture._OwnView.learn
+        monkeypatch.setattr(texture._OwnView, "learn", lambda *a: learnt.append(len(a[0])) or learn(*a))
         for first, last, move in ((0, 80, 0.0), (80, 160, 0.6), (160, 200, 0.6)):
             tracker.centre = HUB[0] + move, HUB[1]
             start = angle[first:last] + 4e-3 * move
@@ -297,6 +298,7 @@ class TestSlowBody:
         assert np.ptp(means) < 0.4e-3
         assert (error - error.mean()).std() < 0.6e-3
         assert len(np.unique(ring.own_view)) == 3
+        assert set(learnt) == {80}  # not from the short batch
 
     def test_a_fast_batch_between_slow_ones_keeps_their_zero(self, monkeypatch):
         monkeypatch.setattr(texture, "LEARNT", 60)
