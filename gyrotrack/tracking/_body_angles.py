@@ -25,6 +25,7 @@ from gyrotrack.tracking._fusion import (
     variance_left,
     wrapped,
 )
+from gyrotrack.tracking._harmonics import change_with_speed, harmonic_error
 from gyrotrack.tracking._hub import (
     LEAST_RADIUS_SCATTER,
     LEAST_SIGMA,
@@ -731,85 +732,6 @@ def _followed(
     return bodies, warnings
 
 
-_HARMONICS = range(1, 13)
-"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
-marker's width; fewer leave errors of several equal marks unstated."""
-_FIRST_STATED = 3
-"""First order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the camera
-cause orders 1 and 2, which fits estimate."""
-_LAWS_OF_SPEED = 4
-"""Number of laws of speed that describe an amplitude of a lower order [1]. Derived: powers 0, 1, 2 and -2 in
-`_beside_laws_of_speed`."""
-_DEGREE = 5
-"""Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
-larger one absorbs harmonics of slow bodies."""
-_FEWEST_BATCHES = 5
-"""Batches beyond the free constants from which amplitudes have a variance [1]. Chosen: fewer give an uncertain
-variance, more leave the error of short films unstated."""
-_RESEMBLES_MOTION = 2.0
-"""Variance of an amplitude over that for a complete set of angles from which an order resembles the motion [1]. Chosen:
-a smaller value discards batches, a larger one takes motion for error."""
-_FAR_FROM_NOISE = 3.0
-"""Mean square from which an error is stated, in standard deviations of the noise [1]. Chosen: a smaller value states
-noise as an error, a larger one hides small errors."""
-
-
-def harmonic_error(angle: Floats) -> float:
-    """Return the standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
-
-    In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
-    covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by that of
-    the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
-    the motion are left out in their batches: there the frames are in step with the error, and it is slow.
-
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter) or its
-    square (motion blur), or fall as its inverse square (a torque of the angle, as of an unbalance). The remainder
-    beside these four is their error.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Unwrapped angle of each frame [rad]; NaN where it is not known.
-    """
-    found: dict[int, list[Floats]] = {order: [] for order in _HARMONICS}
-    for first in range(0, len(angle) - BATCH + 1, BATCH):
-        psi = angle[first : first + BATCH]
-        if not np.isfinite(psi).all():
-            continue
-        x = np.linspace(-1.0, 1.0, BATCH)
-        powers = np.polynomial.legendre.legvander(x, _DEGREE)
-        waves = np.stack([f(order * psi) for order in _HARMONICS for f in (np.cos, np.sin)], axis=1)
-        a = np.concatenate([powers, waves], axis=1)
-        covariance = np.linalg.pinv(a.T @ a, hermitian=True)
-        fitted = covariance @ (a.T @ (psi - psi.mean()))
-        rest = psi - psi.mean() - a @ fitted
-        s2 = float(rest @ rest) / (BATCH - a.shape[1])
-        for order in found:
-            own = _DEGREE + 1 + 2 * (order - 1) + np.arange(2)
-            variance = covariance[own, own]
-            if variance.max() < _RESEMBLES_MOTION * 2.0 / BATCH:
-                found[order].append(np.array([*fitted[own], s2 * variance.mean(), abs(psi[-1] - psi[0])]))
-    largest = 0.0
-    for order, each in found.items():
-        free = 0 if order >= _FIRST_STATED else _LAWS_OF_SPEED
-        if len(each) < _FEWEST_BATCHES + free:
-            continue
-        *amplitudes, noise, speed = np.array(each).T
-        left = _beside_laws_of_speed(np.stack(amplitudes), speed) if free else np.stack(amplitudes)
-        mean = 0.5 * float(np.sum(left**2)) / (len(each) - free) - float(noise.mean())
-        # the mean square of two amplitudes has the variance of its expectation squared
-        limit = _FAR_FROM_NOISE * math.sqrt(float(np.sum(noise**2))) / (len(each) - free)
-        largest = max(largest, mean if mean > limit else 0.0)
-    return math.sqrt(largest)
-
-
-def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
-    """Return amplitudes, (2, batches), less their least-squares fit by powers 0, 1, 2 and -2 of the speed."""
-    relative = speed / speed.max()
-    laws = np.stack([relative**power for power in (0.0, 1.0, 2.0, -2.0)], axis=1)
-    return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
-
-
 MANY_TURNS = 10.0
 """Turns from which errors of the markers that repeat with the turn average out [turns]. Chosen: fewer let markers with
 harmonics set the zero of a template, more ignore the markers."""
@@ -839,6 +761,10 @@ def by_texture(
     off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
+    with np.errstate(invalid="ignore"):
+        fast = np.abs(np.gradient(coarse)) * fps > FAST
+    blurred = change_with_speed(angle, fps, fast)
+    angle = angle - blurred.angle
     good = np.isfinite(angle)
     middle = median_of(off[np.isfinite(off)])
     off = middle + wrapped(off - middle)
@@ -876,10 +802,9 @@ def by_texture(
     if not _averages_better(found, body, fps):
         return body
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
-    with np.errstate(invalid="ignore"):
-        fast = np.abs(np.gradient(coarse)) * fps > FAST
     learnt = fast & good if found.axis_off else np.zeros_like(good)
     periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty else 0.0
+    periodic = math.hypot(periodic, blurred.error)
     return replace(body, angle=angle, sigma=sigma, slow=(zeros.uncertainty, float(BATCH)), periodic=periodic)
 
 

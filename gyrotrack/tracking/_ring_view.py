@@ -60,8 +60,8 @@ def slope(picture: npt.NDArray[np.floating]) -> Singles:
     return np.asarray(np.fft.irfft(np.fft.rfft(picture) * factor, size), dtype=np.float32)
 
 
-def static_light(strips: Singles, angle: Floats) -> Singles:
-    """Return what is static in the image, less the mean of each row, (rows, columns).
+def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
+    """Return what is static in the image, from the order `lowest` per turn on, (rows, columns).
 
     Parameters
     ----------
@@ -76,9 +76,10 @@ def static_light(strips: Singles, angle: Floats) -> Singles:
     for _ in range(_ALTERNATIONS):
         body = without_light(strips, light, angle).mean(axis=0)
         moved = [np.roll(strip - body, k, axis=1) for strip, k in zip(strips, turned, strict=True)]
-        light = np.asarray(np.mean(moved, axis=0), dtype=np.float32)
-        light -= light.mean(axis=1, keepdims=True)
-    return np.asarray(light, dtype=np.float32)
+        orders = np.fft.rfft(np.mean(moved, axis=0), axis=1)
+        orders[:, :lowest] = 0.0
+        light = np.asarray(np.fft.irfft(orders, strips.shape[2], axis=1), dtype=np.float32)
+    return np.asarray(light)
 
 
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:

@@ -110,6 +110,14 @@ motion, more leave such errors in the weights."""
 CENTRE_ERROR = 0.3
 """Standard uncertainty of the centre of a ring in the luma [px]. Derived: it is measured in the chroma, whose
 conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
+_LIT = 128
+"""Frames of a batch from which the static light is learnt [frames]. Chosen: fewer leave noise in it, more cost time."""
+FAST_TURNS = 10.0
+"""Turns of a batch from which static light is subtracted [turns]. Chosen: there, errors once and twice per turn are
+learnt from the angles; over fewer turns, a motion that is not uniform leaves light in the templates."""
+FINE = 3
+"""Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are those of a
+displaced centre and of an oblique view, which are measured with the markers."""
 _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
@@ -352,6 +360,7 @@ class TextureTracker:
         self._zero = self._own_zero = 0.0
         self._last: _Zones | None = None
         self._own: _OwnView | None = None  # of the last slow batch
+        self._light: Singles | None = None  # static in the image, of the last fast batch
         self._slow, self._batch = False, 0
 
     def __getstate__(self) -> dict[str, Any]:
@@ -388,6 +397,12 @@ class TextureTracker:
         strips = self._turned(use, ahead[use])
         rough = self._angle[use] + ahead[use] * STEP
         if learning := self._last is None or len(use) >= LEARNT:
+            some = slice(None, None, max(len(use) // _LIT, 1))
+            fast = np.ptp(rough) > FAST_TURNS * TURN
+            self._light = static_light(strips[some], rough[some], FINE) if fast else None
+        if self._light is not None:
+            strips = without_light(strips, self._light, rough)
+        if learning or self._last is None:
             zones, turned, misfit = learn_zones(strips, rough, self._radius)
             self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
             self._last = zones
