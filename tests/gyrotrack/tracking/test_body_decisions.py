@@ -16,7 +16,6 @@ from gyrotrack.tracking._body_angles import (
     BodyView,
     correct_view,
     followed_path,
-    harmonic_error,
     join_bodies,
     trusted_times,
     usual_error_by_place,
@@ -25,6 +24,7 @@ from gyrotrack.tracking._body_angles import (
 )
 from gyrotrack.tracking._film_tracker import BATCH
 from gyrotrack.tracking._fusion import BodyAngles, MarkerAngles
+from gyrotrack.tracking._harmonics import harmonic_error
 from gyrotrack.tracking._hub import LEAST_SIGMA, CentrePath
 from gyrotrack.tracking._orbit import NO_FLATTENING, Flattening
 from gyrotrack.video._time_base import FrameTimes

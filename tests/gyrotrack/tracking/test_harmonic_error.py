@@ -6,7 +6,8 @@ import pytest
 from fitting.inference._angle_noise import stated_error_rows
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
-from gyrotrack.tracking._body_angles import _beside_laws_of_speed, harmonic_error
+from gyrotrack.tracking._fusion import FAST, LEAST_FAST
+from gyrotrack.tracking._harmonics import _beside_laws_of_speed, change_with_speed, harmonic_error
 
 FPS, SIGMA = 260.0, 1e-3
 
@@ -98,3 +99,77 @@ def test_amplitudes_follow_four_powers_of_the_speed(power, described):
         np.stack([speed ** float(power), -2 * speed ** float(power)]) / np.mean(speed ** float(power)), speed
     )
     assert (np.abs(left).max() < 1e-9) == described
+
+
+class TestChangeWithSpeed:
+    """A body that spins up from 15 to 110 rad/s, with an error once or twice per turn that grows with its blur."""
+
+    COUNT = 12 * 512
+
+    def seen(self, change, *, order=1, constant=0.0, torque=0.0, seed=0, count=COUNT, slow=15.0, top=110.0):
+        """Return the angle [rad], the speed [rad/s], and the error due to `change` [rad per 100 rad/s]."""
+        rng = np.random.default_rng(seed)
+        t = np.arange(count) / FPS
+        speed = slow + (top - slow) * np.sin(0.5 * np.pi * t / t[-1])
+        psi = np.cumsum(speed) / FPS
+        wave = np.cos(order * psi - 0.6)
+        error = change * speed / 100.0 * wave
+        torque = torque / speed**2 * np.sin(order * psi)
+        return psi + error + constant * wave + torque + SIGMA * rng.standard_normal(count), speed, wave
+
+    def left(self, change, **other):
+        """Return the largest amplitude [rad] of what is left of `change`, relative to fast frames, and its claim."""
+        angle, speed, wave = self.seen(change, **other)
+        fast = speed > FAST
+        found = change_with_speed(angle, FPS, fast)
+        true = change * (speed - speed[fast].mean()) / 100.0 * wave
+        parts = [slice(k, k + 512) for k in range(0, len(angle), 512)]
+        return max(np.sqrt(2.0) * np.std((found.angle - true)[part]) for part in parts), found.error
+
+    @pytest.mark.parametrize("order", [1, 2])
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_it_is_found(self, order, sign):
+        assert self.left(sign * 1.5e-3, order=order)[0] < 0.3e-3
+
+    def test_it_is_not_that_of_a_constant_error_or_of_an_unbalance(self):
+        assert self.left(0.0)[0] < 0.3e-3
+        assert self.left(0.0, constant=5e-3)[0] < 0.3e-3
+        assert self.left(0.0, torque=10.0)[0] < 0.3e-3  # 44 mrad at 15 rad/s, 0.8 mrad at 110
+        assert self.left(1.5e-3, constant=-3e-3, torque=5.0)[0] < 0.3e-3
+
+    def test_its_uncertainty_is_that_of_the_amplitudes(self):
+        found = [self.left(1e-3, seed=seed) for seed in range(40)]
+        off = np.array([amplitude for amplitude, _ in found])
+        # two parts of each of two orders; noise of 0.06 mrad beside the scatter of 0.1 mrad
+        ratio = np.sqrt(np.mean(off**2) / 4.0) / np.mean([error for _, error in found])
+        assert ratio == pytest.approx(0.0625 / np.hypot(0.0625, 0.1), rel=0.2)
+
+    def test_a_law_that_does_not_fit_makes_it_uncertain(self):
+        angle, speed, wave = self.seen(0.0)
+        wrong = angle + 1e-3 * np.sign(np.sin(np.arange(self.COUNT) / 500.0)) * wave
+        assert change_with_speed(wrong, FPS, speed > FAST).error > 3.0 * self.left(0.0)[1]
+
+    @pytest.mark.parametrize(("batches", "known"), [(4, False), (5, True)])
+    def test_it_needs_five_batches(self, batches, known):
+        angle, speed, _ = self.seen(2e-3, count=batches * 512)
+        found = change_with_speed(angle, FPS, speed > FAST)
+        assert (np.abs(found.angle).max() > 0.3e-3) == known
+
+    @pytest.mark.parametrize(("share", "known"), [(LEAST_FAST, False), (1.02 * LEAST_FAST, True)])
+    def test_without_fast_frames_there_is_none(self, share, known):
+        angle, _, _ = self.seen(2e-3)
+        found = change_with_speed(angle, FPS, np.arange(self.COUNT) >= self.COUNT - int(share * self.COUNT))
+        assert bool(found.angle.any()) == known
+        assert (found.error > 0.0) == known
+
+    def test_lost_frames_have_a_finite_error(self):
+        angle, speed, _ = self.seen(1.5e-3)
+        whole = change_with_speed(angle, FPS, speed > FAST)
+        angle[3000:3100] = np.nan
+        found = change_with_speed(angle, FPS, speed > FAST)
+        assert np.isfinite(found.angle).all()
+        assert np.abs(found.angle - whole.angle).max() < 0.5e-3
+
+    def test_a_third_harmonic_does_not_count(self):
+        angle, speed, _ = self.seen(3e-3, order=3)
+        assert np.abs(change_with_speed(angle, FPS, speed > FAST).angle).max() < 0.3e-3

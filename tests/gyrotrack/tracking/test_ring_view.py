@@ -396,3 +396,39 @@ class TestPeriodicError:
         ring = self.ring()
         ring.own_view[:] = 1.0
         assert periodic_error(ring, self.CENTRE, self.FLAT, np.zeros(6, dtype=bool)) == 0.0
+
+
+class TestFastBody:
+    """A fast bar below a fixed pattern of four periods per turn, as of a rim whose edge is sampled on pixels."""
+
+    ORDER = 4
+
+    def error(self, turns, order=ORDER):
+        """Return the amplitude of the error with `order` periods per turn [rad]."""
+        rng = np.random.default_rng(6)
+        angle = np.linspace(0.0, turns * TURN, 192)
+        x, y = np.meshgrid(np.arange(SIZE[0]) - HUB[0], HUB[1] - np.arange(SIZE[1]))
+        fixed = 10.0 * np.cos(order * np.arctan2(y, x) + 0.4)
+        found = measured(angle, angle, [picture(a, grain=rng) + fixed for a in angle])
+        off = found.angle - angle
+        waves = np.stack([np.ones_like(angle), np.cos(order * angle), np.sin(order * angle)], axis=1)
+        return float(np.hypot(*np.linalg.lstsq(waves, off, rcond=None)[0][1:]))
+
+    def test_a_fixed_pattern_does_not_turn_it(self, monkeypatch):
+        after = self.error(40.3)
+        monkeypatch.setattr(texture, "FAST_TURNS", 50.0)
+        assert after < 0.2e-3 < 1e-3 < self.error(40.3)
+
+    @pytest.mark.parametrize(("share", "subtracted"), [(0.98, False), (1.02, True)])
+    def test_the_pattern_is_subtracted_from_fast_turns_on(self, share, subtracted):
+        assert (self.error(share * texture.FAST_TURNS) < 0.2e-3) == subtracted
+
+    def test_the_orders_of_centre_and_tilt_are_kept(self):
+        angles = np.linspace(0.0, 12.0 * TURN, 120, endpoint=False)
+        strips = np.stack([spots(angle=a, light=6.0) for a in angles])  # of order 1
+        assert np.abs(static_light(strips, angles, texture.FINE)).max() < 0.3
+        strips += np.stack([np.roll(4.0 * np.cos(3.0 * THETA), -round(a * COLUMNS / TURN)) for a in angles])[
+            :, None
+        ]
+        found = static_light(strips, angles, texture.FINE)
+        assert found == pytest.approx(np.tile(4.0 * np.cos(3.0 * THETA), (len(RADIUS), 1)), abs=0.4)
