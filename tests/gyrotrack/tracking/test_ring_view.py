@@ -243,6 +243,17 @@ class TestSlowBody:
         centre = np.repeat([[1.0, 0.0], [-2.0, 1.0], [0.5, 3.0], [4.0, -1.0]], 2, axis=0)
         assert ring.levelled(centre, 0.0, 0.0) == pytest.approx(np.full(8, 0.3), abs=1e-12)
 
+    def test_zones_that_a_shadow_displaces_have_less_weight(self, monkeypatch):
+        angles = np.linspace(0.0, 1.2 * TURN, 60)
+        strips = np.stack([spots(angle=a) for a in angles])
+        strips += np.random.default_rng(7).standard_normal(strips.shape, np.float32)
+        response = []
+        for size in (0.0, texture.SHADOW_ERROR, 3.0):
+            monkeypatch.setattr(texture, "SHADOW_ERROR", size)
+            zones = texture._OwnView.learn(strips, angles, RADIUS).zones
+            response.append(abs(zones.share @ zones.first))
+        assert response[0] > 1.05 * response[1] > 1.1 * response[2]
+
     @pytest.mark.parametrize(("share", "known"), [(0.98, False), (1.02, True)])
     def test_an_arc_shows_the_view(self, share, known):
         angle = np.linspace(0.0, share * ring_view.LEAST_ARC * TURN, 60)

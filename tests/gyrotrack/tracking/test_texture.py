@@ -10,6 +10,7 @@ from gyrotrack.video._container import Frame
 
 SIZE, HUB, OUTER = (240, 220), (118.0, 107.0), 70.0
 TURN = 2.0 * np.pi
+SHIFT = 0.3  # px
 
 
 def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=2):
@@ -156,7 +157,7 @@ class TestWeights:
         sigma = np.array([1.0, 2.0, 4.0, 8.0])
         motion = 50.0 * np.linspace(-1.0, 1.0, 4000) ** 3
         angle = 1e-3 * (motion + sigma[:, None] * rng.standard_normal((4, 4000)))
-        weights, uncertainty = zone_weights(angle, np.zeros(4, dtype=complex))
+        weights, uncertainty = zone_weights(angle, np.zeros(4, dtype=complex), SHIFT)
         assert weights == pytest.approx(sigma**-2.0 / np.sum(sigma**-2.0), abs=0.05)
         # single frames and means of frames both count, so that slow errors weigh more
         assert uncertainty == pytest.approx(1e-3 * np.sum(sigma**-2.0) ** -0.5 * np.sqrt(2.1), rel=0.1)
@@ -166,22 +167,26 @@ class TestWeights:
         noise = 1e-3 * rng.standard_normal((4, 4096))
         slow = np.repeat(1e-3 * rng.standard_normal(128), 32)
         noise[0] = slow
-        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex))
+        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex), SHIFT)
         assert weights[0] < 0.2 * weights[1]
 
     def test_two_zones_with_the_same_error_count_once(self):
         rng = np.random.default_rng(2)
         noise = 1e-3 * rng.standard_normal((4, 4096))
         noise[1] = noise[0]
-        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex))
+        weights, _ = zone_weights(noise, np.zeros(4, dtype=complex), SHIFT)
         assert weights[0] + weights[1] == pytest.approx(weights[2], rel=0.15)
 
     def test_a_centre_that_is_uncertain_is_avoided(self):
         rng = np.random.default_rng(4)
         noise = 1e-3 * rng.standard_normal((3, 4096))
         first = np.array([0.02, 0.0, 0.0], dtype=complex)
-        weights, _ = zone_weights(noise, first)
+        weights, _ = zone_weights(noise, first, SHIFT)
         assert weights[0] < 0.2 * weights[1]
+        # a variance of the centre as large as that of noise, in single frames and in means: half of the weight
+        first = np.array([np.sqrt(2.0) * 1e-3 / SHIFT, 0.0, 0.0], dtype=complex)
+        weights, _ = zone_weights(noise, first, SHIFT)
+        assert weights[0] == pytest.approx(0.5 * weights[1], rel=0.1)
 
     def test_no_weight_is_negative(self):
         rng = np.random.default_rng(5)
@@ -189,12 +194,12 @@ class TestWeights:
         angle = 1e-3 * np.stack(
             [common, 3.0 * common + 0.1 * other, other + rng.standard_normal(4096), other]
         )
-        weights, _ = zone_weights(angle, np.zeros(4, dtype=complex))
+        weights, _ = zone_weights(angle, np.zeros(4, dtype=complex), SHIFT)
         assert (weights >= 0.0).all()
         assert weights.sum() == pytest.approx(1.0)
 
     def test_one_zone_is_too_few(self):
-        weights, uncertainty = zone_weights(np.zeros((1, 500)), np.zeros(1, dtype=complex))
+        weights, uncertainty = zone_weights(np.zeros((1, 500)), np.zeros(1, dtype=complex), SHIFT)
         assert not weights.any()
         assert np.isnan(uncertainty)
 
@@ -272,11 +277,11 @@ class TestTwoZones:
         zones = texture._templates(strips, np.linspace(20.0, 90.0, texture.ZONES * texture.ROWS))
         turned = 1e-3 * rng.standard_normal((texture.ZONES, 60))
         monkeypatch.setattr(texture, "_zone_variances", lambda turned: np.full(texture.ZONES, np.inf))
-        found = zones.weighted(turned, turned)
+        found = zones.weighted(turned, turned, SHIFT)
         assert found.slow == pytest.approx(found.sigma * np.sqrt(np.sum(found.share**2)))
 
     def test_they_have_weights(self):
         rng = np.random.default_rng(3)
         angle = 1e-3 * np.array([[1.0], [3.0]]) * rng.standard_normal((2, 2000))
-        weights, _ = zone_weights(angle, np.zeros(2, dtype=complex))
+        weights, _ = zone_weights(angle, np.zeros(2, dtype=complex), SHIFT)
         assert weights == pytest.approx([0.9, 0.1], abs=0.04)
