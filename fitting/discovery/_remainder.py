@@ -42,7 +42,7 @@ from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
@@ -303,9 +303,8 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
         return
     for joint, speed, powers in _SMOOTH_LAWS:
         variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-        if (joint == effect.joint and variables <= {speed}) or (
-            base.problem.data[0].record.single and joint != "casing"
-        ):
+        foreign = not bodies_of(joint, (speed,)) <= base.problem.data[0].record.parts
+        if foreign or (joint == effect.joint and variables <= {speed}):
             continue
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}

@@ -290,7 +290,7 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
         return False
     if effect.joint == "input":  # without a law of the input its dead time has no influence
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
-    if not (effect.searched or asked) or (base.problem.data[0].record.single and not effect.single_body):
+    if not (effect.searched or asked) or not effect.bodies <= base.problem.data[0].record.parts:
         return False
     # a contact that turns in one sense slides after a small angle: from then on its friction is constant
     reversing = effect.restoring or effect.contact

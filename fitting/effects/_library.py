@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from fitting._errors import EffectError
-from fitting.effects._effect import MOMENTS, RATIO, Effect, Parameter, State
+from fitting.effects._effect import MOMENTS, RATIO, THE_CASING, Effect, Parameter, State
 from fitting.effects._expression import Tape, latex, substitute, sym
 
 _DISC = "von Karman 1921"
@@ -472,7 +472,7 @@ def of_the_rotor(effect: Effect) -> Effect | None:
         tree = substitute(e.expression, own | {"omega_c": sym("omega_r"), "psi_c": sym("psi_r")})
         return latex(tree), str(len(own))
 
-    if not effect.single_body or effect.state is not None or effect.camera:
+    if not effect.bodies <= THE_CASING or effect.state is not None or effect.camera:
         return None
     return next((e for e in LIBRARY.values() if e.joint == "rotor" and law(e) == law(effect)), None)
 

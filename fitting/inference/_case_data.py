@@ -336,10 +336,9 @@ class CaseData:
     @cached_property
     def prior(self) -> Prior | None:
         """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
-        record, given = self.record, self.record.prior
-        known = (record.I_casing_u / record.I_casing, record.I_rotor_u / record.I_rotor)
-        u = math.hypot(*(x for x in known if math.isfinite(x)))
-        if not self.free_inertia or record.single or u == 0 or (given and INERTIA_RATIO in given.names):
+        given, (main, *others) = self.record.prior, self.record.bodies
+        u = sum(math.hypot(main.relative_u, other.relative_u) for other in others)
+        if not self.free_inertia or u == 0 or (given and INERTIA_RATIO in given.names):
             return given
         stated = Prior((INERTIA_RATIO,), (0.0,), ((u**2,),), "moments of inertia")
         return stated if given is None else given.joined(stated)
@@ -720,7 +719,7 @@ class CaseData:
         """
         if not self.record.driving:
             return False
-        speed = np.abs(self.initial_speeds[1][:, int(self.record.single)])
+        speed = np.abs(self.initial_speeds[1][:, self.record.spun.state])
         rise = speed - np.minimum.accumulate(speed)
         return bool(rise.max() > _RISE * speed.max())
 
@@ -811,12 +810,12 @@ class CaseData:
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
-        casing, rotor = self._times_of_bodies
-        values = [self._observed(path.mesh.sampler(casing), path, 1, nodes)]
-        if not self.record.single:
-            values.append(self._observed(path.mesh.sampler(rotor), path, 0, nodes))
+        casing, *rotor = (
+            self._observed(path.mesh.sampler(times), path, body.state, nodes)
+            for body, times in zip(self.record.bodies, self._times_of_bodies, strict=False)
+        )
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
+        rows = self._rows(casing, [window for values in rotor for window in np.split(values, ends)])
         return self.whitened(self._projected_by_samples(path, nodes, rows))
 
     def _observed(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:

@@ -34,7 +34,7 @@ from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
-from fitting.inference._parameters import START_ROTOR, ParameterLayout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import (
     Problem,
     common_level,
@@ -351,9 +351,8 @@ def _fitted(
 
 
 def _free_names(problem: Problem) -> set[str]:
-    """Return the names of the variables on which the rows depend: of a body alone, all but the speed of a rotor."""
-    single = problem.data[0].record.single
-    return {n for n in problem.layout.names if not (single and n.startswith(f"{START_ROTOR}@"))}
+    """Return the names of the variables on which the rows depend."""
+    return {n for n in problem.layout.names if n.partition("@")[0] not in problem.layout.absent}
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -362,12 +361,12 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
-    single = [d.record.single for d in data]
-    if any(single) != all(single):
+    known = {d.record.parts for d in data}
+    if len(known) > 1:
         raise EstimationError(
             "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
         )
-    foreign = [e.name for e in model.effects if not e.single_body] if all(single) else []
+    foreign = [e.name for e in model.effects if not e.bodies <= data[0].record.parts]
     if foreign:
         raise EstimationError(
             f"{foreign[0]} needs rotor data, which this record of one body does not have",

@@ -137,7 +137,7 @@ def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
 
 def find_oscillation(record: Record) -> Oscillation | None:
     """Return the oscillation of a single body; None if it turns in one sense or was recorded with a rotor."""
-    if not record.single:
+    if record.joints:
         return None
     t, y = record.casing.time, record.casing.value
     angle = y if record.quantity == "angle" else integrated(t, y)

@@ -223,7 +223,7 @@ def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
     runs = (record.casing, *record.rotor)
     known = {"I_casing": record.I_casing_u, "I_rotor": record.I_rotor_u}
     known = {name: u for name, u in known.items() if math.isfinite(u) and u > 0}
-    if record.per_inertia or not known:
+    if not known:
         return [np.zeros(len(run)) for run in runs]
     drawn = {name: getattr(record, name) + u * random.standard_normal() for name, u in known.items()}
     other = replace(record, **drawn)

@@ -60,13 +60,13 @@ class Model:
         return replace(self, effects=tuple(e for e in self.effects if e.name != name))
 
 
-def data(*, oscillation=None, single=False, tracked=False, is_angle=True, measured_angle=None):
+def data(*, oscillation=None, parts=("casing", "rotor"), tracked=False, is_angle=True, measured_angle=None):
     return SimpleNamespace(
         oscillation=oscillation,
         is_angle=is_angle,
         measured_angle=measured_angle,
         has_noise_of=lambda _: True,
-        record=SimpleNamespace(single=single, tracked=tracked, inputs=(), driving=()),
+        record=SimpleNamespace(parts=frozenset(parts), tracked=tracked, inputs=(), driving=()),
     )
 
 
@@ -159,7 +159,7 @@ class TestApplicable:
         assert "rotor.support" not in found  # it is not searched
 
     def test_a_body_alone_has_no_laws_of_two_bodies(self):
-        found = self.names(single=True)
+        found = self.names(parts=["casing"])
         assert "casing.air.quadratic" in found
         assert not found & {"rotor.air.linear", "bearing.quadratic", "casing.windage"}
 

@@ -211,7 +211,7 @@ class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
         )
         return [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
 
@@ -228,7 +228,7 @@ class TestEquationError:
         t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
         )
         data = [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
