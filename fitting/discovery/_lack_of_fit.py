@@ -248,13 +248,13 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     power, torque = periodogram(fine)
     top = int(np.argmax(power))
     k, rate = float(torque[top]), float(fine[top])
-    oscillation, record = data.oscillation, data.record
+    motion, record = data.motion, data.record
     # the response of a driven oscillator far from resonance, or of a free body
-    stiffness = 0.0 if oscillation is None else (2 * np.pi / oscillation.period) ** 2
+    stiffness = (2 * np.pi / motion.period) ** 2
     angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
     credible = not record.tracked or angle > float(np.median(record.casing.sigma))
     # with a model that loses the phase the residual is the whole motion, which no additional torque explains
-    credible = credible and (oscillation is None or angle < 0.5 * float(np.ptp(oscillation.deflection)))
+    credible = credible and angle < motion.amplitude
     share = periodogram.share(rate)
     p_values = [
         false_alarm_probability(

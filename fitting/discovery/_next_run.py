@@ -205,7 +205,7 @@ def separating_run(
     smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:
         return ""
-    if fit.problem.data[0].oscillation is not None:
+    if len(fit.problem.data[0].motion.reversals):
         # planned runs have initial speeds, and an oscillation begins with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""

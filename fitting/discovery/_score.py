@@ -220,10 +220,9 @@ class CaseColumns:
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
         self._known |= means_in(self.case.data.record.inputs, self.response.edges)
-        oscillation = self.case.data.oscillation
-        if oscillation is not None:
-            measured = np.interp(self.response.centres, oscillation.time, oscillation.deflection)
-            self._known = {"deflection": measured} | self._known
+        motion = self.case.data.motion
+        deflection = np.interp(self.response.centres, motion.time, motion.deflection)
+        self._known = {"deflection": deflection} | self._known
         dynamics = self.case.dynamics
         tau = Tape([dynamics.bearing_torque])(self._known | dynamics.constants | self.numbers)
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))

@@ -34,6 +34,7 @@ from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
+from fitting.inference._oscillation import are_smooth
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import (
     Problem,
@@ -72,8 +73,8 @@ def search_with_noise(
     problem = problem.with_noise(first_noise(problem, theta))
     problem, theta, held = with_initial_shapes(problem, theta, given)
     active = None
-    oscillates = any(d.oscillation is not None for d in problem.data)
-    if not oscillates and _comes_to_rest(problem, theta):
+    is_smooth = are_smooth(d.motion for d in problem.data)
+    if is_smooth and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
         # the other parameters are not yet consistent with a new law: a step of all variables would change its shape,
@@ -85,7 +86,7 @@ def search_with_noise(
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
     # an oscillation was fitted period by period, so its motion is not in a wrong minimum
-    return (found, noise) if oscillates else _with_less_noise(problem, found, noise, quick=quick)
+    return _with_less_noise(problem, found, noise, quick=quick) if is_smooth else (found, noise)
 
 
 def with_initial_shapes(
@@ -327,7 +328,7 @@ def _fitted(
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
     # without a restoring torque, the parameters fitted to an oscillation have no meaning
-    quick = quick or (any(d.oscillation is not None for d in data) and not model.restoring)
+    quick = quick or not (model.restoring or are_smooth(d.motion for d in data))
     held = tuple(steady)
     if held:
         found = search(problem.holding(held, theta), theta, quick=True, active=active)

@@ -205,7 +205,7 @@ def _recording(motion: _Motion, random: Random) -> Record:
             )
         if data.is_angle:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
-    if data.is_angle and data.oscillation is None:
+    if data.is_angle and data.motion.is_smooth:
         values[0] += _stated_error(data, random)
     amplitudes = random.standard_normal(data.mode_columns[0].shape[1])
     for value, columns in zip(values, (data.mode_columns[0], *data.mode_columns[1]), strict=True):

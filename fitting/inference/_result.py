@@ -522,7 +522,7 @@ class Fit(FitSummary):
     @property
     def lacks_restoring_torque(self) -> bool:
         """Whether the body oscillates but the model has no restoring torque: then residuals have no meaning."""
-        return self.problem.data[0].oscillation is not None and not self.model.restoring
+        return not (self.problem.data[0].motion.is_smooth or self.model.restoring)
 
     @property
     def criteria(self) -> Criteria:

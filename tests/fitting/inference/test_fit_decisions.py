@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 from linearised import covariance, gyroscope, least_squares
 
@@ -40,7 +41,9 @@ def body(speed, time=None, *, oscillation=None, parts=("casing", "rotor"), label
     time = np.linspace(0.0, 10.0, len(speed)) if time is None else time
     record = SimpleNamespace(label=label, parts=frozenset(parts))
     return SimpleNamespace(
-        initial_speeds=(time, np.column_stack([10 * speed, speed])), oscillation=oscillation, record=record
+        initial_speeds=(time, np.column_stack([10 * speed, speed])),
+        motion=oscillators.stub(oscillation),
+        record=record,
     )
 
 
@@ -412,7 +415,7 @@ class TestFit:
 
     @pytest.mark.parametrize(
         ("oscillation", "restoring", "quick"),
-        [(object(), False, True), (object(), True, False), (None, False, False)],
+        [(SimpleNamespace(), False, True), (SimpleNamespace(), True, False), (None, False, False)],
     )
     def test_an_oscillation_without_a_restoring_torque_is_fitted_quickly(
         self, monkeypatch, oscillation, restoring, quick
@@ -564,7 +567,7 @@ class TestSearchWithNoise:
         }
         for name, result in steps.items():
             monkeypatch.setattr(module, name, named(name, result))
-        data = [body([1.0]), body([1.0], oscillation=object() if oscillates else None)]
+        data = [body([1.0]), body([1.0], oscillation=SimpleNamespace() if oscillates else None)]
         problem = Asked(calls, None, tuple(data))
         found, measured = module.search_with_noise(problem, "start", None, quick=False)
         return calls, found, measured
