@@ -70,9 +70,9 @@ value overlooks slow oscillations."""
 _PHASE_STEP = 2.0
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
 larger one passes over narrow peaks."""
-_HIGHEST = 5.0
-"""Highest trial frequency of a law [rad/s]. Chosen: a faster oscillation is a spectral line; a larger value tries it
-twice, a smaller one overlooks slow oscillations."""
+_HIGHEST = 1000.0
+"""Highest trial frequency of a law, as its phase over the record [rad]. Chosen: 5 rad/s in the 200 s of the paper, as a
+faster oscillation is a spectral line; a larger value tries it twice, a smaller one overlooks slow oscillations."""
 _MOST_FREQUENCIES = 800
 """Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
 time."""
@@ -346,7 +346,6 @@ def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
     if kind == "pulse":
         return made("s", [v * span for v in (0.02, 0.05, 0.12)], 0.003 * span, span)
     lowest = 2 * math.pi * _FEWEST_PERIODS / span
-    # in a short record the slowest frequency may be above the highest one
-    highest = max(lowest, _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest))
+    highest = _HIGHEST / span if kind == "frequency" else 40 * lowest
     count = int(min(_MOST_FREQUENCIES, 1 + (highest - lowest) * span / _PHASE_STEP))
     return made("s-1", np.linspace(lowest, highest, count).tolist(), 0.5 * lowest, 2 * highest)

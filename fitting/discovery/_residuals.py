@@ -240,6 +240,11 @@ def find_failures(
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
 
+_SLOWEST = 1e-4
+"""Smallest speed of a body that does not rest, over its largest one [1]. Chosen: a smaller value gives an amplitude of
+the speed without a limit, a larger one understates it for slow bodies."""
+
+
 def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Failure]:
     amplitude, size = found.size(n)
     if size < least:
@@ -249,7 +254,9 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
     # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest without resting
-    slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
+    slowest = max(
+        float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), _SLOWEST * float(speed.max())
+    )
     speed_amplitude = amplitude / (record.I_casing * n * slowest)
     span = float(t[0]), float(t[-1])
     return [

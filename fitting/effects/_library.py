@@ -269,7 +269,7 @@ CASING = (
     Effect("casing.precession", "casing", "k*cos(chirp + phi)",
         (
             Parameter("k", "N m", meaning="torque that follows the precession"),
-            Parameter("m", "s-2", "shape", 1.0, 1e5, 200.0, tuple(round(50.0 * 1.12**i, 1) for i in range(40)),
+            Parameter("m", "s-2", "shape", 0.0, math.inf, 200.0, tuple(round(50.0 * 1.12**i, 1) for i in range(40)),
                 meaning="precession rate times rotor speed, M g l / I_r"),
             _PHASE,
         ),

@@ -183,7 +183,7 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     for d in data:
         _, speeds = d.initial_speeds
         typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
-    return float(max(np.mean(typical), 1e-3))
+    return float(np.mean(typical)) or 1.0  # of bodies at rest any
 
 
 _BEYOND = 3.0

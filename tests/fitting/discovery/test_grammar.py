@@ -88,3 +88,18 @@ def test_a_record_of_any_length_has_periodic_laws_within_their_bounds(span):
     ]
     assert frequencies
     assert all(p.lower <= min(p.grid) <= max(p.grid) <= p.upper for p in frequencies)
+
+
+@pytest.mark.parametrize("scale", [60.0, 1000.0])
+def test_trial_values_follow_the_unit_of_time(scale):
+    """The same record with all times multiplied has the same laws, whose times and speeds are multiplied as well."""
+    ranges = {name: (low / scale, high / scale) for name, (low, high) in RANGES.items()}
+    both = {"bodies": {"rotor", "casing"}, "angles": True}
+    here, there = grammar(RANGES, 200.0, **both), grammar(ranges, 200.0 * scale, **both)
+    assert [x.effect.name for x in here] == [x.effect.name for x in there]
+    factors = {"1": 1.0, "s": scale, "s-1": 1 / scale}
+    for a, b in zip(here, there, strict=True):
+        for p, q in zip(a.effect.parameters, b.effect.parameters, strict=True):
+            if p.role == "shape":
+                factor = 1.0 if p.relative else factors[p.unit]
+                assert q.grid == pytest.approx([factor * v for v in p.grid], rel=2e-3)
