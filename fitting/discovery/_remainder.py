@@ -215,21 +215,15 @@ def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     data = end.problem.data[case]
     if not end.model.restoring or not fails_grossly(data, end.predictions[case], end.noise[case]):
         return None
-    oscillation = data.oscillation
     motion, fitted = data.motion.slow_motion, averaged_fit(end.model, [data])
-    if (
-        oscillation is None
-        or motion is None
-        or fitted is None
-        or not fitted.phase_error < LARGEST_PHASE_ERROR
-    ):
+    if motion is None or fitted is None or not fitted.phase_error < LARGEST_PHASE_ERROR:
         return None
     amplitude, phase = (fitted.rows[0][2] * fitted.scales[0]).reshape(2, -1)
     rate = np.gradient(motion.phase, motion.time)
     quadrature = 2 * rate * np.gradient(amplitude, motion.time)
     inphase = 2 * rate * motion.amplitude * np.gradient(phase, motion.time)
-    t = oscillation.time
-    at = oscillation.phase(t)
+    t = data.motion.time
+    at = data.motion.phase(t)
     torque = np.interp(t, motion.time, inphase) * np.cos(at)
     torque = torque - np.interp(t, motion.time, quadrature) * np.sin(at)
     return t, data.record.I_casing * torque

@@ -79,6 +79,10 @@ class Rotation:
         """Length of the record in periods."""
         return 0.0
 
+    def phase(self, times: Array) -> Array:
+        """Return the phase of the motion at some times [rad]: zero."""
+        return np.zeros(len(times))
+
     def samples_per_period(self, _samples: int) -> float:
         """Return the number of samples in a period."""
         return math.inf

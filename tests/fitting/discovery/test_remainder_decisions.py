@@ -154,9 +154,7 @@ class TestTorques:
         motion = SimpleNamespace(time=time, amplitude=np.full(50, 0.5), phase=3.0 * time)
         fine = np.linspace(0.0, 10.0, 400)
         oscillation = SimpleNamespace(slow_motion=motion, time=fine, phase=lambda t: 3.0 * t)
-        data = SimpleNamespace(
-            oscillation=oscillation, motion=oscillation, record=SimpleNamespace(I_casing=2.0)
-        )
+        data = SimpleNamespace(motion=oscillation, record=SimpleNamespace(I_casing=2.0))
         end = SimpleNamespace(
             problem=SimpleNamespace(data=[data]), model=SimpleNamespace(restoring=True), predictions=[None],
             noise=[None],

@@ -360,6 +360,7 @@ class TestMotion:
         assert not are_smooth([turning, swinging])
         assert (len(turning.reversals), turning.periods, turning.slow_motion) == (0, 0.0, None)
         assert (turning.period, turning.amplitude) == (np.inf, np.inf)
+        assert turning.phase(self.t[:3]).tolist() == [0.0, 0.0, 0.0]
         assert swinging.amplitude == pytest.approx(0.5 * np.ptp(swinging.deflection))
 
     def test_functions_beside_the_motion(self):
