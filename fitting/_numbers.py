@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import Any
 
 _LONG = 3
@@ -144,12 +145,9 @@ def probability(p: float) -> str:
     return short(p, 2)
 
 
-def scaled(largest: float) -> tuple[float, str]:
-    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500."""
-    for factor, prefix in _PREFIXES:
-        if largest * factor >= 0.5:
-            return factor, prefix
-    return _PREFIXES[0]
+def scaled(largest: float, prefixes: Iterable[tuple[float, str]] = _PREFIXES) -> tuple[float, str]:
+    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; no prefix if none does."""
+    return next((p for p in prefixes if largest * p[0] >= 0.5), _PREFIXES[0])
 
 
 _RAD_PER_S = frozenset({"rad/s", "rad s-1"})
@@ -214,6 +212,57 @@ def per_inertia(unit: str) -> str:
     if power in {"0", "-1"}:
         return f"rad/s{-exponent:g}{tail}"
     return (f"s{exponent:g}" if exponent not in {0, 1} else "s" if exponent else "1") + tail
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units of the torques of a case and of what is computed from them.
+
+    Parameters
+    ----------
+    torque, energy, inertia : str
+        Units of a torque, an energy and a moment of inertia; that of the last one is empty where none is known.
+    gain : str
+        Unit of the ratio of a torque to a recorded torque.
+    note : str
+        What a reader has to know about them; empty for SI units.
+    of : callable
+        Return the unit of a constant of a torque law from its SI unit.
+    steps : tuple
+        Smallest torque, factor and unit of each prefix in sentences, largest first.
+    prefixes : tuple
+        Factors and prefixes of scaled tables.
+    """
+
+    torque: str
+    energy: str
+    inertia: str
+    gain: str
+    note: str
+    of: Callable[[str], str]
+    steps: tuple[tuple[float, float, str], ...]
+    prefixes: tuple[tuple[float, str], ...]
+
+    @classmethod
+    def common(cls, several: Iterable[Units]) -> Units:
+        """Return the units of a joint fit of cases: SI units if any case has them."""
+        return max(several, key=lambda u: u is SI)
+
+    @classmethod
+    def by_torque(cls, unit: str) -> Units:
+        """Return the units in which a torque is given in `unit`; SI units for an unknown one."""
+        return {PER_INERTIA: WITHOUT_INERTIA}.get(unit, SI)
+
+
+SI = Units(
+    TORQUE, "J", "kg m2", "1", "", str,
+    steps=((0.1, 1.0, "N m"), (1e-3, 1e3, "mN m"), (1e-8, 1e6, "uN m"), (0.0, 1e9, "nN m")), prefixes=_PREFIXES,
+)  # fmt: skip
+# of bodies whose moment of inertia is not known: their torques are angular accelerations, which have no prefixes
+WITHOUT_INERTIA = Units(
+    PER_INERTIA, "rad²/s²", "", PER_TORQUE, "torques are per unit of inertia", per_inertia,
+    steps=((0.1, 1.0, "rad/s2"), (1e-4, 1e3, "mrad/s2"), (0.0, 1e6, "urad/s2")), prefixes=(),
+)  # fmt: skip
 
 
 _LINES = 20

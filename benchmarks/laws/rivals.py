@@ -53,7 +53,7 @@ def base_of(w: World, noise: float, seed: int) -> Fit:
 
 def forms_of(base: Fit) -> list[LawForm]:
     span = max(d.record.span[1] - d.record.span[0] for d in base.problem.data)
-    found = grammar(ranges_of(base), span, single=False, angles=False)
+    found = grammar(ranges_of(base), span, bodies={"rotor", "casing"}, angles=False)
     return [f for f in found if f.effect.state is None and not f.effect.per_case]
 
 

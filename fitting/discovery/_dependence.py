@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext, over_many_tests
-from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
 from fitting.inference._result import Fit
 
@@ -175,13 +175,11 @@ def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
 
 def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:
     """Yield the rows of a spline of each variable, over the rows of all cases."""
-    single = about.problem.data[0].record.single
+    bodies = about.problem.data[0].record.parts
     known = [{v: c.along_motion(v) for v in ("t", "omega_r", "omega_c", "delta")} for c in cases]
     for body, choices in _TESTS.items():
-        if single and body != "casing":
-            continue
         for variables in choices:
-            if single and not {"omega_c", "t", "psi_c"}.issuperset(variables):
+            if not bodies_of(body, variables) <= bodies:
                 continue
             if variables[0].startswith("psi"):
                 orders = _orders(about, variables[0])

@@ -18,7 +18,7 @@ to BIC, which contains the penalty of the constants.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,9 +70,9 @@ value overlooks slow oscillations."""
 _PHASE_STEP = 2.0
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
 larger one passes over narrow peaks."""
-_HIGHEST = 5.0
-"""Highest trial frequency of a law [rad/s]. Chosen: a faster oscillation is a spectral line; a larger value tries it
-twice, a smaller one overlooks slow oscillations."""
+_HIGHEST = 1000.0
+"""Highest trial frequency of a law, as its phase over the record [rad]. Chosen: 5 rad/s in the 200 s of the paper, as a
+faster oscillation is a spectral line; a larger value tries it twice, a smaller one overlooks slow oscillations."""
 _MOST_FREQUENCIES = 800
 """Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
 time."""
@@ -198,29 +198,27 @@ three or four periods per turn."""
 
 
 def grammar(
-    ranges: Mapping[str, tuple[float, float]], span: float, *, single: bool, angles: bool
+    ranges: Mapping[str, tuple[float, float]], span: float, *, bodies: Set[str], angles: bool
 ) -> list[LawForm]:
     """Return all laws of the grammar, with trial values of their constants for some recordings.
 
     `ranges` holds the least and the largest omega_r, omega_c and delta along the motion [rad/s], `span` is the length
-    of the longest recording [s]. With a `single` body the laws are those of its own speed, of time and of the angle;
-    laws of the angle need measured `angles`.
+    of the longest recording [s]. The laws act on, and depend on, no other than these `bodies` of the library; laws of
+    the angle need measured `angles`.
     """
-    bodies: Sequence[Joint] = ("casing",) if single else ("casing", "bearing", "rotor")
-    found = []
-    for body in bodies:
+    found: list[LawForm] = []
+    joints: Sequence[Joint] = ("casing", "bearing", "rotor")
+    for body in joints:
         for name in _SPEEDS[body]:
-            if single and name != "omega_c":
-                continue
             found += [_of_speed(f, body, name, ranges[name], span) for f in _OF_SPEED]
         if body != "rotor":
             found += [_of_time(f, body, span) for f in (*_OF_TIME, *_EVENTS)]
         else:
             found += [_of_time(f, body, span) for f in (*_OF_TIME[:4], *_EVENTS[:1])]
-        found += _products(body, span, single=single)
+        found += _products(body, span)
     if angles:
         found += [_of_angle(n) for n in _HARMONICS]
-    return _with_names(found)
+    return _with_names([law for law in found if law.effect.bodies <= bodies])
 
 
 def _with_names(laws: Sequence[LawForm]) -> list[LawForm]:
@@ -253,17 +251,13 @@ def _of_time(form: _Form, body: Joint, span: float) -> LawForm:
     return _law(form, body, text, shapes, ("t",), moment=form in _EVENTS)
 
 
-def _products(body: Joint, span: float, *, single: bool) -> Iterator[LawForm]:
+def _products(body: Joint, span: float) -> Iterator[LawForm]:
     for text, variables, symbols in _PRODUCTS[body]:
-        if not single or "omega_r" not in variables:
-            yield _law(_Form("product", text, (), symbols), body, text, (), variables)
+        yield _law(_Form("product", text, (), symbols), body, text, (), variables)
     for text, variables in _FREE_PRODUCTS[body]:
-        if not single or "omega_r" not in variables:
-            shapes = (_shape("n", "exponent", 1.0, span),)
-            yield _law(_Form("product", "", (), 4), body, text, shapes, variables)
+        shapes = (_shape("n", "exponent", 1.0, span),)
+        yield _law(_Form("product", "", (), 4), body, text, shapes, variables)
     for factor in _DECAYING[body]:
-        if single and "omega_r" in factor:
-            continue
         variable = factor.partition("*")[0]
         form = _Form("product", "", (("w", "time"),), 4 + factor.count("*"))
         yield _law(form, body, f"exp(-t/w)*{factor}", (_shape("w", "time", 1.0, span),), (variable, "t"))
@@ -352,7 +346,6 @@ def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
     if kind == "pulse":
         return made("s", [v * span for v in (0.02, 0.05, 0.12)], 0.003 * span, span)
     lowest = 2 * math.pi * _FEWEST_PERIODS / span
-    # in a short record the slowest frequency may be above the highest one
-    highest = max(lowest, _HIGHEST if kind == "frequency" else min(_HIGHEST, 40 * lowest))
+    highest = _HIGHEST / span if kind == "frequency" else 40 * lowest
     count = int(min(_MOST_FREQUENCIES, 1 + (highest - lowest) * span / _PHASE_STEP))
     return made("s-1", np.linspace(lowest, highest, count).tolist(), 0.5 * lowest, 2 * highest)

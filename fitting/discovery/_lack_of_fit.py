@@ -40,7 +40,7 @@ from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
 from fitting.effects._expression import symbols
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
@@ -150,7 +150,7 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
     values = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
     record = cases[0][0].record
-    bodies = (record.body,) if record.single else (record.body, "rotor", "bearing")
+    bodies = (*(b.name for b in record.bodies), *record.joints)
     choices = _choices(np.concatenate(values, axis=1)[: len(bodies)])
     found, widths = [], np.cumsum([len(knots) for _, knots, _ in choices])[:-1]
     for response, speed, (data, p, noise) in zip(responses, values, cases, strict=True):
@@ -248,13 +248,13 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     power, torque = periodogram(fine)
     top = int(np.argmax(power))
     k, rate = float(torque[top]), float(fine[top])
-    oscillation, record = data.oscillation, data.record
+    motion, record = data.motion, data.record
     # the response of a driven oscillator far from resonance, or of a free body
-    stiffness = 0.0 if oscillation is None else (2 * np.pi / oscillation.period) ** 2
+    stiffness = (2 * np.pi / motion.period) ** 2
     angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
     credible = not record.tracked or angle > float(np.median(record.casing.sigma))
     # with a model that loses the phase the residual is the whole motion, which no additional torque explains
-    credible = credible and (oscillation is None or angle < 0.5 * float(np.ptp(oscillation.deflection)))
+    credible = credible and angle < motion.amplitude
     share = periodogram.share(rate)
     p_values = [
         false_alarm_probability(
@@ -435,13 +435,13 @@ def nonparametric_rivals(
     if chosen is None or not chosen.physical:
         return ()
     least = max(chosen.score, chosen.screened.score) - criteria.equivalence_width
-    effect, single = chosen.effect, fit.problem.data[0].record.single
+    effect, bodies = chosen.effect, fit.problem.data[0].record.parts
     variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     found = [
         UNKNOWN_LAWS[speed]
         for joint, speed in _SPEEDS
         if not (effect.joint == joint and variables <= {speed})
-        and not (single and joint != "casing")
+        and bodies_of(joint, (speed,)) <= bodies
         and nonparametric_law(fit, joint, speed) > least
     ]
     if test is not None and test.any_in_time:

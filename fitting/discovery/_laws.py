@@ -458,7 +458,7 @@ class _Search:
         self.forms = grammar(
             ranges_of(base),
             max(d.record.span[1] - d.record.span[0] for d in data),
-            single=data[0].record.single,
+            bodies=data[0].record.parts,
             angles=data[0].is_angle,
         )
         self.trials = 0

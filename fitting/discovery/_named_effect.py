@@ -272,10 +272,12 @@ def with_free_inertia(
     None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
     """
     chosen = selection.chosen
-    single = base.problem.data[0].record.single
-    if chosen is None or not chosen.physical or chosen.effect.depends_on_angle or single:
+    if chosen is None or not chosen.physical or chosen.effect.depends_on_angle:
         return None
-    if INERTIA in selection.final.model.names:
+    if (
+        not LIBRARY[INERTIA].bodies <= base.problem.data[0].record.parts
+        or INERTIA in selection.final.model.names
+    ):
         return None
     with attempt("free ratio of the moments of inertia"):
         model = base.model.with_effect(LIBRARY[INERTIA])

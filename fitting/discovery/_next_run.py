@@ -79,20 +79,23 @@ class Bounds:
     def of(cls, fit: Fit) -> Bounds:
         """Return bounds according to the recordings of a fit.
 
-        The initial rate of the rotor is between a third of its largest recorded rate and this rate, that of the casing
-        at most its largest recorded rate in either sense; a recording takes between half and twice the longest one.
+        The initial rate of the body that is spun up is between a third of its largest recorded rate and this rate, that
+        of another one at most its largest recorded rate in either sense; a recording takes between half and twice the
+        longest one.
         """
         speeds = [d.initial_speeds[1] for d in fit.problem.data]
         spans = [d.record.span for d in fit.problem.data]
-        rotor = max(float(np.abs(s[:, 0]).max()) for s in speeds)
-        casing = max(float(np.abs(s[:, 1]).max()) for s in speeds)
         longest = max(b - a for a, b in spans)
-        single = fit.problem.data[0].record.single
+        record = fit.problem.data[0].record
+        rates = {"rotor": (0.0, 0.0)}
+        for body in record.bodies:
+            largest = max(float(np.abs(s[:, body.state]).max()) for s in speeds)
+            rates[body.part] = (largest / 3 if body is record.spun else -largest, largest)
         return cls(
-            (0.0, 0.0) if single else (rotor / 3, rotor),
-            (casing / 3, casing) if single else (-casing, casing),
+            rates["rotor"],
+            rates["casing"],
             (0.5 * longest, 2.0 * longest),
-            reversible=not single,
+            reversible=record.spun.role == "rotor",
         )
 
 
@@ -202,7 +205,7 @@ def separating_run(
     smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:
         return ""
-    if fit.problem.data[0].oscillation is not None:
+    if len(fit.problem.data[0].motion.reversals):
         # planned runs have initial speeds, and an oscillation begins with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
@@ -382,22 +385,32 @@ class _RunSearch:
         return replace(found, sentence=_sentence(found, info.fit, self._criteria))
 
 
+def _start_of_body(run: Run, _fit: Fit) -> str:
+    return f"start at {speed(run.omega_casing):.3g} {speed_unit()}"
+
+
+def _start_of_rotor(run: Run, _fit: Fit) -> str:
+    sense = " in the other sense of rotation" if run.omega_rotor < 0 else ""
+    return f"start the rotor at {abs(speed(run.omega_rotor)):.0f} {speed_unit()}{sense}"
+
+
+def _start_of_casing(run: Run, fit: Fit) -> str:
+    usual = max(abs(float(d.initial_speeds[1][0, 1])) for d in fit.problem.data)
+    casing, unit = speed(run.omega_casing), speed_unit()
+    if abs(run.omega_casing) > 1.5 * usual + 1.0:
+        against = "against" if run.omega_casing * run.omega_rotor < 0 else "with"
+        return f"spin the casing by hand to {abs(casing):.0f} {unit} {against} the rotor"
+    return f"start the casing at {casing:.1f} {unit}"
+
+
+# the start of each body in words, and what it touches, by its role
+_STARTS = {"rotor": _start_of_rotor, "casing": _start_of_casing, "body": _start_of_body}
+_GROUND = {"casing": "surface", "body": "support"}
+
+
 def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
     run, record = found.run, fit.problem.data[0].record
-    single, unit = record.single, speed_unit()
-    rotor, casing = speed(run.omega_rotor), speed(run.omega_casing)
-    parts = []
-    if single:
-        parts.append(f"start at {casing:.3g} {unit}")
-    else:
-        sense = " in the other sense of rotation" if run.omega_rotor < 0 else ""
-        parts.append(f"start the rotor at {abs(rotor):.0f} {unit}{sense}")
-        usual = max(abs(float(d.initial_speeds[1][0, 1])) for d in fit.problem.data)
-        if abs(run.omega_casing) > 1.5 * usual + 1.0:
-            against = " against the rotor" if run.omega_casing * run.omega_rotor < 0 else " with the rotor"
-            parts.append(f"spin the casing by hand to {abs(casing):.0f} {unit}{against}")
-        else:
-            parts.append(f"start the casing at {casing:.1f} {unit}")
+    parts = [_STARTS[body.role](run, fit) for body in reversed(record.bodies)]
     parts.append(f"record for {run.duration:.0f} s")
     if run.windows:
         starts = ", ".join(f"{w:.0f} s" for w in run.windows)
@@ -407,8 +420,7 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
             f"fix a ring to the {record.body} that makes its moment of inertia {run.ring:.1f} times as large"
         )
     if run.surface != 1.0:
-        where = "support" if single else "surface"
-        parts.append(f"use a {where} with {run.surface:.1f} times the friction")
+        parts.append(f"use a {_GROUND[record.bodies[0].role]} with {run.surface:.1f} times the friction")
     plan = "; ".join(parts)
     what = f"{plan[0].upper()}{plan[1:]}."
     if not found.rivals:

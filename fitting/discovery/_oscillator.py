@@ -166,7 +166,7 @@ def fit_oscillator(
     the lowest BIC, and the best of them with the other restoring torques; BIC decides. If the reversals are
     too many for `Criteria.refit_least` refits (more than 125), the chosen set alone is fitted.
     """
-    reversals = 0 if data.oscillation is None else len(data.oscillation.reversals)
+    reversals = len(data.motion.reversals)
     if not laws.sets or criteria.refits_through(reversals) < criteria.refit_least:
         return laws, fit(model_of((*laws.restoring, *laws.damping)), [data])
     fits: list[tuple[LawSet, Fit]] = []

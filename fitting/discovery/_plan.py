@@ -364,7 +364,7 @@ def plan(
     truth: dict[str, float] = {}
     process: list[tuple[ProcessNoise, ...]] = []
     if isinstance(recordings, Fit):
-        if recordings.problem.data[0].oscillation is not None:
+        if len(recordings.problem.data[0].motion.reversals):
             raise EstimationError(
                 "a plan needs runs that start at given speeds, but this body oscillates about an equilibrium",
                 "release it from a larger angle, or record it for longer: both separate restoring torques better",

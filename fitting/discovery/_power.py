@@ -36,7 +36,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import PER_INERTIA, per_inertia
 from fitting.discovery._score import (
     RANK,
     CaseColumns,
@@ -467,7 +466,7 @@ class Search:
         root, torque = float(common.root[group]), float(unit_torque[group])
         shape = self._trials[effect.name][0][group].shape
         strength = next(p for p in effect.parameters if p.role == "amplitude")
-        unit = per_inertia(strength.unit) if self.fit.torque_unit == PER_INERTIA else strength.unit
+        unit = self.fit.units.of(strength.unit)
         if root == 0:
             no_curve = np.zeros((0, 2))
             return EffectLimits(

@@ -125,7 +125,7 @@ def mean_torque(fit: Fit, case: int) -> float:
         .reshape(-1, path.y.shape[-1])
         .mean(axis=0)
     )
-    return float(max(record.I_casing * rates[1], 0.0 if record.single else record.I_rotor * rates[0]))
+    return float(max(b.inertia * rates[b.state] for b in record.bodies))
 
 
 def _most_likely(

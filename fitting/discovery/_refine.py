@@ -27,6 +27,7 @@ from fitting.effects._effect import Effect, Parameter
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
+from fitting.inference._oscillation import are_smooth
 from fitting.inference._result import Fit
 from fitting.inference._trace import attempt, with_purpose
 
@@ -70,7 +71,7 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
     excepted: it was fitted period by period, so its motion is not in a wrong minimum, and with little noise a search
     that slips by half a period does not converge.
     """
-    if not has_model_noise(found) or any(d.oscillation is not None for d in found.problem.data):
+    if not has_model_noise(found) or not are_smooth(d.motion for d in found.problem.data):
         return found
     # with so little noise a search may diverge
     with attempt("a refit at the lowest process noise"):

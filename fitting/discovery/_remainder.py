@@ -42,7 +42,7 @@ from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects._effect import Effect, Joint, Parameter
+from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
@@ -215,16 +215,15 @@ def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     data = end.problem.data[case]
     if not end.model.restoring or not fails_grossly(data, end.predictions[case], end.noise[case]):
         return None
-    assert data.oscillation is not None  # noqa: S101 - only an oscillation fails grossly
-    motion, fitted = data.oscillation.slow_motion, averaged_fit(end.model, [data])
+    motion, fitted = data.motion.slow_motion, averaged_fit(end.model, [data])
     if motion is None or fitted is None or not fitted.phase_error < LARGEST_PHASE_ERROR:
         return None
     amplitude, phase = (fitted.rows[0][2] * fitted.scales[0]).reshape(2, -1)
     rate = np.gradient(motion.phase, motion.time)
     quadrature = 2 * rate * np.gradient(amplitude, motion.time)
     inphase = 2 * rate * motion.amplitude * np.gradient(phase, motion.time)
-    t = data.oscillation.time
-    at = data.oscillation.phase(t)
+    t = data.motion.time
+    at = data.motion.phase(t)
     torque = np.interp(t, motion.time, inphase) * np.cos(at)
     torque = torque - np.interp(t, motion.time, quadrature) * np.sin(at)
     return t, data.record.I_casing * torque
@@ -303,9 +302,8 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
         return
     for joint, speed, powers in _SMOOTH_LAWS:
         variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-        if (joint == effect.joint and variables <= {speed}) or (
-            base.problem.data[0].record.single and joint != "casing"
-        ):
+        foreign = not bodies_of(joint, (speed,)) <= base.problem.data[0].record.parts
+        if foreign or (joint == effect.joint and variables <= {speed}):
             continue
         law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import PER_INERTIA, TORQUE, interval, plain, rounded, span_of
+from fitting._numbers import TORQUE, Units, interval, plain, rounded, span_of
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._angle_harmonics import AngleHarmonics
 from fitting.inference._case_data import CaseData
@@ -114,7 +114,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
-    for body in ("casing",) if data.record.single else ("casing", "rotor"):
+    for body in (b.part for b in data.record.bodies):
         mean = level**2 * cross[body].T @ weighted
         reduction = level**4 * np.einsum("ic,ij,jc->c", cross[body], inverse, cross[body], optimize=True)
         # where the data determine the torque almost completely, the difference of variances is rounding
@@ -202,18 +202,14 @@ class Failure:
         return interval(self.t_start, self.t_stop)
 
 
-_TORQUE_UNITS = ((0.1, (1.0, "N m")), (1e-3, (1e3, "mN m")), (1e-8, (1e6, "uN m")), (0.0, (1e9, "nN m")))
-_PER_INERTIA_UNITS = ((0.1, (1.0, "rad/s2")), (1e-4, (1e3, "mrad/s2")), (0.0, (1e6, "urad/s2")))
-
-
 def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
     """Return a torque with a prefix that suits its size, rounded to its standard uncertainty where that is known.
 
     nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, N m; with `unit` "rad/s2" urad/s2, mrad/s2, rad/s2.
     """
     size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
-    units = _PER_INERTIA_UNITS if unit == PER_INERTIA else _TORQUE_UNITS
-    scale, unit = next((u for least, u in units if size >= least), units[-1][1])
+    steps = Units.by_torque(unit).steps
+    _, scale, unit = next((step for step in steps if size >= step[0]), steps[-1])
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{plain(value * scale)} {unit}"
     return rounded(value * scale, sigma * scale, unit)
@@ -244,6 +240,11 @@ def find_failures(
     return sorted(found, key=lambda f: -f.size_sigma)[:_MOST]
 
 
+_SLOWEST = 1e-4
+"""Smallest speed of a body that does not rest, over its largest one [1]. Chosen: a smaller value gives an amplitude of
+the speed without a limit, a larger one understates it for slow bodies."""
+
+
 def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Failure]:
     amplitude, size = found.size(n)
     if size < least:
@@ -253,7 +254,9 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
     # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest without resting
-    slowest = max(float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), 1e-3)
+    slowest = max(
+        float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), _SLOWEST * float(speed.max())
+    )
     speed_amplitude = amplitude / (record.I_casing * n * slowest)
     span = float(t[0]), float(t[-1])
     return [

@@ -187,6 +187,8 @@ time."""
 _ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
 """Share of a law's torque that acts on rotor and on casing [1]. Derived: Newton's third law; a torque in the bearing,
 or a factor of it, acts on both, with -1 and 1."""
+# kind of the typical torque of a recording, by the body that is spun up: of its bearing, or the net torque
+_TYPICAL = {"rotor": "factor", "body": "inertia"}
 _FINER = 8
 """Factor between the declared grid of changepoints and the one that is tried [1]. Chosen: a smaller value passes over
 narrow maxima of the score, a larger one costs time."""
@@ -218,10 +220,9 @@ class CaseColumns:
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
         self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
         self._known |= means_in(self.case.data.record.inputs, self.response.edges)
-        oscillation = self.case.data.oscillation
-        if oscillation is not None:
-            measured = np.interp(self.response.centres, oscillation.time, oscillation.deflection)
-            self._known = {"deflection": measured} | self._known
+        motion = self.case.data.motion
+        deflection = np.interp(self.response.centres, motion.time, motion.deflection)
+        self._known = {"deflection": deflection} | self._known
         dynamics = self.case.dynamics
         tau = Tape([dynamics.bearing_torque])(self._known | dynamics.constants | self.numbers)
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
@@ -287,7 +288,7 @@ class CaseColumns:
     @property
     def typical_torque(self) -> Array:
         """Torque of the bearing in each cell [N m]; of a single body the net torque."""
-        return np.asarray(self._scaled_torque["inertia" if self.case.data.record.single else "factor"])
+        return np.asarray(self._scaled_torque[_TYPICAL[self.case.data.record.spun.role]])
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
         """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""

@@ -49,6 +49,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import deviance_at_noise_of, fit, measured_with
 from fitting.inference._initial_values import equation_error
 from fitting.inference._noise import Noise
+from fitting.inference._oscillation import are_smooth
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
 from fitting.inference._trace import Refit, attempt, recorded_map, recording, with_purpose
@@ -169,13 +170,10 @@ def rank(
         chosen = [w or a for w, a in zip(chosen, afresh, strict=True)]
     if base.model.restoring:
         # through many periods a refit takes long, and that of a law with a small score is degenerate
+        most = criteria.refit_oscillation_p
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
-        chosen = [
-            w and c.p_value < criteria.refit_oscillation_p and c.score >= least
-            for w, c in zip(chosen, found, strict=True)
-        ]
-        oscillation = data[0].oscillation
-        allowed = criteria.refits_through(0 if oscillation is None else len(oscillation.reversals))
+        chosen = [w and c.p_value < most and c.score >= least for w, c in zip(chosen, found, strict=True)]
+        allowed = criteria.refits_through(len(data[0].motion.reversals))
         chosen = [w and sum(chosen[:i]) < allowed for i, w in enumerate(chosen)]
     if restoring_only:
         possible = possible_restoring(base.model, effects, data, criteria)
@@ -290,18 +288,18 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
         return False
     if effect.joint == "input":  # without a law of the input its dead time has no influence
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
-    if not (effect.searched or asked) or (base.problem.data[0].record.single and not effect.single_body):
+    if not (effect.searched or asked) or not effect.bodies <= base.problem.data[0].record.parts:
         return False
     # a contact that turns in one sense slides after a small angle: from then on its friction is constant
     reversing = effect.restoring or effect.contact
-    oscillation = base.problem.data[0].oscillation
-    if reversing and oscillation is None:
+    motion = base.problem.data[0].motion
+    if reversing and motion.is_smooth:
         return False
     # over a small part of a turn a harmonic of the angle is a constant and a spring
-    if oscillation is not None and effect.about_equilibrium is not effect:
-        return bool(np.ptp(oscillation.deflection) > _SMALLEST_RANGE)
+    if not motion.is_smooth and effect.about_equilibrium is not effect:
+        return bool(np.ptp(motion.deflection) > _SMALLEST_RANGE)
     # nor is a harmonic distinguishable from another law before the body has turned once
-    if oscillation is None and effect.depends_on_angle and not asked:
+    if motion.is_smooth and effect.depends_on_angle and not asked:
         angle = base.problem.data[0].measured_angle
         if angle is not None and np.ptp(angle) < 2 * np.pi:
             return False
@@ -821,7 +819,7 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
     """
     before = history[-1].fit
     first = before.model.names == history[0].fit.model.names
-    if first or before.fails(criteria) or any(d.oscillation is not None for d in before.problem.data):
+    if first or before.fails(criteria) or not are_smooth(d.motion for d in before.problem.data):
         return False
     random = with_random_torque(before, criteria)
     tests = len(history[-1].candidates)

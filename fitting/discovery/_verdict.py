@@ -79,6 +79,7 @@ from fitting.effects._words import effect_name
 from fitting.inference._angle_harmonics import AngleHarmonics, angle_harmonics
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
+from fitting.inference._oscillation import are_smooth
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
@@ -422,7 +423,7 @@ def _diagnosis(
     hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else ()
     failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" and not brief else []
     # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
-    told = () if any(d.oscillation is not None for d in fit.problem.data) else nuisance
+    told = nuisance if are_smooth(d.motion for d in fit.problem.data) else ()
     sentence = (
         _undecided(selection, random, hint, told, criteria)
         if verdict == "undecided"
@@ -468,10 +469,10 @@ def _random_alternative(
     criteria: Criteria,
 ) -> RandomTorque | None:
     """Return the slow random torque that describes the data as well as the answer; None if none does."""
-    oscillates = any(d.oscillation is not None for d in fit.problem.data)
+    is_smooth = are_smooth(d.motion for d in fit.problem.data)
     # the sinusoids of an angle or of time are not a random torque
     periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
-    if verdict not in {"missing_effect", "unexplained"} or oscillates or periodic:
+    if verdict not in {"missing_effect", "unexplained"} or not is_smooth or periodic:
         return None
     chosen = selection.chosen
     if chosen is not None and chosen.effect in (START, SLIP):

@@ -11,7 +11,7 @@ are passed separately as a mapping from ``<effect>.<symbol>`` to a value.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from fitting._arguments import NUMBERS, TEXT, Kind, require
 from fitting._errors import EffectError
 from fitting._numbers import on_screen
 from fitting.dynamics._inputs import Input
-from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
+from fitting.effects._effect import RATIO, THE_CASING, THE_ROTOR, Effect, Parameter, bodies_of, slope_symbol
 from fitting.effects._expression import (
     ONE,
     ZERO,
@@ -174,10 +174,9 @@ class Model:
             held[keys[0]] = float(value)
         return Model(tuple(_holding(e, held) for e in self.effects))
 
-    @property
-    def alone(self) -> Model:
-        """The effects that apply to a single body."""
-        return Model(tuple(e for e in self.effects if e.single_body))
+    def of_bodies(self, bodies: Set[str]) -> Model:
+        """Return the model of the effects that act on, and depend on, no other bodies of the library."""
+        return Model(tuple(e for e in self.effects if e.bodies <= bodies))
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -229,13 +228,13 @@ class Model:
         """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
-    def equations(self, *, single: bool = False) -> tuple[str, ...]:
+    def equations(self, bodies: Set[str] = THE_ROTOR | THE_CASING) -> tuple[str, ...]:
         """Return the equations of motion as LaTeX, one line for each body and one for the bearing torque.
 
         Parameters
         ----------
-        single : bool
-            There is one body only; return its equation.
+        bodies : set of str
+            The bodies of the library that the case has: "rotor", "casing".
         """
         laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "contact": []}
         for e in self.effects:
@@ -245,16 +244,15 @@ class Model:
         def join(terms: list[str]) -> str:
             return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
 
-        if single:
-            return (rf"I_c \dot\omega_c = {join(laws['casing']) or '0'}",)
         tau = join(laws["bearing"]) or "0"
         if laws["factor"]:
             tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
-        bearing = bool(laws["bearing"]) or not laws["contact"]
+        bearing = bodies_of("bearing", ()) <= bodies and (bool(laws["bearing"]) or not laws["contact"])
         rotor = join([*([r"-\tau_{cr}"] if bearing else []), *laws["rotor"], *laws["contact"]])
         casing = join([*([r"\tau_{cr}"] if bearing else []), *laws["casing"]])
         casing += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
-        lines = (rf"I_r \dot\omega_r = {rotor}", rf"I_c \dot\omega_c = {casing}")
+        sums = {"rotor": rf"I_r \dot\omega_r = {rotor}", "casing": rf"I_c \dot\omega_c = {casing or '0'}"}
+        lines = tuple(line for body, line in sums.items() if body in bodies)
         return (*lines, rf"\tau_{{cr}} = {tau}") if bearing else lines
 
 

@@ -187,6 +187,19 @@ RATIO = "n"
 _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", "camera.rotor": "rotor"}
 
 
+THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
+_BODIES: dict[str, frozenset[str]] = {
+    **dict.fromkeys(("rotor", "camera.rotor", "omega_r", "psi_r"), THE_ROTOR),
+    **dict.fromkeys(("casing", "camera.casing", "omega_c", "psi_c"), THE_CASING),
+    **dict.fromkeys(("bearing", "contact", "factor", "inertia", "delta", "tau"), THE_ROTOR | THE_CASING),
+}
+
+
+def bodies_of(joint: str, variables: Iterable[str]) -> frozenset[str]:
+    """Return the bodies of the library on which a law acts at its joint, or depends by its variables."""
+    return frozenset().union(*(_BODIES.get(name, frozenset()) for name in (joint, *variables)))
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A number in a law: symbol, SI unit, bounds, and how its initial value is found.
@@ -362,15 +375,9 @@ class Effect:
         return self.camera is None
 
     @cached_property
-    def single_body(self) -> bool:
-        """Whether it applies to the recording of one body: it acts on the casing and depends on no other body."""
-        names = symbols(self.expression).union(*map(symbols, self.rates))
-        return self.joint in {"casing", "input", "camera.casing"} and not names & {
-            "omega_r",
-            "psi_r",
-            "delta",
-            "tau",
-        }
+    def bodies(self) -> frozenset[str]:
+        """The bodies of the library on which it acts or depends: a case without one of them does not have it."""
+        return bodies_of(self.joint, symbols(self.expression).union(*map(symbols, self.rates)))
 
     @cached_property
     def depends_on_angle(self) -> bool:

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from fitting._errors import EffectError
-from fitting.effects._effect import MOMENTS, RATIO, Effect, Parameter, State
+from fitting.effects._effect import MOMENTS, RATIO, THE_CASING, Effect, Parameter, State
 from fitting.effects._expression import Tape, latex, substitute, sym
 
 _DISC = "von Karman 1921"
@@ -269,7 +269,7 @@ CASING = (
     Effect("casing.precession", "casing", "k*cos(chirp + phi)",
         (
             Parameter("k", "N m", meaning="torque that follows the precession"),
-            Parameter("m", "s-2", "shape", 1.0, 1e5, 200.0, tuple(round(50.0 * 1.12**i, 1) for i in range(40)),
+            Parameter("m", "s-2", "shape", 0.0, math.inf, 200.0, tuple(round(50.0 * 1.12**i, 1) for i in range(40)),
                 meaning="precession rate times rotor speed, M g l / I_r"),
             _PHASE,
         ),
@@ -472,7 +472,7 @@ def of_the_rotor(effect: Effect) -> Effect | None:
         tree = substitute(e.expression, own | {"omega_c": sym("omega_r"), "psi_c": sym("psi_r")})
         return latex(tree), str(len(own))
 
-    if not effect.single_body or effect.state is not None or effect.camera:
+    if not effect.bodies <= THE_CASING or effect.state is not None or effect.camera:
         return None
     return next((e for e in LIBRARY.values() if e.joint == "rotor" and law(e) == law(effect)), None)
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fitting._numbers import per_inertia, symbol_text, unit_text
+from fitting._numbers import SI, Units, symbol_text, unit_text
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY, SLIP, START, shortened
@@ -156,7 +156,7 @@ _SIGNS = {"deflection": "deflection", "temperature": "T", "chirp": "χ", "tau": 
 
 
 def symbol_meanings(
-    effects: Iterable[Effect], body: str = CASING, *, without_inertia: bool = False
+    effects: Iterable[Effect], body: str = CASING, units: Units = SI
 ) -> tuple[tuple[str, str], ...]:
     """Return the symbols of the formulas of effects with their meanings: the definitions beneath a formula.
 
@@ -166,8 +166,8 @@ def symbol_meanings(
         The effects, in the order of their formulas.
     body : str
         The name of the recorded body: "casing", or that of a single one.
-    without_inertia : bool
-        Whether torques are per unit of inertia, in rad/s2.
+    units : Units
+        Units of the torques of the case.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def symbol_meanings(
         found.append((_sign(name), of_body(text, body)))
     for e in known:
         for p in e.parameters:
-            unit = per_inertia(p.unit) if without_inertia else p.unit
+            unit = units.of(p.unit)
             unit = "" if unit == "1" else f" [{unit_text(unit)}]"
             found.append(
                 (_sign(p.symbol), of_body(p.meaning or f"parameter of the {_words(e)}", body) + unit)

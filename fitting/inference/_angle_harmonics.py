@@ -95,7 +95,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
-        if case.data.measured_angle is None or case.data.oscillation is not None:
+        if case.data.measured_angle is None or not case.data.motion.is_smooth:
             continue
         if case.data.record.driving and not is_driven(fit.model, case.data):
             # about a model without the drive of the body, a harmonic of the angle has no meaning

@@ -73,7 +73,7 @@ def averaged(
     frequency, or that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
-    found = [None if d.oscillation is None else d.oscillation.slow_motion for d in data]
+    found = [d.motion.slow_motion for d in data]
     slow = [m for m in found if m is not None]
     if len(slow) < len(found):
         return None

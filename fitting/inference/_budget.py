@@ -300,8 +300,8 @@ def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     then one of both.
     """
     records = fit.problem.layout.records
-    both = ("rotor",) if _ratio_has_prior(fit) else ("rotor", "casing")
-    for body in ("casing",) if records[0].single else both:
+    parts = [b.part for b in reversed(records[0].bodies)]
+    for body in parts[:1] if _ratio_has_prior(fit) else parts:
         known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
         several = len(set(known)) > 1
         for value, u in dict.fromkeys(known):

@@ -181,7 +181,6 @@ class Case:
             label=_text("label", label),
             surface=_text("surface", surface),
             quantity="angle" if quantities == {"angle"} else "omega",
-            single=not gyroscope,
             per_inertia=inertia is None,
             inputs=_inputs(inputs),
             name="" if gyroscope or main == "casing" else main,
@@ -211,7 +210,7 @@ class Case:
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies."""
-        return (self.record.body,) if self.record.single else _GYROSCOPE
+        return tuple(b.name for b in self.record.bodies)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -253,8 +252,7 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
             'write for example "air.linear" or "casing: -k*omega_c**3"',
         )
     if len(names) == 1 and names[0] in NAMED:
-        model = Model.of(names[0])
-        return model.alone if record.single else model
+        return Model.of(names[0]).of_bodies(record.parts)
     # a plus within a formula belongs to it
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
     return Model(tuple(resolve(inward(n.strip(), record.name), record.inputs) for n in names))

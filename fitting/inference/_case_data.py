@@ -50,7 +50,7 @@ from fitting.inference._compression import (
 )
 from fitting.inference._error_modes import mode_columns
 from fitting.inference._linear_algebra import orthonormal
-from fitting.inference._oscillation import Oscillation, find_oscillation
+from fitting.inference._oscillation import ROTATION, Motion, Oscillation, motion_of
 from fitting.inference._prior import Prior
 from fitting.inference._process_noise import (
     FLAT_PRIOR_SIGMA,
@@ -149,8 +149,6 @@ separate motion and noise, more leave short windows without an estimate."""
 _PERIOD_SAMPLES = 24
 """Smallest number of samples of a block of an oscillation [samples]. Chosen: fewer leave none for the noise, more give
 blocks of several periods at low frame rates."""
-_POINTS_PER_PERIOD = 24
-"""Rough speeds in each period of an oscillation [1]. Chosen: fewer cut the turning points, more are noisy."""
 _DRIVEN_POINTS = 1000
 """Largest number of rough speeds of a driven body [1]. Chosen: fewer blur the response to the input, more are noisy."""
 _DRIVEN_SAMPLES = 6
@@ -227,7 +225,7 @@ class CaseData:
     record: Record
     casing: Compressed
     rotor: tuple[Compressed, ...]
-    oscillation: Oscillation | None = None
+    motion: Motion = ROTATION
     noiseless: bool = False
     free_inertia: bool = False
     slips: tuple[Slip, ...] = ()
@@ -243,9 +241,8 @@ class CaseData:
         angle = record.quantity == "angle"
         driving = record.driving
         modes, of_windows = mode_columns(record.modes, record.casing.time, [w.time for w in record.rotor])
-        # a body that an input drives to and fro does not oscillate about an equilibrium
-        oscillation = None if driving else find_oscillation(record)
-        if oscillation is None:
+        motion = motion_of(record)
+        if motion.is_smooth:
             time = record.casing.time
             casing = compress(
                 record.casing,
@@ -258,9 +255,9 @@ class CaseData:
             )
         else:
             width, degree, first_noise_row = next(
-                b for b in _OSCILLATION_BLOCKS if oscillation.periods <= b.periods
+                b for b in _OSCILLATION_BLOCKS if motion.periods <= b.periods
             ).block
-            blocks = max(1, round(oscillation.periods / width))
+            blocks = max(1, round(motion.periods / width))
             most = len(record.casing) // (2 * blocks)
             casing = compress(
                 record.casing,
@@ -281,7 +278,12 @@ class CaseData:
             )
             for w, own in zip(record.rotor, of_windows, strict=True)
         )
-        return cls(record, casing, rotor, oscillation, slips=slips, criteria=criteria)
+        return cls(record, casing, rotor, motion, slips=slips, criteria=criteria)
+
+    @property
+    def oscillation(self) -> Oscillation | None:
+        """The oscillation of the body; None if it turns in one sense."""
+        return self.motion if isinstance(self.motion, Oscillation) else None
 
     def with_criteria(self, criteria: Criteria) -> CaseData:
         """Return the same measured data with other criteria of the noise."""
@@ -336,10 +338,9 @@ class CaseData:
     @cached_property
     def prior(self) -> Prior | None:
         """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
-        record, given = self.record, self.record.prior
-        known = (record.I_casing_u / record.I_casing, record.I_rotor_u / record.I_rotor)
-        u = math.hypot(*(x for x in known if math.isfinite(x)))
-        if not self.free_inertia or record.single or u == 0 or (given and INERTIA_RATIO in given.names):
+        given, (main, *others) = self.record.prior, self.record.bodies
+        u = sum(math.hypot(main.relative_u, other.relative_u) for other in others)
+        if not self.free_inertia or u == 0 or (given and INERTIA_RATIO in given.names):
             return given
         stated = Prior((INERTIA_RATIO,), (0.0,), ((u**2,),), "moments of inertia")
         return stated if given is None else given.joined(stated)
@@ -356,7 +357,7 @@ class CaseData:
         The error of an integral is a random walk, far smaller than the difference from the angle of a model with a lack
         of fit.
         """
-        return None if self.oscillation is not None and not self.is_angle else _turning_angle(self.record)
+        return _turning_angle(self.record) if self.is_angle or self.motion.is_smooth else None
 
     @cached_property
     def angle_cubics(self) -> PiecewiseCubics:
@@ -372,9 +373,7 @@ class CaseData:
         record, found = self.record, [0.0]
         for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
             for samples in (run.samples for run in runs if len(run.samples) > 1):
-                part = float(np.ptp(samples.time)) / _RUN_PARTS
-                if self.oscillation is not None:
-                    part = min(part, self.oscillation.period / _PERIOD_PARTS)
+                part = min(float(np.ptp(samples.time)) / _RUN_PARTS, self.motion.period / _PERIOD_PARTS)
                 time = np.arange(samples.time[0], samples.time[-1], part)
                 value = np.interp(time, samples.time, samples.value)
                 speed = np.gradient(value, time) if self.is_angle else value
@@ -394,7 +393,7 @@ class CaseData:
     def _harmonic_functions(self) -> Array:
         """The same functions at the samples, (samples, columns)."""
         psi = self.measured_angle
-        if psi is None or self.oscillation is not None:
+        if psi is None or not self.motion.is_smooth:
             return np.zeros((len(self.record.casing), 0))
         speeds, angles = responses_to_harmonics(self.record.casing.time, psi)
         if not self.is_angle:
@@ -476,7 +475,7 @@ class CaseData:
         They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, a shutter time up to a frame, and,
         on film, 5 mrad by motion blur. Empty where these functions are not fitted.
         """
-        if not self.is_angle or not (self.oscillation is None or self.record.tracked):
+        if not self.is_angle or not (self.motion.is_smooth or self.record.tracked):
             return np.zeros(0)
         samples = self.casing.samples
         frame = float(np.median(np.diff(samples.time)))
@@ -511,7 +510,7 @@ class CaseData:
 
     @cached_property
     def _correlated_noise(self) -> AngleNoise:
-        if not self.is_angle or self.oscillation is not None or self.noiseless:
+        if not self.is_angle or not self.motion.is_smooth or self.noiseless:
             return AngleNoise()
         return estimate_angle_noise(self.casing, self._nuisance_rows, self.criteria)
 
@@ -572,15 +571,13 @@ class CaseData:
     @cached_property
     def process_noise(self) -> ProcessNoise:
         """Random acceleration of the casing; no model and no moment of inertia enters."""
-        free = self._nuisance_rows
-        if self.oscillation is not None:
-            motion = self.casing.at_samples(self.oscillation.harmonics())[0]
-            if not self.is_angle:
-                bias = self.casing.at_nodes(np.ones((len(self.casing.node_times), 1)))
-                motion = np.concatenate([motion, bias], axis=1)
-            free = np.concatenate([free, FLAT_PRIOR_SIGMA * motion], axis=1)
+        motion = self.casing.at_samples(self.motion.harmonics(len(self.casing.samples)))[0]
+        free = np.concatenate([self._nuisance_rows, FLAT_PRIOR_SIGMA * motion], axis=1)
+        if not self.is_angle:
+            bias = self.casing.at_nodes(self.motion.offsets(len(self.casing.node_times)))
+            free = np.concatenate([free, FLAT_PRIOR_SIGMA * bias], axis=1)
         # the acceleration of an oscillation is mainly that of its restoring torque
-        known = self.is_angle and self.oscillation is None
+        known = self.is_angle and self.motion.is_smooth
         typical = mean_acceleration(self.casing) if known else math.inf
         return estimate_process_noise(
             self.casing, free, self.angle_noise.root, angle=self.is_angle, typical=typical
@@ -593,7 +590,7 @@ class CaseData:
         A camera may have systematic errors of some frequencies, smaller than the noise of one angle: on film, such
         lines count as noise.
         """
-        if self.oscillation is not None:
+        if not self.motion.is_smooth:
             return ()
         least = float(np.median(self.record.casing.sigma)) if self.record.tracked else 0.0
         found = spectral_lines(self.casing, self._camera_rows, self.criteria)
@@ -619,23 +616,15 @@ class CaseData:
     @cached_property
     def _stated_error(self) -> Array:
         """Polynomial rows of the slowly varying error that tracking states, at one standard deviation."""
-        if not any(self.record.correlated) or not self.is_angle or self.oscillation is not None:
+        if not any(self.record.correlated) or not self.is_angle or not self.motion.is_smooth:
             return np.zeros((len(self.casing.z), 0))
         return stated_error_rows(self.casing, *self.record.correlated)
 
     @cached_property
     def camera_columns(self) -> Array:
-        """The camera's nuisance functions at the samples, (samples, 8).
-
-        For an oscillation, their part that is linear in the angle is removed: over a part of a turn they are nearly
-        linear in the angle, and would absorb any motion.
-        """
+        """The camera's nuisance functions at the samples, (samples, 8)."""
         columns = camera_columns(self.casing.samples, blurred=self.record.tracked)
-        if self.oscillation is None:
-            return columns
-        psi = self.casing.samples.value
-        linear = np.stack([np.ones_like(psi), psi - psi.mean()], axis=1)
-        return np.asarray(columns - linear @ np.linalg.lstsq(linear, columns, rcond=None)[0])
+        return self.motion.beyond_motion(columns, self.casing.samples.value)
 
     @cached_property
     def _camera_rows(self) -> Array:
@@ -678,7 +667,7 @@ class CaseData:
     def _harmonic_scale(self) -> Array:
         """Standard deviation of the rows of harmonics by the stated error of the angle; empty without one."""
         stated = self.record.correlated[3]
-        if stated == 0 or not self.is_angle or self.oscillation is not None:
+        if stated == 0 or not self.is_angle or not self.motion.is_smooth:
             return np.zeros(0)
         return stated_harmonic_scale(self.casing, stated)
 
@@ -708,9 +697,7 @@ class CaseData:
         if self.record.driving:
             # the response to a step takes a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
-        if self.oscillation is None:
-            return initial_speeds(self.record)
-        return initial_speeds(self.record, math.ceil(_POINTS_PER_PERIOD * self.oscillation.periods), 3)
+        return initial_speeds(self.record, *self.motion.rough)
 
     @cached_property
     def driven(self) -> bool:
@@ -720,7 +707,7 @@ class CaseData:
         """
         if not self.record.driving:
             return False
-        speed = np.abs(self.initial_speeds[1][:, int(self.record.single)])
+        speed = np.abs(self.initial_speeds[1][:, self.record.spun.state])
         rise = speed - np.minimum.accumulate(speed)
         return bool(rise.max() > _RISE * speed.max())
 
@@ -738,10 +725,8 @@ class CaseData:
     @property
     def smoothing_width(self) -> int:
         """Points of the running median of `speeds`: the paper's 51, and at most a sixteenth of a period."""
-        oscillation = self.oscillation
-        if oscillation is None:
-            return WIDTH
-        return min(WIDTH, max(1, int(len(self.record.casing) / (16 * oscillation.periods))) | 1)
+        most = self.motion.samples_per_period(len(self.record.casing)) / _PERIOD_PARTS
+        return min(WIDTH, max(1, int(min(most, WIDTH))) | 1)
 
     @property
     def n_effective(self) -> float:
@@ -782,9 +767,10 @@ class CaseData:
         elif self.record.gradients:
             # in the first slow turns camera errors are as slow as effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
-        elif self.oscillation is not None:
+        else:
             # zero-rate output of a gyroscope; its scale factor is not distinguishable from that of the deflections
-            columns.append(self.rows(np.ones(len(self.casing.node_times)), []))
+            offsets = self.motion.offsets(len(self.casing.node_times))
+            columns += [self.rows(offset, []) for offset in offsets.T]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
 
     def rows(self, casing: Array, rotor: Sequence[Array]) -> Array:
@@ -811,12 +797,12 @@ class CaseData:
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
-        casing, rotor = self._times_of_bodies
-        values = [self._observed(path.mesh.sampler(casing), path, 1, nodes)]
-        if not self.record.single:
-            values.append(self._observed(path.mesh.sampler(rotor), path, 0, nodes))
+        casing, *rotor = (
+            self._observed(path.mesh.sampler(times), path, body.state, nodes)
+            for body, times in zip(self.record.bodies, self._times_of_bodies, strict=False)
+        )
         ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self._rows(values[0], [] if self.record.single else np.split(values[1], ends))
+        rows = self._rows(casing, [window for values in rotor for window in np.split(values, ends)])
         return self.whitened(self._projected_by_samples(path, nodes, rows))
 
     def _observed(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
@@ -829,7 +815,7 @@ class CaseData:
     def _projected_by_samples(self, path: Path, nodes: Array | None, rows: Array) -> Array:
         """Replace the rows of blocks in which the motion is not a polynomial: with a kink, or with many harmonics."""
         # an oscillation has many harmonics in a block, and the response to a step may be shorter than one
-        everywhere = self.oscillation is not None or bool(self.record.driving)
+        everywhere = not self.motion.is_smooth or bool(self.record.driving)
         if not path.kinks and not everywhere:
             return rows
         first = 0

@@ -194,28 +194,24 @@ def _read(path: Path, file: Any) -> Record:
         )
     # `/casing` and `/rotor` are what older scripts read and change
     bodies = _bodies(path, file) if "casing" not in file and "body" in file else _of_casing(path, file)
-    main, rotor = bodies[0], bodies[1] if len(bodies) > 1 else None
-    per_inertia = math.isnan(main.inertia)
-    if rotor is not None and math.isnan(main.inertia + rotor.inertia):
+    main, rotor = (*bodies, _NO_ROTOR)[:2]
+    if any(math.isnan(b.inertia) for b in bodies) and bodies[1:]:
         raise RecordError(
             f"{path}: a gyroscope needs the inertia of both bodies", "make the case again with both inertias"
         )
-    inertias = [1.0 if rotor is None else rotor.inertia, 1.0 if per_inertia else main.inertia]
+    unknown = math.isnan(main.inertia)
     return make_record(
         label=text(attributes.get("label")) or path.stem,
         surface=text(attributes.get("surface")),
-        I_rotor=inertias[0],
-        I_casing=inertias[1],
-        I_rotor_u=math.nan if rotor is None else rotor.inertia_u,
+        I_rotor=rotor.inertia,
+        I_casing=1.0 if unknown else main.inertia,
+        I_rotor_u=rotor.inertia_u,
         I_casing_u=main.inertia_u,
-        per_inertia=per_inertia,
+        per_inertia=unknown,
         casing=main.series,
-        rotor=[] if rotor is None else _windows(rotor.series, rotor.segment),
-        single=rotor is None,
-        name=main.name if rotor is None and is_body_name(main.name) else "",
-        start_sigma=_start_sigma(
-            path, file, np.zeros(0) if rotor is None else rotor.segment, _scalar(attributes, "start_u")
-        ),
+        rotor=[w for b in bodies[1:] for w in _windows(b.series, b.segment)],
+        name=main.name if is_body_name(main.name) else "",
+        start_sigma=_start_sigma(path, file, rotor.segment, _scalar(attributes, "start_u")),
         quantity=main.quantity,
         source=str(path),
         tracked=text(_own(path, file, main.place).attrs.get("sigma_source")) == "measured",
@@ -239,6 +235,13 @@ class _Body:
     segment: Array
 
 
+# what a case of one body has instead of a rotor
+_NO_ROTOR = _Body("rotor", "rotor", 1.0, math.nan, "", "angle", (np.zeros(0),) * 3, np.zeros(0))
+# groups of layout 1 by its number of bodies, each with the role of the body
+_OF_LAYOUT_1 = {"one": (("casing", "body"),)}
+_GYROSCOPE = (("casing", "casing"), ("rotor", "rotor"))
+
+
 def _scalar(attributes: Any, name: str) -> float:
     return float(np.asarray(attributes.get(name, np.nan)))
 
@@ -248,18 +251,15 @@ def _of_casing(path: Path, file: Any) -> list[_Body]:
     attributes = file.attrs
     quantity: Quantity = "omega" if text(attributes.get("quantity", "angle")) == "omega" else "angle"
     key = ("omega", "omega_sigma") if quantity == "omega" else ("angle", "sigma")
-    single = text(attributes.get("bodies")) == "one"
     found = []
-    for name in ("casing",) if single else ("casing", "rotor"):
+    for name, role in _OF_LAYOUT_1.get(text(attributes.get("bodies")), _GYROSCOPE):
         values = series(path, file, name, key)
         segment = column(path, file, name, "window") if name == "rotor" else np.zeros(len(values[0]))
-        unknown = single and bool(attributes.get("per_inertia", False))
         inertia = float(np.asarray(attributes[f"I_{name}"]))
         if not 0 < inertia < math.inf:
             raise RecordError(f"{path}: the moment of inertia of the {name} is {inertia}, not positive")
-        inertia = math.nan if unknown else inertia
-        shown = text(attributes.get("body_name")) if single else name
-        role = "body" if single else name
+        inertia = math.nan if bool(attributes.get("per_inertia", False)) else inertia
+        shown = text(attributes.get("body_name"))
         u = _scalar(attributes, f"I_{name}_u")
         found.append(_Body(shown, role, inertia, u, name, quantity, values, segment))
     return found
@@ -398,7 +398,9 @@ def _inputs(path: Path, file: Any) -> tuple[Input, ...]:
 
 
 def _windows(rotor: tuple[Array, Array, Array], window: Array) -> list[tuple[Array, Array, Array]]:
-    return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in np.unique(window)]
+    # a rotor without samples has one window without samples, which is refused
+    numbers = np.unique(window) if len(window) else np.zeros(1)
+    return [(rotor[0][window == w], rotor[1][window == w], rotor[2][window == w]) for w in numbers]
 
 
 def _correlated(file: Any, place: str) -> tuple[float, float, float, float]:

@@ -301,8 +301,7 @@ class CaseModel:
         """Number of stops and reversals beyond which a trial has nothing in common with the measured motion."""
         sense = np.sign(self.data.initial_speeds[1][:, 1])
         turned = int((sense[1:] != sense[:-1]).sum())
-        oscillation = self.data.oscillation
-        return _SPARE_EVENTS + 2 * max(turned, 0 if oscillation is None else len(oscillation.reversals))
+        return _SPARE_EVENTS + 2 * max(turned, len(self.data.motion.reversals))
 
     @cached_property
     def _most(self) -> int:
@@ -312,16 +311,15 @@ class CaseModel:
 
     @cached_property
     def _mesh(self) -> Mesh:
-        oscillation = self.data.oscillation
         first, last = self.data.record.span
-        if oscillation is None:
+        turns = self.data.motion.reversals
+        if not len(turns):
             mesh = Mesh.uniform(first, last, _INTERVALS)
             if not self.dynamics.relaxation:
                 return mesh
             settling = self.layout.model.constants[self.dynamics.relaxation]
             doublings = np.arange(-1, np.log2(np.ptp(mesh.edges[:2]) / settling))
             return mesh.with_breakpoints((first + settling * 2.0**doublings).tolist())
-        turns = oscillation.reversals
         ends = np.concatenate([[first], turns[(turns > first) & (turns < last)], [last]])
         share = np.arange(_PER_REVERSAL) / _PER_REVERSAL
         edges = (ends[:-1, None] + np.diff(ends)[:, None] * share).ravel()
@@ -335,9 +333,8 @@ class CaseModel:
         mesh, jumps, sense = self._reversals(mesh, first)
         y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
         measured = [(times, speeds[:, i]) for i in range(2)]
-        oscillation = self.data.oscillation
-        if oscillation is not None and self.dynamics.free_starts > 2:
-            measured.append((oscillation.time, oscillation.deflection))
+        if "deflection" in self.dynamics.states and len(self.data.motion.reversals):
+            measured.append((self.data.motion.time, self.data.motion.deflection))
         for i, (t, value) in enumerate(measured):
             y[..., i] = np.interp(mesh.times, t, value)
             edges[:, i] = np.interp(mesh.edges, t, value)
@@ -345,18 +342,18 @@ class CaseModel:
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
         """Return the mesh with an edge at each measured reversal, their indices, and the sense of each interval."""
-        oscillation = self.data.oscillation
+        motion = self.data.motion
         times: tuple[float, ...] = ()
-        if oscillation is not None and self.dynamics.free_starts > 2:
-            turns = oscillation.reversals
+        if "deflection" in self.dynamics.states:
+            turns = motion.reversals
             times = tuple(turns[(turns > mesh.edges[0]) & (turns < mesh.edges[-1])])
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")
         initial_sense = np.sign(first[1]) or 1.0
-        if oscillation is not None and len(times):
+        if len(times):
             # the initial speed of a body that is released at rest may have either sign
-            ends = np.interp([mesh.edges[0], times[0]], oscillation.time, oscillation.deflection)
+            ends = np.interp([mesh.edges[0], times[0]], motion.time, motion.deflection)
             initial_sense = np.sign(ends[1] - ends[0]) or initial_sense
         sense: Array = np.asarray(initial_sense * (-1.0) ** turned)
         return mesh, {int(i): np.eye(len(first)) for i in at}, sense

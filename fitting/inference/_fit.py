@@ -34,7 +34,8 @@ from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
 from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
-from fitting.inference._parameters import START_ROTOR, ParameterLayout
+from fitting.inference._oscillation import are_smooth
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import (
     Problem,
     common_level,
@@ -72,8 +73,8 @@ def search_with_noise(
     problem = problem.with_noise(first_noise(problem, theta))
     problem, theta, held = with_initial_shapes(problem, theta, given)
     active = None
-    oscillates = any(d.oscillation is not None for d in problem.data)
-    if not oscillates and _comes_to_rest(problem, theta):
+    is_smooth = are_smooth(d.motion for d in problem.data)
+    if is_smooth and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
         # the other parameters are not yet consistent with a new law: a step of all variables would change its shape,
@@ -85,7 +86,7 @@ def search_with_noise(
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
     # an oscillation was fitted period by period, so its motion is not in a wrong minimum
-    return (found, noise) if oscillates else _with_less_noise(problem, found, noise, quick=quick)
+    return _with_less_noise(problem, found, noise, quick=quick) if is_smooth else (found, noise)
 
 
 def with_initial_shapes(
@@ -327,7 +328,7 @@ def _fitted(
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
     # without a restoring torque, the parameters fitted to an oscillation have no meaning
-    quick = quick or (any(d.oscillation is not None for d in data) and not model.restoring)
+    quick = quick or not (model.restoring or are_smooth(d.motion for d in data))
     held = tuple(steady)
     if held:
         found = search(problem.holding(held, theta), theta, quick=True, active=active)
@@ -351,9 +352,8 @@ def _fitted(
 
 
 def _free_names(problem: Problem) -> set[str]:
-    """Return the names of the variables on which the rows depend: of a body alone, all but the speed of a rotor."""
-    single = problem.data[0].record.single
-    return {n for n in problem.layout.names if not (single and n.startswith(f"{START_ROTOR}@"))}
+    """Return the names of the variables on which the rows depend."""
+    return {n for n in problem.layout.names if n.partition("@")[0] not in problem.layout.absent}
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -362,12 +362,12 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
-    single = [d.record.single for d in data]
-    if any(single) != all(single):
+    known = {d.record.parts for d in data}
+    if len(known) > 1:
         raise EstimationError(
             "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
         )
-    foreign = [e.name for e in model.effects if not e.single_body] if all(single) else []
+    foreign = [e.name for e in model.effects if not e.bodies <= data[0].record.parts]
     if foreign:
         raise EstimationError(
             f"{foreign[0]} needs rotor data, which this record of one body does not have",

@@ -78,8 +78,8 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
     """Return the initial values of a fit: the given ones, and for all others those from the data."""
     layout = problem.layout
     known = dict(given or {})
-    oscillates = layout.model.restoring
-    if oscillates and any(k in known for k in layout.names if _is(START_CASING, k)):
+    restoring = layout.model.restoring
+    if restoring and any(k in known for k in layout.names if _is(START_CASING, k)):
         if not any(k in known for k in layout.names if _is(START_DEFLECTION, k)):
             # the values of a model that does not oscillate are discarded
             known = {}
@@ -90,7 +90,7 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
         rough = [d.initial_speeds for d in problem.data]
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
         found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem))
-        if oscillates and not known:
+        if restoring and not known:
             slow = averaged(layout, problem.data, found, _strengths, _regress)
             follows = slow is not None and slow.phase_error < LARGEST_PHASE_ERROR
             found = slow.theta if slow is not None and follows else _period_by_period(problem, found)
@@ -112,7 +112,7 @@ def averaged_fit(
     model: Model, data: Sequence[CaseData], errors: Sequence[Array] | None = None
 ) -> Averaged | None:
     """Return the fit of the averaged equations of motion of an oscillation; None if it has too few periods."""
-    if any(d.oscillation is None or d.oscillation.slow_motion is None for d in data):
+    if any(d.motion.slow_motion is None for d in data):
         return None
     layout = ParameterLayout.of(model, [d.record for d in data])
     rough = [d.initial_speeds for d in data]
@@ -145,9 +145,7 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
 
 def _deflection(data: CaseData, times: Array) -> Array:
     """Return the measured angle from the equilibrium at some times [rad]; zero for a body that turns in one sense."""
-    if data.oscillation is None:
-        return np.zeros(len(times))
-    return np.interp(times, data.oscillation.time, data.oscillation.deflection)
+    return np.interp(times, data.motion.time, data.motion.deflection)
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
@@ -157,7 +155,7 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
     wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
     """
     layout = problem.layout
-    longest = max((d.oscillation.periods for d in problem.data if d.oscillation is not None), default=0.0)
+    longest = max(d.motion.periods for d in problem.data)
     count = _FIRST_PERIODS
     while count < longest:
         data = [CaseData.of(_first_periods(d, count), d.criteria) for d in problem.data]
@@ -169,11 +167,11 @@ def _period_by_period(problem: Problem, theta: Array) -> Array:
 
 
 def _first_periods(data: CaseData, count: float) -> Record:
-    record, oscillation = data.record, data.oscillation
-    if oscillation is None or oscillation.periods <= count:
+    record, motion = data.record, data.motion
+    if motion.periods <= count:
         return record
     runs = record.casing
-    size = max(_FEWEST_SAMPLES, int(np.searchsorted(runs.time, runs.time[0] + count * oscillation.period)))
+    size = max(_FEWEST_SAMPLES, int(np.searchsorted(runs.time, runs.time[0] + count * motion.period)))
     casing = Samples(runs.time[:size], runs.value[:size], runs.sigma[:size])
     return replace(record, casing=casing, digest="")
 

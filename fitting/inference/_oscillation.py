@@ -8,9 +8,11 @@ sides by dry friction as well.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,10 @@ _MOST_WINDOWS = 300
 _WINDOWS = 20
 """Number of windows below which they are shorter than three periods [1]. Chosen: fewer do not resolve the decay of
 short records, more have uncertain amplitudes."""
+_POINTS_PER_PERIOD = 24
+"""Rough speeds in each period of an oscillation [1]. Chosen: fewer cut the turning points, more are noisy."""
+_ROUGH_SAMPLES = 3
+"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: a line and its error."""
 _FEWEST_SAMPLES = 10
 """Smallest number of samples in a window [samples]. Chosen: fewer do not determine amplitude and phase, more refuse
 slow cameras."""
@@ -57,6 +63,43 @@ class SlowMotion(NamedTuple):
     phase: Array
 
 
+class Rotation:
+    """A motion without reversals: what an oscillation has is empty, zero or unlimited."""
+
+    is_smooth = True
+    reversals: Array = np.zeros(0)
+    period = amplitude = math.inf
+    time: Array = np.zeros(1)
+    deflection: Array = np.zeros(1)
+    slow_motion = None
+    rough: tuple[int, ...] = ()
+
+    @property
+    def periods(self) -> float:
+        """Length of the record in periods."""
+        return 0.0
+
+    def phase(self, times: Array) -> Array:
+        """Return the phase of the motion at some times [rad]: zero."""
+        return np.zeros(len(times))
+
+    def samples_per_period(self, _samples: int) -> float:
+        """Return the number of samples in a period."""
+        return math.inf
+
+    def harmonics(self, samples: int) -> Array:
+        """Return the harmonics of the motion: none."""
+        return np.zeros((samples, 0))
+
+    def offsets(self, samples: int) -> Array:
+        """Return the functions of an unknown zero of measured speeds: none, they are those of a torque."""
+        return np.zeros((samples, 0))
+
+    def beyond_motion(self, columns: Array, _angle: Array) -> Array:
+        """Return functions of the angle without the part that is not distinguishable from the motion."""
+        return columns
+
+
 @dataclass(frozen=True)
 class Oscillation:
     """The measured oscillation of a body."""
@@ -68,10 +111,39 @@ class Oscillation:
     time: Array
     deflection: Array
 
+    # within a block it is not a polynomial, beside which what is faster is noise or a line
+    is_smooth: ClassVar[bool] = False
+
     @property
     def periods(self) -> float:
         """Length of the record in periods."""
         return float((self.time[-1] - self.time[0]) / self.period)
+
+    @property
+    def amplitude(self) -> float:
+        """Half the range of the deflection [rad]."""
+        return 0.5 * float(np.ptp(self.deflection))
+
+    @property
+    def rough(self) -> tuple[int, ...]:
+        """Number of rough speeds, and smallest number of samples of each (see `initial_speeds`)."""
+        return math.ceil(_POINTS_PER_PERIOD * self.periods), _ROUGH_SAMPLES
+
+    def samples_per_period(self, samples: int) -> float:
+        """Return the number of samples in a period, of a number of samples of the record."""
+        return samples / self.periods
+
+    def offsets(self, samples: int) -> Array:
+        """Return the functions of an unknown zero of measured speeds: a constant, the zero-rate output of a sensor."""
+        return np.ones((samples, 1))
+
+    def beyond_motion(self, columns: Array, angle: Array) -> Array:
+        """Return functions of the angle without their part that is linear in it.
+
+        Over a part of a turn they are nearly linear in the angle, and would absorb any motion.
+        """
+        linear = np.stack([np.ones_like(angle), angle - angle.mean()], axis=1)
+        return np.asarray(columns - linear @ np.linalg.lstsq(linear, columns, rcond=None)[0])
 
     def phase(self, times: Array) -> Array:
         """Return the phase of the oscillation at some times [rad], a polynomial in time through the reversals."""
@@ -110,7 +182,7 @@ class Oscillation:
                 phase, at_middle = (_smooth_phase(middle, found, t) for t in (self.time, middle))
         return SlowMotion(middle, np.hypot(a, b), found)
 
-    def harmonics(self) -> Array:
+    def harmonics(self, _samples: int) -> Array:
         """Return harmonics of the oscillation with slowly varying amplitude and phase: products with powers of time.
 
         Returns
@@ -135,9 +207,26 @@ def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
     return np.asarray(np.polynomial.chebyshev.chebval(inside, c) + slope * (x - inside))
 
 
+Motion = Rotation | Oscillation
+ROTATION = Rotation()
+
+
+def are_smooth(motions: Iterable[Motion]) -> bool:
+    """Return whether all motions are polynomials within the blocks of their records."""
+    return all(m.is_smooth for m in motions)
+
+
+def motion_of(record: Record) -> Motion:
+    """Return the motion of a recording: the oscillation of a body without joints and inputs, or a rotation.
+
+    A body that an input drives to and fro does not oscillate about an equilibrium.
+    """
+    return (None if record.driving else find_oscillation(record)) or ROTATION
+
+
 def find_oscillation(record: Record) -> Oscillation | None:
-    """Return the oscillation of a single body; None if it turns in one sense or was recorded with a rotor."""
-    if not record.single:
+    """Return the oscillation of a body; None if it turns in one sense, or has a joint to another body."""
+    if record.joints:
         return None
     t, y = record.casing.time, record.casing.value
     angle = y if record.quantity == "angle" else integrated(t, y)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EffectError
-from fitting._numbers import PER_INERTIA, PER_TORQUE, TORQUE, per_inertia
+from fitting._numbers import Units
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
@@ -159,23 +159,29 @@ class ParameterLayout:
         return self.model.parameters.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
 
     @property
-    def torque_unit(self) -> str:
-        """Unit of all torques: "N m", or "rad/s2" where no case has a moment of inertia."""
-        return PER_INERTIA if all(r.per_inertia for r in self.records) else TORQUE
+    def units(self) -> Units:
+        """Units of all torques: per unit of inertia where no case has a moment of inertia."""
+        return Units.common(r.units for r in self.records)
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """The initial values, without their case, of bodies that the cases do not have: no row depends on them."""
+        present = self.records[0].parts
+        return tuple(
+            key for part, key in (("rotor", START_ROTOR), ("casing", START_CASING)) if part not in present
+        )
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable."""
         parameter = self.parameter(name)
-        if self.torque_unit != PER_INERTIA:
-            return parameter.unit
         driven = {e.name for e in self.model.effects if e.inputs}
         if (
             parameter.unit == "1"
             and parameter.role == "amplitude"
             and name.partition("@")[0].rpartition(".")[0] in driven
         ):
-            return PER_TORQUE
-        return per_inertia(parameter.unit)
+            return self.units.gain
+        return self.units.of(parameter.unit)
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of all variables."""

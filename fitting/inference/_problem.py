@@ -183,7 +183,7 @@ def reference_speed(data: Sequence[CaseData]) -> float:
     for d in data:
         _, speeds = d.initial_speeds
         typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
-    return float(max(np.mean(typical), 1e-3))
+    return float(np.mean(typical)) or 1.0  # of bodies at rest any
 
 
 _BEYOND = 3.0
@@ -301,15 +301,15 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     at random, by an rms of sqrt(S t / 2) / (a w) after the time t (white noise on a tuned circuit; S = 2 s^2 tau /
     (1 + w^2 tau^2) for an rms of s and a correlation time tau); `Criteria.gross_misfit` is the limit.
     """
-    oscillation = data.oscillation
-    slow = None if oscillation is None else oscillation.slow_motion
-    if oscillation is None or slow is None:
+    motion = data.motion
+    slow = motion.slow_motion
+    if slow is None:
         return False
     columns = np.concatenate([prediction.columns, data.nuisance], axis=1)
     level, _ = remaining_level(noise.whitener, data.z - prediction.rows, columns)
-    w = 2 * np.pi / oscillation.period
+    w = 2 * np.pi / motion.period
     density = 2 * (level / data.record.I_casing) ** 2 * noise.time / (1 + (w * noise.time) ** 2)
-    duration = oscillation.periods * oscillation.period
+    duration = motion.periods * motion.period
     phase = np.sqrt(density * duration / 2 / np.mean(slow.amplitude**2)) / w
     return bool(phase > data.criteria.gross_misfit)
 

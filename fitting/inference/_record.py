@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import compress
 from typing import Literal
 
@@ -22,7 +23,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
-from fitting._numbers import PER_INERTIA, TORQUE, rounded, span_of
+from fitting._numbers import SI, WITHOUT_INERTIA, Units, rounded, span_of
 from fitting.dynamics._inputs import Input
 from fitting.inference._error_modes import ErrorMode, checked_modes, of_windows
 from fitting.inference._prior import Prior
@@ -69,6 +70,40 @@ class Samples:
         return f"Samples: {span_of('time', self.time, 's')}, {span_of('value', self.value, '')}"
 
 
+@dataclass(frozen=True)
+class Body:
+    """A body of a recording.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    role : {"rotor", "casing", "body"}
+        Its place in the apparatus; "body" for the only one.
+    part : {"rotor", "casing"}
+        The body of the library whose laws are its own.
+    state : int
+        Index of its speed in the state of the motion.
+    inertia, inertia_u : float
+        Moment of inertia and its standard uncertainty [kg m2]; NaN if the latter is not given.
+    series : tuple of Samples
+        What was measured of it, without interruption each.
+    """
+
+    name: str
+    role: Literal["rotor", "casing", "body"]
+    part: Literal["rotor", "casing"]
+    state: int
+    inertia: float
+    inertia_u: float
+    series: tuple[Samples, ...]
+
+    @property
+    def relative_u(self) -> float:
+        """Relative standard uncertainty of the moment of inertia [1]; 0 if none is given."""
+        return 0.0 if math.isnan(self.inertia_u) else self.inertia_u / self.inertia
+
+
 @dataclass(frozen=True, repr=False)
 class Record:
     """One experiment on one clock.
@@ -100,8 +135,8 @@ class Record:
     start_sigma : tuple of float
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known, NaN if it is not
         stated.
-    per_inertia : bool
-        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
+    units : Units
+        Units of its torques: SI units, or per unit of inertia where no moment of inertia is known, which is then 1.
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
@@ -133,7 +168,7 @@ class Record:
     start_sigma: tuple[float, ...] = ()
     I_rotor_u: float = math.nan
     I_casing_u: float = math.nan
-    per_inertia: bool = False
+    units: Units = SI
     correlated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     digest: str = field(default="")
     prior: Prior | None = None
@@ -148,9 +183,9 @@ class Record:
     def __repr__(self) -> str:
         what = "angles" if self.quantity == "angle" else "angular velocities"
         first, last = self.span
-        inertias = [] if self.single else [("I_rotor", self.I_rotor, self.I_rotor_u)]
-        inertias.append(("I" if self.single else "I_casing", self.I_casing, self.I_casing_u))
-        words = ", ".join(f"{name} {rounded(value, u, 'kg m2')}" for name, value, u in inertias)
+        words = ", ".join(
+            f"I_{b.name} {rounded(b.inertia, b.inertia_u, self.units.inertia)}" for b in reversed(self.bodies)
+        )
         lines = [
             f"Record {self.label!r}: {what}, {first:.6g} to {last:.6g} s",
             f"  {self.body}: {len(self.casing)} samples",
@@ -163,9 +198,34 @@ class Record:
             *([f"  ... {len(self.inputs) - _SHOWN} more inputs"] if len(self.inputs) > _SHOWN else []),
             *(f"  {m!r}" for m in self.modes[:_SHOWN]),
             *([f"  ... {len(self.modes) - _SHOWN} more error modes"] if len(self.modes) > _SHOWN else []),
-            f"  {'torques are per unit of inertia' if self.per_inertia else words}",
+            f"  {self.units.note or words}",
         ]
         return "\n".join(lines)
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """Its bodies: the casing or the only body, then the rotor if it was measured."""
+        role = _MAIN[bool(self.rotor)]
+        main = Body(
+            self.name or role, role, "casing", 1, self.I_casing, self.I_casing_u, (self.casing,)
+        )  # fmt: skip
+        rotor = Body("rotor", "rotor", "rotor", 0, self.I_rotor, self.I_rotor_u, self.rotor)
+        return (main, *(b for b in (rotor,) if b.series))
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """The bodies of the library that it has: their laws are those of its motion."""
+        return frozenset(b.part for b in self.bodies)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints between its bodies."""
+        return tuple("bearing" for _ in self.bodies[1:])
+
+    @property
+    def spun(self) -> Body:
+        """The body that is spun up or driven; it may drive another one through a joint."""
+        return self.bodies[-1]
 
     @property
     def single(self) -> bool:
@@ -173,14 +233,19 @@ class Record:
         return not self.rotor
 
     @property
+    def per_inertia(self) -> bool:
+        """Whether no moment of inertia is known, so that torques are per unit of inertia."""
+        return self.units == WITHOUT_INERTIA
+
+    @property
     def body(self) -> str:
         """Name of the casing: "casing"; where only one body was recorded its name, or "body"."""
-        return (self.name or "body") if self.single else "casing"
+        return self.bodies[0].name
 
     @property
     def torque_unit(self) -> str:
         """Unit of its torques: "N m", or "rad/s2" per unit of inertia."""
-        return PER_INERTIA if self.per_inertia else TORQUE
+        return self.units.torque
 
     @property
     def unstated_starts(self) -> bool:
@@ -199,6 +264,8 @@ class Record:
         return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
 
 
+# role of the body of the series `casing`, without and with a rotor
+_MAIN: tuple[Literal["body", "casing"], ...] = ("body", "casing")
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 # names with a meaning in the library
 _TAKEN = {
@@ -231,7 +298,7 @@ def make_record(
     quantity: Quantity = "angle",
     source: str = "",
     tracked: bool = False,
-    single: bool = False,
+    single: bool = False,  # noqa: ARG001 - of earlier scripts
     start_sigma: Sequence[float] = (),
     I_rotor_u: float = math.nan,
     I_casing_u: float = math.nan,
@@ -248,7 +315,7 @@ def make_record(
     casing : tuple of ndarray, shape (n,)
         Time [s], value [rad or rad/s] and standard uncertainty of the casing, or of the single body.
     rotor : list of tuple of ndarray
-        The same for each film of the rotor.
+        The same for each film of the rotor; empty for one body.
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     label, surface, source : str
@@ -258,7 +325,7 @@ def make_record(
     tracked : bool
         The data come from film.
     single : bool
-        There is one body only, given as `casing`.
+        Not needed: without a film of a rotor `casing` is the only body.
     start_sigma : sequence of float
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact, NaN if
         unknown.
@@ -284,15 +351,15 @@ def make_record(
         cover the record.
     """
     _refuse_wrong(casing, rotor, quantity)
-    runs = [_clean(*casing, what="body" if single else "casing"), *(_clean(*r, what="rotor") for r in rotor)]
+    body = _MAIN[bool(rotor)]
+    runs = [_clean(*casing, what=body), *(_clean(*r, what="rotor") for r in rotor)]
     if len(runs[0]) < _FEWEST_OF_BODY:
-        body = "body" if single else "casing"
         raise RecordError(
             f"{label}: the {body} has {len(runs[0])} usable samples; at least {_FEWEST_OF_BODY} are needed"
         )
     kept = [len(r) >= _FEWEST[quantity] for r in runs[1:]]
     windows = tuple(compress(runs[1:], kept))
-    if not windows and not single:
+    if rotor and not windows:
         raise RecordError(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",
@@ -300,8 +367,9 @@ def make_record(
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
-        per_inertia=per_inertia, correlated=_stated(*correlated), inputs=_covering(inputs, runs[0], windows),
-        name=name if single else "", modes=of_windows(checked_modes(modes), kept),
+        units=(SI, WITHOUT_INERTIA)[per_inertia], correlated=_stated(*correlated),
+        inputs=_covering(inputs, runs[0], windows), name="" if windows else name,
+        modes=of_windows(checked_modes(modes), kept),
     )  # fmt: skip
 
 
@@ -460,7 +528,7 @@ def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> 
     )
     times = np.linspace(*record.span, points)
     omega_c = np.interp(times, casing[:, 0], casing[:, 1])
-    omega_r = np.zeros(points) if record.single else _rotor_curve(windows, times)
+    omega_r = _rotor_curve(windows, times) if len(windows) else np.zeros(points)
     return times, np.stack([omega_r, omega_c], axis=1)
 
 

@@ -205,7 +205,7 @@ def _recording(motion: _Motion, random: Random) -> Record:
             )
         if data.is_angle:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
-    if data.is_angle and data.oscillation is None:
+    if data.is_angle and data.motion.is_smooth:
         values[0] += _stated_error(data, random)
     amplitudes = random.standard_normal(data.mode_columns[0].shape[1])
     for value, columns in zip(values, (data.mode_columns[0], *data.mode_columns[1]), strict=True):
@@ -223,7 +223,7 @@ def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
     runs = (record.casing, *record.rotor)
     known = {"I_casing": record.I_casing_u, "I_rotor": record.I_rotor_u}
     known = {name: u for name, u in known.items() if math.isfinite(u) and u > 0}
-    if record.per_inertia or not known:
+    if not known:
         return [np.zeros(len(run)) for run in runs]
     drawn = {name: getattr(record, name) + u * random.standard_normal() for name, u in known.items()}
     other = replace(record, **drawn)

@@ -30,7 +30,7 @@ from fitting._display import (
     table,
 )
 from fitting._errors import EstimationError
-from fitting._numbers import PER_INERTIA, TORQUE, rounded, short, speed, speed_unit, with_uncertainty
+from fitting._numbers import PER_INERTIA, TORQUE, Units, rounded, short, speed, speed_unit, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._words import EffectName, effect_name
@@ -50,7 +50,7 @@ from fitting.inference._metrics import (
     smoothing_noise,
 )
 from fitting.inference._noise import Noise, unresolved_level, variance_factor
-from fitting.inference._parameters import START_ROTOR, ParameterLayout
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._params import LEAST_CORRELATION, Estimate, Names, Params, report, shown_name
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, surely_at_bound
@@ -257,10 +257,10 @@ def merit_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the noise of a fit as lines of at most 80 columns."""
     lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'prediction':>11}"]
     for case in fit.cases:
-        single = math.isnan(case.rotor.rmse)
-        for name, body in ((_body_of(fit) if single else "casing", case.casing), ("rotor", case.rotor)):
-            if math.isnan(body.rmse):
-                continue
+        bodies = [b for b in (case.casing, case.rotor) if not math.isnan(b.rmse)]
+        # a fit that was read from a file does not know the name of a body alone
+        names = (fit.problem.data[0].record.body, "rotor") if isinstance(fit, Fit) else _NAMES[len(bodies)]
+        for name, body in zip(names, bodies, strict=False):
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
             lines.append(f"{title:<12}{body.r2:>10.6f}{speed(body.rmse):>14.4g}{body.held_out:>11.4g}")
     lines.append(f"misfit {fit.misfit:.3g} times the noise (1: the residuals are noise)")
@@ -294,9 +294,8 @@ def merit_lines(fit: FitSummary) -> list[str]:
     return lines
 
 
-def _body_of(fit: FitSummary) -> str:
-    """Return the name of a single body; a fit that was read from a file does not know it."""
-    return fit.problem.data[0].record.body if isinstance(fit, Fit) else "body"
+# names of the bodies of a fit that was read from a file, by their number
+_NAMES: dict[int, tuple[str, ...]] = {1: ("body",), 2: ("casing", "rotor")}
 
 
 def _levels(noises: Sequence[Noise]) -> str:
@@ -435,7 +434,7 @@ class Fit(FitSummary):
     def _place(self, body: str | None, case: int) -> int:
         require("body", body, TEXT.optional)
         record = self.problem.data[self._index(case)].record
-        places = {record.body: _CASING, "casing": _CASING} | ({} if record.single else {"rotor": _ROTOR})
+        places = {b.name: b.state for b in record.bodies} | {"casing": _CASING}
         if body is not None and body not in places:
             raise EstimationError(f"there is no body {str(body)[:30]!r}", f"bodies: {', '.join(places)}")
         return _CASING if body is None else places[body]
@@ -523,7 +522,7 @@ class Fit(FitSummary):
     @property
     def lacks_restoring_torque(self) -> bool:
         """Whether the body oscillates but the model has no restoring torque: then residuals have no meaning."""
-        return self.problem.data[0].oscillation is not None and not self.model.restoring
+        return not (self.problem.data[0].motion.is_smooth or self.model.restoring)
 
     @property
     def criteria(self) -> Criteria:
@@ -693,9 +692,14 @@ class Fit(FitSummary):
         return modelled_speed(self, self._index(case), body, np.asarray(time, dtype=float))
 
     @property
+    def units(self) -> Units:
+        """Units of torques and of what follows from them."""
+        return self.problem.layout.units
+
+    @property
     def torque_unit(self) -> str:
         """Unit of torques: "N m", or "rad/s2" where they are per unit of inertia."""
-        return self.problem.layout.torque_unit
+        return self.units.torque
 
     def angle_residuals(self, case: int) -> tuple[AngleResidual, ...]:
         """Return the residual angle of a case's casing, or single body, and of its rotor in each window.
@@ -749,7 +753,7 @@ class Fit(FitSummary):
             self._draw(ax, case, _CASING, residual=residual)
             return figure_of(ax)
         cases = len(self.labels)
-        bodies = (_CASING,) if all(d.record.single for d in self.problem.data) else (_CASING, _ROTOR)
+        bodies = sorted({b.state for d in self.problem.data for b in d.record.bodies}, reverse=True)
         drawn = figure(4.2 * cases + 3.0, 4.0 * len(bodies))
         axes = drawn.subplots(2 * len(bodies), cases, squeeze=False, height_ratios=[1.3, 1] * len(bodies))
         for i, label in enumerate(self.labels):
@@ -992,7 +996,7 @@ def _estimates(
     ties = {find_key(name, layout.model.free): text for name, text in layout.ties.items()}
     estimates = {}
     for i, name in enumerate(layout.names):
-        if layout.records[0].single and name.startswith(START_ROTOR):
+        if name.partition("@")[0] in layout.absent:
             continue
         bound = bool(at_bound[i])
         error = math.nan if bound else float(errors[i])

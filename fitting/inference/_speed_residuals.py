@@ -93,10 +93,8 @@ class SpeedMap:
         self._nuisance = data.nuisance[:, size > 0] / size[size > 0]
         self._estimator = np.linalg.pinv(noise.whitener(self._nuisance), rcond=1e-10)
         self.parts: list[tuple[slice, Array, Array, Array]] = []
-        oscillation, parts = data.oscillation, dict(_PARTS)
-        if oscillation is not None:
-            periods = oscillation.periods / len(data.casing.operators)
-            parts["casing"] = max(parts["casing"], round(_PERIOD_PARTS * periods))
+        periods = data.motion.periods / len(data.casing.operators)
+        parts = dict(_PARTS) | {"casing": max(_PARTS["casing"], round(_PERIOD_PARTS * periods))}
         first = 0
         for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
             rows = slice(first, first + len(run.z))

@@ -143,7 +143,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         bic=fit.bic,
         verdict=fit.verdict,
         findings=list(fit.findings),
-        equations=list(fit.model.equations(single=fit.problem.data[0].record.single)),
+        equations=list(fit.model.equations(fit.problem.data[0].record.parts)),
         not_determined=not_determined(fit.estimates),
         not_determined_together=not_determined_together(fit),
         first_order=[FirstOrderDocument.model_validate(f) for f in first_order(fit)] if reliable else [],

@@ -755,20 +755,20 @@ def _analysed(
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
             recorder = study.recorder(parent, base)
-            oscillation = base.problem.data[0].oscillation
-            long = oscillation is not None and DEFAULT.refits_through(len(oscillation.reversals)) == 1
+            reversals = len(base.problem.data[0].motion.reversals)
+            long = DEFAULT.refits_through(reversals) == 1
             # an exact fit over hundreds of reversals takes long: the averaged equations are used instead
             first = rank(base, refitting=False) if long and laws is not None else None
             steps = None if not long else int(laws is None)
             history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)
-            if long and oscillation is not None:
+            if long:
                 tried = (
                     "one effect was added"
                     if laws is None
                     else "no law beyond those of amplitude and phase was fitted"
                 )
                 warnings.append(
-                    f"The oscillation has {len(oscillation.reversals)} reversals: {tried}; `gyrotrack improve` "
+                    f"The oscillation has {reversals} reversals: {tried}; `gyrotrack improve` "
                     "continues the search."
                 )
             if history.stopped:
@@ -882,7 +882,7 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
             "the motion reverses repeatedly, but is not one damped oscillation: the body is coupled to another one "
             "(beats), driven or disturbed; --from and --to select a part in which it oscillates freely."
         )
-    if fit.problem.data[0].oscillation is None:
+    if not len(fit.problem.data[0].motion.reversals):
         raise FittingError("the oscillation has too few turning points to fit a restoring torque.")
     if final and not fit.model.restoring:
         raise FittingError(

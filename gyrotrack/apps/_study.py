@@ -64,7 +64,7 @@ class Study:
         return entries[-1] if entries else None
 
     def model(self, names: Iterable[str]) -> Model:
-        """Return the model with these effects; for a recording of one body, the part that applies to it.
+        """Return the model with those of these effects that apply to the bodies of the recordings.
 
         Parameters
         ----------
@@ -73,8 +73,7 @@ class Study:
         """
         from fitting.dynamics._model import Model
 
-        whole = Model.of(names)
-        return whole.alone if self.data[0].record.single else whole
+        return Model.of(names).of_bodies(self.data[0].record.parts)
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
         """Return the history that ends with a fit (by default the latest), oldest first.
@@ -270,7 +269,7 @@ def open_study(
 
 
 def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
-    from fitting._numbers import per_inertia
+    from fitting._numbers import Units
     from fitting.effects._library import of_the_rotor
 
     (entry,) = latest_fits([path]).values()
@@ -279,10 +278,10 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
         what = f"{path} is a fit of the same data, which would be used twice."
         raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
-    ratio = all(d.record.per_inertia for d in data)
+    units = Units.common(d.record.units for d in data)
     for name in prior.names:
         unit = entry.model.parameters[name].unit
-        expected = per_inertia(unit) if ratio else unit
+        expected = units.of(unit)
         if entry.estimates[name].unit != expected:
             what = f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}."
             raise UsageError(what, "Give --inertia for both studies, or for neither.")

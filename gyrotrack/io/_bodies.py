@@ -33,31 +33,36 @@ _SERIES = {"angle": ("angle", "sigma"), "speed": ("omega", "omega_sigma")}
 _NAME = re.compile(r"[^/\\\0]{1,100}")
 # bodies, series of a body, and error modes of a series at most
 _MOST = 64
-# joints of a gyroscope: name, first and second body
-_JOINTS = (("bearing", "rotor", "casing"), ("touchpoint", "casing", "ground"))
+# series of a case and the roles of their bodies, and joints with their kind and bodies, by the number of bodies
+_ROLES = {"one": {"casing": "body"}, "two": {"casing": "casing", "rotor": "rotor"}}
+_JOINTS = {
+    "one": (("support", "contact", "casing", "ground"),),
+    "two": (("bearing", "bearing", "rotor", "casing"), ("touchpoint", "contact", "casing", "ground")),
+}
+# columns of a series beside time, value and uncertainty, by the role of the body
+_COLUMNS = {"rotor": {"segment": "window"}}
 
 
 def write_bodies(file: Any, case: Case) -> None:
     """Write the groups of bodies, clocks and joints beside `/casing` and `/rotor` of a case."""
     quantity = "speed" if case.quantity == "omega" else "angle"
-    two = case.bodies == "two"
-    for old, series in (("casing", case.casing), ("rotor", case.rotor)):
-        if old == "rotor" and not two:
-            continue
-        name = case.main_body if old == "casing" else "rotor"
+    names = {"casing": case.main_body, "rotor": "rotor", "ground": "ground"}
+    for old, role in _ROLES[case.bodies].items():
+        name, series = names[old], getattr(case, old)
         group = file.create_group(f"body/{name}")
-        group.attrs["role"] = old if two else "body"
+        group.attrs["role"] = role
         if not case.per_inertia:
-            group.attrs["inertia"], group.attrs["inertia_units"] = getattr(case, f"I_{old}"), "kg m2"
+            group.attrs["inertia"], group.attrs["inertia_units"] = (
+                getattr(case, f"I_{old}"),
+                "kg m2",
+            )
             u = getattr(case, f"I_{old}_u")
             if math.isfinite(u):
                 group.attrs["inertia_u"], group.attrs["inertia_u_units"] = u, "kg m2"
         fused = group.create_group(f"series/{FUSED}")
         fused.attrs["quantity"], fused.attrs["clock"] = quantity, "case"
         value, u_name = _SERIES[quantity]
-        columns = {"time": "time", "value": value, "u": u_name}
-        if old == "rotor":
-            columns["segment"] = "window"
+        columns = {"time": "time", "value": value, "u": u_name} | _COLUMNS.get(role, {})
         for column, stored in columns.items():
             fused[column] = file[f"{old}/{stored}"]
         write_attributes(fused, layout.SERIES.attributes, series)
@@ -68,13 +73,9 @@ def write_bodies(file: Any, case: Case) -> None:
                 raise UsageError(what, "See gyrotrack.ErrorMode.")
             _write_mode(fused.require_group("error").create_group(mode.name), mode, fused["time"])
     _write_clocks(file, case)
-    joints = _JOINTS if two else (("support", case.main_body, "ground"),)
-    for name, first, second in joints:
+    for name, kind, *bodies in _JOINTS[case.bodies]:
         group = file.create_group(f"joint/{name}")
-        group.attrs["bodies"], group.attrs["kind"] = (
-            [first, second],
-            "bearing" if name == "bearing" else "contact",
-        )
+        group.attrs["bodies"], group.attrs["kind"] = [names[b] for b in bodies], kind
 
 
 def _write_mode(group: Any, mode: ErrorMode, time: Any) -> None:

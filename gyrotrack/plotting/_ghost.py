@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -208,19 +208,15 @@ def ghosts(case: Case, fits: Sequence[Fit], names: Sequence[str], index: int = 0
         return []
     runs = [f.angle_residuals(index) for f in fits]
     windows = [int(w) for w in np.unique(case.rotor.window)] if case.rotor.window is not None else []
-    wanted: list[tuple[str, str, int]] = []
-    for key in case.recordings:
-        if record.single or key == "casing":
-            wanted.append((key, "casing", 0))
-        elif key.removeprefix("rotor_").isdigit() and int(key.removeprefix("rotor_")) in windows:
-            wanted.append((key, "rotor", 1 + windows.index(int(key.removeprefix("rotor_")))))
+    places = {"casing": ("casing", 0)} | {f"rotor_{w}": ("rotor", i) for i, w in enumerate(windows, start=1)}
     found = []
-    for key, body, run in wanted:
+    for key in (k for k in case.recordings if k in places):
+        body, run = places[key]
         r, placement = case.recordings[key], case.placements.get(key)
         time = r.time if placement is None else on_clock(placement, r.time)
         values = [residuals[run].at(time) for residuals in runs]
         difference, sigma = (np.stack([v[i] for v in values]) for i in (0, 1))
-        outlines = _outlines(r, body, single=record.single)
+        outlines = _outlines(r, record.parts - {body})
         hub = _filled(r.centre)
         whole = Ghost(
             key, body, np.arange(len(time)), time, tuple(names), difference, sigma, outlines, hub, r.sense
@@ -238,12 +234,15 @@ def _filled(centre: Array) -> Array:
     return np.where(known[:, None], centre, middle)
 
 
-def _outlines(r: Recording, body: str, *, single: bool) -> dict[str, Array]:
-    """Return the outlines of the markers of a body, or of a body without markers a pointer from its hub."""
-    markers = [m for m in r.markers.values() if single or m.body == body]
+def _outlines(r: Recording, others: Set[str]) -> dict[str, Array]:
+    """Return the outlines of the markers of a body, or of a body without markers a pointer from its hub.
+
+    They are those that do not belong to `others`, the other bodies of the case.
+    """
+    markers = [m for m in r.markers.values() if m.body not in others]
     found = {m.name: outline(m, _filled(r.centre), r.sense) for m in markers}
     found = {k: v for k, v in found.items() if np.isfinite(v).any()}
-    track = next(iter(r.bodies.values()), None) if single else r.bodies.get(body)
+    track = next((b for name, b in r.bodies.items() if name not in others), None)
     if found or track is None:
         return found
     hub = _filled(r.centre)

@@ -183,7 +183,7 @@ def case_view(
     base, final = history[0].fit, history[-1].fit
     record, width = base.problem.data[index].record, base.problem.data[index].smoothing_width
     fits = [base, final] if len(history) > 1 else [base]
-    oscillation = base.problem.data[index].oscillation
+    motion = base.problem.data[index].motion
     return CaseView(
         label=record.label,
         surface=record.surface,
@@ -198,8 +198,8 @@ def case_view(
         alternatives=_alternatives(base, final, diagnosis, index),
         energy=tuple(_energy(r.fit, index) for r in history),
         failures=tuple(f for f in (diagnosis.failures if diagnosis else ()) if f.label == record.label),
-        deflection=None if oscillation is None else _measured(oscillation.time, oscillation.deflection),
-        period=0.0 if oscillation is None else oscillation.period,
+        deflection=_measured(motion.time, motion.deflection) if len(motion.reversals) else None,
+        period=motion.period if len(motion.reversals) else 0.0,
     )
 
 

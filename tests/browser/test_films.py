@@ -165,7 +165,7 @@ def _places():
     from gyrotrack.apps.workbench._films import preview
 
     film = CLIPS / "rotor_1.mp4"
-    found = preview(film, profile=None, hub=None, single=False, points=[], frames=120)
+    found = preview(film, profile=None, hub=None, points=[], frames=120)
     return {"centre": found["centre"][0]} | {m["name"]: m["place"][0] for m in found["markers"]}
 
 

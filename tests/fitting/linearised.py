@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from fitting import LINEAR, Model, make_record
+from fitting._numbers import SI
 from fitting.inference._case_data import CaseData
 from fitting.inference._noise import TorqueNoise, TorqueResponse
 from fitting.inference._parameters import ParameterLayout
@@ -82,7 +83,7 @@ def gyroscope(
         )
     problem = replace(problem, data=tuple(every))
     return SimpleNamespace(
-        problem=problem, theta=theta, model=model, predictions=predictions, noise=noise, torque_unit="N m",
+        problem=problem, theta=theta, model=model, predictions=predictions, noise=noise, torque_unit="N m", units=SI,
         labels=tuple(cases),
     )  # fmt: skip
 

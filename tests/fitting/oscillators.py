@@ -1,9 +1,12 @@
 """Bodies that oscillate, integrated by scipy and recorded with noise; dry friction is an event at each reversal."""
 
+from types import SimpleNamespace
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from fitting import make_record
+from fitting.inference._oscillation import ROTATION
 
 
 def motion(acceleration, start, span, rate=100.0, dry=0.0):
@@ -63,4 +66,13 @@ def record(t, value, sigma, seed, quantity="angle", label="body"):
         label=label,
         quantity=quantity,
         single=True,
+    )
+
+
+def stub(oscillation=None):
+    """Return the motion of a stub of a recording: a rotation, or an oscillation with these attributes."""
+    if oscillation is None:
+        return ROTATION
+    return SimpleNamespace(
+        **({"is_smooth": False, "reversals": [0.0], "slow_motion": None} | vars(oscillation))
     )

@@ -392,13 +392,13 @@ def _input_line(name: str, i: dict[str, Any]) -> str:
 
 
 def _inertia(summary: dict[str, Any]) -> str:
-    if summary["bodies"] == "one":
-        return (
-            "unknown; torques are per unit of inertia"
-            if summary["per_inertia"]
-            else f"{summary['I_casing']:.4g} kg m2"
-        )
-    return f"rotor {summary['I_rotor']:.4g}, casing {summary['I_casing']:.4g} kg m2"
+    names = {"rotor": "rotor", "casing": _main_body(summary)}
+    known = ", ".join(f"{names[b]} {summary[f'I_{b}']:.4g}" for b in _STORED[summary["bodies"]])
+    return (f"{known} kg m2", "unknown; torques are per unit of inertia")[summary["per_inertia"]]
+
+
+# bodies with a moment of inertia of their own, by the number of bodies as it is stored
+_STORED = {"one": ("casing",), "two": ("rotor", "casing")}
 
 
 def _placement_line(p: dict[str, Any]) -> str:

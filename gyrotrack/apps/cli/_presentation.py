@@ -114,7 +114,7 @@ def figures_command(
     wanted = _wanted(formats, output, force=force)
     out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
-    if alone := next((d.record.label for d in data if d.record.single), None):
+    if alone := next((d.record.label for d in data if not d.record.joints), None):
         what = f"The paper's figures need a rotor and a casing; {alone} is a recording of one body."
         raise UsageError(what, "Use `gyrotrack report`.")
     with out.progress("fitting") as progress:

@@ -37,11 +37,11 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
-    """Return the parameters of the laws of a single body; none for a rotor in its casing."""
+    """Return the parameters of the laws of a body without joints to others, on which no other torque acts."""
     from fitting.effects._words import of_body
 
     record = fit.problem.data[0].record
-    if not record.single:
+    if record.joints:
         return ()
     found = []
     parameters = fit.model.parameters

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting._numbers import (
-    PER_INERTIA,
     interval,
     nonbreaking,
     probability,
@@ -332,26 +331,28 @@ def _equal(number: str) -> str:
 
 
 def _equations(fit: Fit, name: str) -> list[Equation]:
-    lines = fit.model.equations(single=fit.problem.data[0].record.single)
+    lines = fit.model.equations(fit.problem.data[0].record.parts)
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-def _per_inertia(view: StudyView) -> bool:
-    return view.final.torque_unit == PER_INERTIA
+# symbol of the moment of inertia of each body, and of the torque of a joint, with their meanings
+_OF_PART = {
+    "rotor": ("I_r", "moment of inertia of the rotor"),
+    "casing": ("I_c", "moment of inertia of the casing"),
+    "bearing": ("τ_cr", "torque of the bearing, between rotor and casing"),
+}
 
 
 def _meanings(view: StudyView) -> list[tuple[str, str]]:
     """Return the symbols of the equations of the base model with their meanings."""
     from fitting.effects._words import of_body, symbol_meanings
 
-    torque = () if view.body != "casing" else (("τ_cr", "torque of the bearing, between rotor and casing"),)
-    inertias: tuple[tuple[str, str], ...] = (("I_c", "moment of inertia of the casing"),)
-    if view.body == "casing":
-        inertias = (("I_r", "moment of inertia of the rotor"), *inertias)
+    record = view.base.problem.data[0].record
+    inertias = (_OF_PART[b.part] for b in reversed(record.bodies))
     found = (
         *inertias,
-        *torque,
-        *symbol_meanings(view.base.model.effects, view.body, without_inertia=_per_inertia(view)),
+        *(_OF_PART[joint] for joint in record.joints),
+        *symbol_meanings(view.base.model.effects, view.body, view.final.units),
     )
     return [(s, of_body(text, view.body)) for s, text in found]
 
@@ -384,7 +385,7 @@ def _added(view: StudyView) -> list[Added]:
                 below,
                 signature,
                 ", ".join(values),
-                symbol_meanings([effect], view.body, without_inertia=_per_inertia(view)),
+                symbol_meanings([effect], view.body, view.final.units),
             )
         )
     return found
@@ -413,7 +414,7 @@ def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
             "improved": view.improved,
             "body": view.body,
             "torque_unit": view.torque_unit,
-            "energy_unit": "J" if view.torque_unit == "N m" else "rad²/s²",
+            "energy_unit": view.final.units.energy,
             "cases": len(view.cases),
             "surfaces": [[v.label, v.surface] for v in view.cases if v.surface],
             "next_experiment": view.next_experiment,

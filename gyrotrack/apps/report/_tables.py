@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import (
-    TORQUE,
+    Units,
     percentage,
     probability,
     scaled,
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fitting.effects._effect import Effect
     from fitting.inference._case_data import CaseData
     from fitting.inference._params import Estimate
+    from fitting.inference._record import Body
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Placement, Recording
 
@@ -170,8 +171,7 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
     rows = []
     for u in view.upper_limits:
         joint = LIBRARY[u.effect].joint if u.effect in LIBRARY else "–"
-        # no unit prefix for torques per unit of inertia, which are angular accelerations
-        factor, prefix = scaled(u.torque_Nm) if unit == TORQUE else (1.0, "")
+        factor, prefix = scaled(u.torque_Nm, Units.by_torque(unit).prefixes)
         rows.append(
             LimitRow(
                 effect=view.name(u.effect).words,
@@ -396,14 +396,12 @@ def experiment_rows(view: StudyView) -> list[tuple[str, str]]:
     for data in view.base.problem.data:
         r = data.record
         at = f" of {r.label}" if len(view.cases) > 1 else ""
-        inertias = [] if r.single else [("rotor", r.I_rotor, r.I_rotor_u)]
-        inertias += [] if r.per_inertia else [(r.body, r.I_casing, r.I_casing_u)]
-        rows += [(f"Moment of inertia of the {body}{at}", _inertia(value, u)) for body, value, u in inertias]
-        if r.per_inertia:
-            rows.append((f"Moment of inertia{at}", "not given: torques are per unit of inertia"))
-        rotor = f", rotor {sum(map(len, r.rotor))} in {len(r.rotor)} windows" if r.rotor else ""
-        count = f"{r.body} {len(r.casing)}{rotor}; {data.n_effective:.0f} equivalent independent samples"
-        rows.append((f"Samples of the {r.quantity}{at}", count))
+        note = r.units.note
+        rows += [
+            (f"Moment of inertia of the {b.name}{at}", f"not given: {note}" if note else _inertia(b))
+            for b in reversed(r.bodies)
+        ]
+        rows.append((f"Samples of the {r.quantity}{at}", _counts(data)))
         first, last = r.span
         rows.append((f"Time{at}", f"{first:.2f} s to {last:.2f} s"))
     rows.append(
@@ -412,9 +410,22 @@ def experiment_rows(view: StudyView) -> list[tuple[str, str]]:
     return rows
 
 
-def _inertia(value: float, u: float) -> str:
+def _inertia(body: Body) -> str:
+    value, u = body.inertia, body.inertia_u
     stated = math.isfinite(u)
     return with_uncertainty(value, u, "kg m²") if stated else f"{short(value, 4)} kg m², no uncertainty given"
+
+
+_WINDOWS = {"rotor": " in {} windows"}
+
+
+def _counts(data: CaseData) -> str:
+    """Return the number of samples of each body, and that of equivalent independent ones, in words."""
+    parts = (
+        f"{b.name} {sum(map(len, b.series))}{_WINDOWS.get(b.role, '').format(len(b.series))}"
+        for b in data.record.bodies
+    )
+    return f"{', '.join(parts)}; {data.n_effective:.0f} equivalent independent samples"
 
 
 _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-python-headless")
@@ -440,13 +451,5 @@ def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
 
 def _samples(data: CaseData) -> str:
     r = data.record
-    if r.single:
-        inertia = "no moment of inertia" if r.per_inertia else f"I {short(r.I_casing, 4)} kg m²"
-        samples = f"one body {len(r.casing)}"
-    else:
-        inertia = f"I_rotor {short(r.I_rotor, 4)}, I_casing {short(r.I_casing, 4)} kg m²"
-        count = sum(len(w) for w in r.rotor)
-        samples = f"casing {len(r.casing)}, rotor {count} in {len(r.rotor)} windows"
-    return (
-        f"{samples}; {data.n_effective:.0f} equivalent independent samples; {inertia}; measured: {r.quantity}"
-    )
+    inertias = ", ".join(f"I_{b.name} {short(b.inertia, 4)}" for b in reversed(r.bodies))
+    return f"{_counts(data)}; {r.units.note or f'{inertias} kg m²'}; measured: {r.quantity}"

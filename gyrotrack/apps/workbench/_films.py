@@ -212,31 +212,22 @@ def preview(
     *,
     profile: Path | None,
     hub: tuple[float, float] | None,
-    single: bool,
+    makes: str = "recording",
     points: Sequence[tuple[float, float]],
     frames: int = FRAMES,
 ) -> dict[str, Any]:
     """Track the start of a film with the markers of a profile, by default that of the paper.
 
-    A film of a `single` body is registered instead; `points` (x, y) [px] of the first frame are rotated with it.
+    If tracking `makes` a "case", the whole body is registered instead; `points` (x, y) [px] of the first frame are
+    rotated with it.
     Returned are ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each
     frame the position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by
     body; ``warnings``.
     """
-    from gyrotrack.apps._spindown import SpindownOptions, film_recording
-    from gyrotrack.tracking import _film
-    from gyrotrack.tracking._extract import extract
-
     with scratch_folder() as folder:
         excerpt = folder / f"excerpt{film.suffix.lower()}"
         copy_excerpt(film, excerpt, frames)
-        if single:
-            recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, capture_fps=1.0))
-            markers = _rotated_points(recording, tracked, points)
-        else:
-            chosen = PAPER if profile is None else load(profile)
-            recording = extract(excerpt, chosen, capture_fps=1.0)
-            markers = marker_positions(recording)
+        recording, markers = _STARTS[makes](excerpt, profile, hub, points)
     count = recording.frames_decoded
     return {
         "frames": count,
@@ -250,6 +241,34 @@ def preview(
         "warnings": [w for w in recording.warnings if "container" not in w and "timestamps" not in w],
     }
 
+
+def _of_markers(
+    excerpt: Path,
+    profile: Path | None,
+    _hub: tuple[float, float] | None,
+    _points: Sequence[tuple[float, float]],
+) -> tuple[Recording, list[dict[str, Any]]]:
+    from gyrotrack.tracking._extract import extract
+
+    recording = extract(excerpt, PAPER if profile is None else load(profile), capture_fps=1.0)
+    return recording, marker_positions(recording)
+
+
+def _of_whole_body(
+    excerpt: Path,
+    _profile: Path | None,
+    hub: tuple[float, float] | None,
+    points: Sequence[tuple[float, float]],
+) -> tuple[Recording, list[dict[str, Any]]]:
+    from gyrotrack.apps._spindown import SpindownOptions, film_recording
+    from gyrotrack.tracking import _film
+
+    recording, tracked = film_recording(_film.Film(excerpt), SpindownOptions(hub, capture_fps=1.0))
+    return recording, _rotated_points(recording, tracked, points)
+
+
+# tracking of the start of a film, by what the tracking of the whole film makes
+_STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
 _MIDDLE = (
     1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
@@ -367,7 +386,7 @@ def main() -> None:
             Path(request["film"]),
             profile=Path(request["profile"]) if request["profile"] else None,
             hub=tuple(request["hub"]) if request["hub"] else None,
-            single=request["single"],
+            makes=request["makes"],
             points=[tuple(p) for p in request["points"]],
         )
     except GyrotrackError as error:

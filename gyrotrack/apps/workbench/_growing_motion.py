@@ -88,6 +88,10 @@ def stored_parts(records: Iterable[Record]) -> list[Part]:
     return found
 
 
+# a body alone turns as it is seen
+_SENSES = {"single": 1}
+
+
 def joined_motion(parts: Iterable[Part], rate: float) -> dict[str, list[Piece]]:
     """Return the motion of each body in the parts of a film, with angles that continue from one part to the next.
 
@@ -106,8 +110,7 @@ def joined_motion(parts: Iterable[Part], rate: float) -> dict[str, list[Piece]]:
                 found.setdefault(body, []).append((frame[known] / rate, angle[known]))
     begin = {b: p[0][1][0] for b, p in found.items()}
     turns = {b: net_turn(np.concatenate([a for _, a in p])) for b, p in found.items()}
-    # a single body turns as it is seen
-    sense = 1 if "single" in found else find_rotation_sense(turns, None)
+    sense = find_rotation_sense(turns, next((_SENSES[b] for b in found if b in _SENSES), None))
     return {b: [(t, sense * (a - begin[b]), speed(t, sense * a)) for t, a in p] for b, p in found.items()}
 
 

@@ -32,7 +32,8 @@ from gyrotrack.plotting._charts import (
 )
 
 if TYPE_CHECKING:
-    from gyrotrack.apps.workbench._project import Project, Source
+    from gyrotrack.apps.workbench._project import Project
+    from gyrotrack.apps.workbench._state import Source
 
 Array = NDArray[np.float64]
 Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, pieces
@@ -40,6 +41,8 @@ Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, pieces
 _DRAWN = 900  # points of a curve
 _CASING, _FILMED_WITH, _ROTORS = BLUE, SKY, (VERMILLION, GREEN, ORANGE, PURPLE)
 _TURN = 2 * np.pi
+# names of curves; that of a body alone is not repeated
+_LABEL, _LABELS = "{}, {}", {"single": "{}"}
 
 
 def motion_board(project: Project) -> dict[str, Any]:
@@ -70,8 +73,9 @@ def _chart(name: str, title: str, unit: str, curves: Sequence[Curve], column: in
         parts = [(t, v[column - 1] / (_TURN if column == 1 else 1.0), None) for t, *v in pieces if len(t)]
         parts.sort(key=lambda p: float(p[0][0]))
         if parts:
-            label = f"{film}, {body}" if body != "single" else film
-            traces.append(concatenated(label, parts, colour, width=1.6))
+            traces.append(
+                concatenated(_LABELS.get(body, _LABEL).format(film, body), parts, colour, width=1.6)
+            )
     finding = f"{title} of {len(traces)} film{'' if len(traces) == 1 else 's'}."
     return Chart(
         name, title, unit, tuple(traces), finding, caption="Each film on its own clock until synchronised."

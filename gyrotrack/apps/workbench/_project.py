@@ -19,10 +19,10 @@ from functools import partial
 from pathlib import Path
 from threading import RLock
 from time import monotonic
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, get_args
 
 from filelock import Timeout
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import ValidationError
 
 from fitting._numbers import short, with_uncertainty
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
@@ -34,6 +34,8 @@ from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, 
 from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
 from gyrotrack.apps.workbench._history import Change, History, apply, difference
 from gyrotrack.apps.workbench._processes import Job, Jobs
+from gyrotrack.apps.workbench._routes import Route, argument, route_of, tracking_of
+from gyrotrack.apps.workbench._state import FASTEST, Body, Pick, Source, State
 from gyrotrack.apps.workbench._uploads import Sent, Uploads
 from gyrotrack.io._atomic import locked, new_file, refuse_special, remove_remains
 from gyrotrack.io._hdf5 import read_kind, read_recording, read_settings, write_recording
@@ -48,74 +50,6 @@ TABLES = {suffix for suffixes in SUFFIXES.values() for suffix in suffixes} - _DA
 LARGEST_UPLOAD = 16 * 2**30  # largest file that a page may upload [bytes]
 _MAX_SOURCES = 100
 _PREVIEW = "gyrotrack.apps.workbench._films"
-
-
-_FASTEST = 1e7  # upper limit of a capture rate [1/s]
-
-
-class Pick(BaseModel):
-    """A marker that was clicked in the first frame: position [px], name, colour and body."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    x: FiniteFloat
-    y: FiniteFloat
-    name: str = Field(max_length=40)
-    colour: str = Field(max_length=20)
-    body: Literal["casing", "rotor"] = "casing"
-
-
-_Key = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}$")]
-# an argument of a command
-_Text = Annotated[str, Field(max_length=120, pattern=r"^[^\x00-\x1f\x7f]*$")]
-# output files: names without folder, so that a manipulated state file cannot lead out of the work folder
-_OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
-_OwnProfile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.toml)?$")]
-
-
-class Source(BaseModel):
-    """One film, recording or table, with its settings and results."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    key: _Key
-    file: Annotated[str, Field(pattern=r"^[^\x00]+$")]
-    kind: Literal["film", "recording", "table"]
-    body: Literal["", "casing", "rotor", "single"] = ""
-    capture_fps: Annotated[float, Field(gt=0, lt=_FASTEST)] | None = None
-    rate_from: str = ""
-    profile: str = ""
-    hub: tuple[FiniteFloat, FiniteFloat] | None = None
-    picks: list[Pick] = Field(default_factory=list, max_length=20)
-    disc: Annotated[str, Field(max_length=20)] = ""  # colour of a disc that marks the hub
-    output: _OwnFile = ""
-    marked: _OwnProfile = ""
-    words: list[str] = Field(default_factory=list)
-    result: dict[str, Any] = Field(default_factory=dict)
-
-
-class State(BaseModel):
-    """The content of ``workbench.json``."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    version: Literal[1] = 1
-    sources: list[Source] = Field(default_factory=list)
-    inertia_rotor: _Text = ""
-    inertia_casing: _Text = ""
-    inertia: _Text = ""
-    body_name: Annotated[str, Field(pattern=r"^([A-Za-z][A-Za-z0-9_]{0,40})?$")] = ""
-    label: _Text = ""
-    surface: _Text = ""
-    case: _OwnFile = ""
-    matched: list[str] = Field(default_factory=list)
-    match: dict[str, Any] = Field(default_factory=dict)
-    fitted: list[str] = Field(default_factory=list)
-    fit: dict[str, Any] = Field(default_factory=dict)
-    removed: list[Source] = Field(
-        default_factory=list
-    )  # with all their settings, so that they can be restored
-    seconds: dict[str, FiniteFloat] = Field(default_factory=dict)  # duration of the last run of each step [s]
 
 
 class Project:
@@ -170,7 +104,7 @@ class Project:
                 "seconds": s.seconds,
                 "fields": {k: getattr(s, k) for k in _FIELDS},
                 "inertias": {k: _inertia_field(getattr(s, k), k) for k in _FIELDS if k.startswith("inertia")},
-                "route": self._route(),
+                "route": self._route().name,
                 "can_open": self._can_open(),
                 "missing": {"track": self._missing_to_track(), "match": self._missing_to_match()},
                 "commands": {
@@ -178,7 +112,7 @@ class Project:
                         _command(self.track_words(x)) for x in s.sources if x.kind == "film" and x.body
                     ],
                     "match": _command(self._match_words()) if self._is_matchable() else "",
-                    "fit": _command(["fit", s.case]) if s.case and self._route() != "single" else "",
+                    "fit": _command(["fit", s.case]) if s.case and not self._route().fits else "",
                 },
                 "match": s.match,
                 "is_matched": self._is_matched(),
@@ -364,7 +298,7 @@ class Project:
                 setattr(self.state, name, value.strip())
             else:
                 x = self.source(key)
-                if name == "body" and value in ("", "casing", "rotor", "single"):
+                if name == "body" and value in get_args(Body):
                     x.body = value
                 elif name == "capture_fps":
                     x.capture_fps, x.rate_from = _rate(value), "entered" if value else ""
@@ -447,12 +381,13 @@ class Project:
             if x.hub is not None and not all(map(math.isfinite, x.hub)):
                 raise UsageError("The position of the hub is not valid.", "Click it again.")
             x.disc = disc[:20]
-            if x.body != "single" and x.picks:
-                x.profile = x.marked = x.marked or self._unused_name(f"{Path(x.file).stem}.toml")
+            tracking = tracking_of(x)
+            if profile := tracking.profile(x, self._unused_name(f"{Path(x.file).stem}.toml")):
+                x.profile = x.marked = profile
                 self._write_profile(x)
                 x.result = {}  # obsolete: it belongs to other markers
             self._save("change of the markers")
-            if x.picks or (x.body == "single" and x.hub is not None):
+            if tracking.is_marked(x):
                 self.preview(key)
 
     def _write_profile(self, x: Source) -> None:
@@ -476,7 +411,7 @@ class Project:
                 "film": str(self.path(x)),
                 "profile": str(self.folder / x.profile) if x.profile else "",
                 "hub": x.hub,
-                "single": x.body == "single",
+                "makes": tracking_of(x).makes,
                 "points": [(p.x, p.y) for p in x.picks],
             }
             self.jobs.start(
@@ -501,7 +436,7 @@ class Project:
             x = self.source(key)
             if x.kind != "table":
                 raise UsageError(f"{Path(x.file).name} is not a table.", "Reload the page.")
-            words = ["import", "--dry-run", "--body", _argument(x.file)]
+            words = ["import", "--dry-run", "--body", argument(x.file)]
             self.jobs.start(f"read:{key}", words, lambda _: None, replace=True)
 
     def find_markers(self, key: str) -> None:
@@ -516,7 +451,7 @@ class Project:
                 with suppress(GyrotrackError):
                     self.preview(key)
 
-            self._start(f"profile:{key}", ["profile", _argument(x.file), "-o", name], found)
+            self._start(f"profile:{key}", ["profile", argument(x.file), "-o", name], found)
 
     def tracked(self, key: str, index: int) -> dict[str, Any]:
         """Return the positions of centre and markers in a frame of a tracked film [px]; empty if it is not tracked."""
@@ -559,7 +494,8 @@ class Project:
         with self._lock:
             x = self.source(key)
             path = self.folder / x.output
-            if x.kind != "film" or x.body == "single" or not self.is_tracked(x) or not path.is_file():
+            recorded = x.kind == "film" and tracking_of(x).makes == "recording"
+            if not recorded or not self.is_tracked(x) or not path.is_file():
                 return None
             stamp = (key, path.stat().st_mtime_ns)
             if self._read is None or self._read[0] != stamp:
@@ -636,19 +572,7 @@ class Project:
 
     def track_words(self, x: Source) -> list[str]:
         """Return the command that tracks a film."""
-        rate = [] if x.capture_fps is None else ["--capture-fps", f"{x.capture_fps:g}"]
-        if x.body == "single":
-            words = ["spindown", _argument(x.file), *rate, "-o", x.output]
-            words += ["--report", f"{Path(x.output).stem}.html"]
-            if x.hub is not None:
-                words += ["--hub", f"{x.hub[0]:.1f},{x.hub[1]:.1f}"]
-            return [*words, *self._single_options()]
-        profile = ["--profile", _argument(x.profile)] if x.profile else []
-        return ["extract", _argument(x.file), *rate, *profile, "-o", x.output]
-
-    def _single_options(self) -> list[str]:
-        names = ("inertia", "label", "body_name")
-        return [f"--{k.replace('_', '-')}={v}" for k in names if (v := getattr(self.state, k))]
+        return tracking_of(x).words(x, self.state)
 
     def track(self, keys: Sequence[str] = ()) -> None:
         """Track films, by default all that are not tracked with their current settings."""
@@ -663,7 +587,7 @@ class Project:
                 if job is not None and job.is_active:
                     continue
                 words = self.track_words(x)
-                if x.body != "single" and (self.folder / f"{x.output}.unfinished").exists():
+                if tracking_of(x).resumes and (self.folder / f"{x.output}.unfinished").exists():
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
                     words.append("--force")  # the name was not in use when the film was added
@@ -675,21 +599,19 @@ class Project:
 
     def _is_matchable(self) -> bool:
         """Whether a case can be made now; a film of a single body becomes a case when it is tracked."""
-        single_film = self._route() == "single" and self.state.sources[0].kind == "film"
-        return not single_film and not self._missing_to_match()
+        return not self._missing_to_match() and self._route().makes_case(self.state)
 
     def _is_matched(self) -> bool:
-        films = [x for x in self.state.sources if x.kind == "film"]
-        if self._route() == "single" and films:
-            return len(self.state.sources) == 1 and self.is_tracked(films[0])
-        return not self._missing_to_match() and self.state.matched == self._match_words()
+        if self._route().makes_case(self.state):
+            return not self._missing_to_match() and self.state.matched == self._match_words()
+        return len(self.state.sources) == 1 and self.is_tracked(self.state.sources[0])
 
     def _can_open(self) -> bool:
         """Whether there is a fit to show in the laboratory."""
-        if self._route() != "single":
+        route = self._route()
+        if not route.fits:
             return self._is_fitted()
-        x = self.state.sources[0]
-        return self._is_matched() and bool((x.result if x.kind == "film" else self.state.match).get("fits"))
+        return self._is_matched() and bool(route.result(self.state).get("fits"))
 
     def _is_fitted(self) -> bool:
         return self._is_matched() and bool(self.state.fit) and self.state.fitted == self.state.matched
@@ -721,16 +643,11 @@ class Project:
         x = self.source(key)
         x.words, x.result = words, _stored_result(document)
         self.state.matched = []
-        if x.body == "single":
+        if tracking_of(x).makes == "case":
             self.state.case = x.output
 
-    def _route(self) -> str:
-        """Return the way to the case: "sync" of recordings, "import" of tables, "single" body, or "" if undecided."""
-        bodies = {x.body for x in self.state.sources}
-        if "single" in bodies:
-            return "single"
-        kinds = {"table" if x.kind == "table" else "film" for x in self.state.sources if x.body}
-        return {frozenset({"table"}): "import", frozenset({"film"}): "sync"}.get(frozenset(kinds), "")
+    def _route(self) -> Route:
+        return route_of(self.state.sources)
 
     def _missing_to_track(self) -> list[str]:
         found = []
@@ -744,52 +661,21 @@ class Project:
                 found.append(f"Enter the capture rate of {name}.")
         if not self.state.sources:
             found.append("Add films or tables.")
-        if self._route() == "single":
-            found += self._inertia_errors("inertia")
-        return found
-
-    def _inertia_errors(self, field: str) -> list[str]:
-        return list(filter(None, [_inertia_field(getattr(self.state, field), field)["error"]]))
+        errors = (
+            _inertia_field(getattr(self.state, field), field)["error"] for field in self._route().optional
+        )
+        return [*found, *filter(None, errors)]
 
     def _missing_to_match(self) -> list[str]:
-        s, route = self.state, self._route()
         found = self._missing_to_track()
         if found:
             return found[:1]
-        if route == "single":
-            if len(s.sources) > 1:
-                return ["A single body needs exactly one film or table; remove the others."]
-            return [] if s.sources[0].kind != "film" else self._inertia_errors("inertia")
-        if not route:
-            return ["Films and tables cannot be combined in one case."]
-        if sum(x.body == "casing" for x in s.sources) != 1 or not any(x.body == "rotor" for x in s.sources):
-            found.append("A case needs one source of the casing and at least one of the rotor.")
-        if waiting := [Path(x.file).name for x in s.sources if not self.is_tracked(x)]:
-            found.append(f"Not tracked yet: {', '.join(waiting)}.")
-        for body in ("rotor", "casing"):
-            try:
-                Inertia.required(getattr(s, f"inertia_{body}") or None, body)
-            except UsageError as error:
-                found.append(error.message)
-        return found
+        untracked = [Path(x.file).name for x in self.state.sources if not self.is_tracked(x)]
+        return self._route().missing(self.state, untracked)
 
     def _match_words(self) -> list[str]:
-        s, route = self.state, self._route()
-        case = s.case if s.match and s.case else self._unused_name("case.h5")
-        rotors = [x for x in s.sources if x.body == "rotor"]
-        casing = next((x for x in s.sources if x.body == "casing"), None)
-        inertias = [f"--inertia-rotor={s.inertia_rotor}", f"--inertia-casing={s.inertia_casing}"]
-        names = [f"--{k}={getattr(s, k)}" for k in ("label", "surface") if getattr(s, k)]
-        if route == "single":
-            x = s.sources[0]
-            words = ["spindown", _argument(x.file), "-o", case, "--report", f"{Path(case).stem}.html"]
-            return [*words, *self._single_options()]
-        assert casing is not None  # noqa: S101 - checked by `_missing_to_match`
-        if route == "import":
-            rotor = [w for x in rotors for w in ("--rotor", _argument(x.file))]
-            return ["import", "--casing", _argument(casing.file), *rotor, "-o", case, *inertias, *names]
-        files = [_argument(x.output or x.file) for x in (casing, *rotors)]
-        return ["sync", *files, "-o", case, *inertias, *names]
+        s = self.state
+        return self._route().words(s, s.case if s.match and s.case else self._unused_name("case.h5"))
 
     def match(self) -> None:
         """Synchronise the recordings, or import the tables, to a case."""
@@ -805,7 +691,7 @@ class Project:
             def matched(document: dict[str, Any]) -> None:
                 self.state.case = case
                 self.state.match, self.state.matched = self._match_result(document), words
-                if self._route() != "single":  # whose case is fitted by the same command
+                if not self._route().fits:
                     self.when_matched()
 
             self._start("match", [*words, *again], matched)
@@ -817,7 +703,7 @@ class Project:
         clips = [
             {"name": Path(x.file).name, "offset_s": 0.0, "duration_s": _duration(x)}
             for x in self.state.sources
-            if x.body == "casing" and self._route() == "sync"
+            if x.body == "casing" and self._route().name == "sync"
         ]
         for c in document.get("clips", []):
             x = sources.get(Path(c["source"]).name)
@@ -856,7 +742,7 @@ class Project:
             self.track()
         elif self._is_matchable() and not self._is_matched():
             self.match()
-        elif self._is_matched() and self._route() != "single" and not self._is_fitted():
+        elif self._is_matched() and not self._route().fits and not self._is_fitted():
             self.fit()
         else:
             self._analysing = False
@@ -946,11 +832,6 @@ def _reading_document(document: dict[str, Any]) -> dict[str, Any]:
     return {k: document.get(k, []) for k in ("reading", "plot", "warnings")}
 
 
-def _argument(name: str) -> str:
-    """Return a file name that is not parsed as an option."""
-    return f"./{name}" if name.startswith("-") else name
-
-
 def _command(words: Sequence[str]) -> str:
     return shlex.join(["gyrotrack", *words])
 
@@ -962,7 +843,7 @@ def _rate(value: Any) -> float | None:
         rate = float(str(value).replace(",", "."))
     except ValueError:
         rate = math.nan
-    if not 0 < rate < _FASTEST:
+    if not 0 < rate < FASTEST:
         raise UsageError("The capture rate is not a positive number.", "Enter it in frames per second.")
     return rate
 

@@ -146,10 +146,11 @@ def _deeplabcut(path: Path, lines: Lines) -> Points:
         raise DatasetError(what, "Export it again from DeepLabCut.")
     width = len(heads["coords"])
     table = _numbers(path, lines[rows:], ",", width, range(width))
-    single = len(set(heads.get("individuals", ["", ""])[1:])) < 2
+    animals = heads.get("individuals", [""] * width)
+    several = len(set(animals[1:])) > 1
     columns = []
     for i in range(1, width):
-        part = heads["bodyparts"][i] if single else f"{heads['individuals'][i]}.{heads['bodyparts'][i]}"
+        part = f"{animals[i]}.{heads['bodyparts'][i]}" if several else heads["bodyparts"][i]
         columns.append((part, heads["coords"][i], table[i]))
     return grouped_points(path, table[0], columns)
 

@@ -472,20 +472,20 @@ def from_events(
     if len(time) < MIN_SAMPLES:
         what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
-    single = np.append(True, np.diff(time) > 0)
-    if single.mean() < _LEAST_SINGLE:
-        what = f"{raw.path}: {int((~single).sum())} of {len(time)} times of pulses are repeated."
+    distinct = np.append(True, np.diff(time) > 0)
+    if distinct.mean() < _LEAST_SINGLE:
+        what = f"{raw.path}: {int((~distinct).sum())} of {len(time)} times of pulses are repeated."
         raise DatasetError(what, "Check the column and the decimal sign, or give the times with more digits.")
-    driven = varies_both_ways(time[single])
-    steps = None if driven else _steps_of_jittering_counts(time[single])
+    driven = varies_both_ways(time[distinct])
+    steps = None if driven else _steps_of_jittering_counts(time[distinct])
     if not driven:
-        single[single] = _not_double(time[single]) if steps is None else steps >= 0
-    doubles = int((~single).sum())
+        distinct[distinct] = _not_double(time[distinct]) if steps is None else steps >= 0
+    doubles = int((~distinct).sum())
     if doubles:
         notes.append(
-            f"{raw.path.name}: {doubles} double pulses were excluded (first: line {line[~single][0]})"
+            f"{raw.path.name}: {doubles} double pulses were excluded (first: line {line[~distinct][0]})"
         )
-    time, line = time[single], line[single]
+    time, line = time[distinct], line[distinct]
     if len(time) < MIN_SAMPLES:
         what = f"{raw.path} has {len(time)} pulses at different times; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Check the column of the times.")

@@ -11,7 +11,7 @@ RANGES = {"omega_r": (300.0, 900.0), "omega_c": (5.0, 160.0), "delta": (250.0, 8
 
 
 def whole():
-    return grammar(RANGES, 200.0, single=False, angles=True)
+    return grammar(RANGES, 200.0, bodies={"rotor", "casing"}, angles=True)
 
 
 def test_every_law_is_a_torque_with_at_most_two_shape_constants():
@@ -36,9 +36,9 @@ def test_laws_are_finite_along_a_motion():
 
 
 def test_the_grammar_of_one_body_contains_laws_of_its_motion_only():
-    laws = grammar(RANGES, 200.0, single=True, angles=False)
+    laws = grammar(RANGES, 200.0, bodies={"casing"}, angles=False)
     assert laws
-    assert all(x.effect.single_body for x in laws)
+    assert all(x.effect.bodies <= {"casing"} for x in laws)
     assert not any(x.effect.depends_on_angle for x in laws)
 
 
@@ -79,7 +79,7 @@ def test_the_unit_of_a_power_of_time_is_consistent(tmp_path):
 
 @pytest.mark.parametrize("span", [0.01, 0.6, 1.0, 30.0])
 def test_a_record_of_any_length_has_periodic_laws_within_their_bounds(span):
-    laws = grammar(RANGES, span, single=False, angles=True)
+    laws = grammar(RANGES, span, bodies={"rotor", "casing"}, angles=True)
     frequencies = [
         p
         for x in laws
@@ -88,3 +88,18 @@ def test_a_record_of_any_length_has_periodic_laws_within_their_bounds(span):
     ]
     assert frequencies
     assert all(p.lower <= min(p.grid) <= max(p.grid) <= p.upper for p in frequencies)
+
+
+@pytest.mark.parametrize("scale", [60.0, 1000.0])
+def test_trial_values_follow_the_unit_of_time(scale):
+    """The same record with all times multiplied has the same laws, whose times and speeds are multiplied as well."""
+    ranges = {name: (low / scale, high / scale) for name, (low, high) in RANGES.items()}
+    both = {"bodies": {"rotor", "casing"}, "angles": True}
+    here, there = grammar(RANGES, 200.0, **both), grammar(ranges, 200.0 * scale, **both)
+    assert [x.effect.name for x in here] == [x.effect.name for x in there]
+    factors = {"1": 1.0, "s": scale, "s-1": 1 / scale}
+    for a, b in zip(here, there, strict=True):
+        for p, q in zip(a.effect.parameters, b.effect.parameters, strict=True):
+            if p.role == "shape":
+                factor = 1.0 if p.relative else factors[p.unit]
+                assert q.grid == pytest.approx([factor * v for v in p.grid], rel=2e-3)

@@ -314,7 +314,7 @@ def test_a_saturating_drag_of_a_single_body_is_found():
     angle = motion.y[0] + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     sigma = np.full(len(t), 1e-3)
     record = make_record(casing=(t, angle, sigma), rotor=[], I_rotor=1.0, I_casing=1.0, single=True)
-    base = fit(Model.of(REDUCED).alone, [record])
+    base = fit(Model.of(REDUCED).of_bodies({"casing"}), [record])
     best = laws(base).laws[0]
     assert best.formula == "casing: -k*tanh(omega_c/w)"
     for name, true in {"touchpoint.constant.b1": 0.02, "casing.air.linear.b2": 0.012}.items():
@@ -344,7 +344,7 @@ def test_a_brake_that_is_switched_on_is_found_and_its_torque_is_that_of_the_moti
     noise = 3e-3 * np.random.default_rng(3).standard_normal(len(angle))
     samples = (t[: len(angle)], angle + noise, np.full(len(angle), 3e-3))
     record = make_record(casing=samples, rotor=[], I_rotor=1.0, I_casing=1.0, single=True)
-    base = fit(Model.of(REDUCED).alone, [record])
+    base = fit(Model.of(REDUCED).of_bodies({"casing"}), [record])
     answer = diagnose(base)
     assert answer.verdict == "unexplained"
     # the true torque is k times a speed below 60 rad/s

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import oscillators
 import pytest
 
 from fitting import EstimationError
@@ -30,7 +31,7 @@ def decide(monkeypatch, found, bic, reversals=10):
         return SimpleNamespace(bic=bic[model], model=SimpleNamespace(effects=model))
 
     monkeypatch.setattr(_oscillator, "fit", fit)
-    data = SimpleNamespace(oscillation=SimpleNamespace(reversals=[0.0] * reversals))
+    data = SimpleNamespace(motion=oscillators.stub(SimpleNamespace(reversals=[0.0] * reversals)))
     chosen, exact = fit_oscillator(found, tuple, data)
     return chosen, exact, fitted
 

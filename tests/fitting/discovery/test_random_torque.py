@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 from cases import data, fitted
 
@@ -233,7 +234,7 @@ def test_drag_is_named_beside_a_random_torque():
 def test_every_effect_must_be_established_beside_a_random_torque(monkeypatch, name, established, alternative):
     from fitting.discovery import _verdict
 
-    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     random = SimpleNamespace(fit=fit, is_raised=False)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
@@ -251,7 +252,7 @@ def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_rec
 ):
     from fitting.discovery import _verdict
 
-    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     random = SimpleNamespace(fit=fit, is_raised=raised)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
@@ -274,7 +275,7 @@ def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, w
 def test_starts_and_slips_are_found_without_a_model():
     from fitting.discovery import _verdict
 
-    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     for effect in (_verdict.START, _verdict.SLIP):
         selection = Selection([], SimpleNamespace(effect=effect, screened=None), None, None)
         assert _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT) is None

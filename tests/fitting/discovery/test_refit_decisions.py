@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 
 from fitting import LIBRARY, Criteria, Estimate, EstimationError, SimulationError
@@ -51,7 +52,9 @@ class Found:
     bic: float = 100.0
     values: dict = field(default_factory=lambda: {"a.k": 1.0, "b.k": 2.0})
     model: object = None
-    problem: object = field(default_factory=lambda: SimpleNamespace(data=[SimpleNamespace(oscillation=None)]))
+    problem: object = field(
+        default_factory=lambda: SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())])
+    )
     estimates: dict = field(default_factory=dict)
 
 
@@ -107,7 +110,7 @@ class TestNoise:
         [
             (True, None, 100.0 - DEFAULT.evidence - 0.1, True),
             (True, None, 100.0 - DEFAULT.evidence + 0.1, False),
-            (True, object(), 10.0, False),
+            (True, SimpleNamespace(), 10.0, False),
             (False, None, 10.0, False),
             (True, None, None, False),
         ],
@@ -124,7 +127,7 @@ class TestNoise:
             return Found(deviance)
 
         monkeypatch.setattr(module, "fit", fit)
-        problem = SimpleNamespace(data=[SimpleNamespace(oscillation=oscillation)])
+        problem = SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub(oscillation))])
         found = Found(noise=(noise(9.0, raised=raised, least=0.25), noise(3.0)), problem=problem)
         assert at_lowest_noise(found, DEFAULT).deviance == (deviance if taken else 100.0)
         if asked:

@@ -284,7 +284,7 @@ def test_the_unmodelled_torque_of_a_pendulum_of_large_amplitude_is_finite():
     record = make_record(
         casing=(t, angle, np.full(len(t), 5e-3)), rotor=[], I_rotor=1.0, I_casing=1.0, single=True
     )
-    base = fit(Model.of(REDUCED).alone, [record])
+    base = fit(Model.of(REDUCED).of_bodies({"casing"}), [record])
     assert base.problem.data[0].largest_torque == pytest.approx(20, rel=0.15)
     assert base.noise[0].level <= base.problem.data[0].largest_torque
     (curve,) = residual_torques(base)

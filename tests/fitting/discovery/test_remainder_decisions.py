@@ -154,7 +154,7 @@ class TestTorques:
         motion = SimpleNamespace(time=time, amplitude=np.full(50, 0.5), phase=3.0 * time)
         fine = np.linspace(0.0, 10.0, 400)
         oscillation = SimpleNamespace(slow_motion=motion, time=fine, phase=lambda t: 3.0 * t)
-        data = SimpleNamespace(oscillation=oscillation, record=SimpleNamespace(I_casing=2.0))
+        data = SimpleNamespace(motion=oscillation, record=SimpleNamespace(I_casing=2.0))
         end = SimpleNamespace(
             problem=SimpleNamespace(data=[data]), model=SimpleNamespace(restoring=True), predictions=[None],
             noise=[None],
@@ -240,7 +240,7 @@ class TestBetterLaw:
         monkeypatch.setattr(module, "_with_smooth_laws", lambda *_: iter(()))
         assert better_law(base, found(bic=named), found(bic=end), LIBRARY[DRAG], DEFAULT) == ""
 
-    def laws(self, monkeypatch, effect, *, single=False, restoring=False, failing=()):
+    def laws(self, monkeypatch, effect, *, parts=("casing", "rotor"), restoring=False, failing=()):
         asked = []
 
         def fit(model, base, *, start, noise, quick):
@@ -253,7 +253,7 @@ class TestBetterLaw:
         monkeypatch.setattr(
             module, "ranges_of", lambda _: dict.fromkeys(("omega_r", "omega_c", "delta"), (1.0, 3.0))
         )
-        record = SimpleNamespace(single=single)
+        record = SimpleNamespace(parts=frozenset(parts))
         base = SimpleNamespace(
             model=SimpleNamespace(restoring=restoring, with_effect=lambda law: law),
             problem=SimpleNamespace(data=[SimpleNamespace(record=record)]), values={"a.k": 2.0},
@@ -277,8 +277,8 @@ class TestBetterLaw:
         assert self.laws(monkeypatch, effect) == speeds
 
     def test_of_a_body_alone_the_casing_is_tried(self, monkeypatch):
-        assert self.laws(monkeypatch, "touchpoint.drift", single=True) == ["omega_c"]
-        assert self.laws(monkeypatch, DRAG, single=True) == []
+        assert self.laws(monkeypatch, "touchpoint.drift", parts=["casing"]) == ["omega_c"]
+        assert self.laws(monkeypatch, DRAG, parts=["casing"]) == []
 
     def test_a_law_whose_fit_fails_is_left_out(self, monkeypatch):
         assert self.laws(monkeypatch, DRAG, failing=("omega_r",)) == ["delta"]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 
 from fitting import (
@@ -60,13 +61,13 @@ class Model:
         return replace(self, effects=tuple(e for e in self.effects if e.name != name))
 
 
-def data(*, oscillation=None, single=False, tracked=False, is_angle=True, measured_angle=None):
+def data(*, oscillation=None, parts=("casing", "rotor"), tracked=False, is_angle=True, measured_angle=None):
     return SimpleNamespace(
-        oscillation=oscillation,
+        motion=oscillators.stub(oscillation),
         is_angle=is_angle,
         measured_angle=measured_angle,
         has_noise_of=lambda _: True,
-        record=SimpleNamespace(single=single, tracked=tracked, inputs=(), driving=()),
+        record=SimpleNamespace(parts=frozenset(parts), tracked=tracked, inputs=(), driving=()),
     )
 
 
@@ -159,7 +160,7 @@ class TestApplicable:
         assert "rotor.support" not in found  # it is not searched
 
     def test_a_body_alone_has_no_laws_of_two_bodies(self):
-        found = self.names(single=True)
+        found = self.names(parts=["casing"])
         assert "casing.air.quadratic" in found
         assert not found & {"rotor.air.linear", "bearing.quadratic", "casing.windage"}
 
@@ -788,7 +789,7 @@ class TestImprove:
             (False, False, None, True, True, False),  # better than any random torque
             (False, False, None, False, False, False),  # which does not describe the residuals
             (False, True, None, True, False, False),  # a lack of fit
-            (False, False, object(), True, False, False),
+            (False, False, SimpleNamespace(), True, False, False),
             (True, False, None, True, False, False),  # the first effect is tested by the diagnosis
         ],
     )
@@ -799,7 +800,7 @@ class TestImprove:
         monkeypatch.setattr(module, "with_random_torque", lambda found, criteria: ("random", found.bic))
         monkeypatch.setattr(module, "describes", lambda *_: describes)
         monkeypatch.setattr(module, "is_established", lambda *args: asked.append(args) or established)
-        problem = SimpleNamespace(data=[SimpleNamespace(oscillation=oscillation)])
+        problem = SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub(oscillation))])
         before = Found(60.0, wrong=wrong, problem=problem, model=Model(() if first else (LAMINAR,)))
         # a value for each recording is a step that adds no effect
         history = [Step("", Found(100.0), ()), Step("+a", before, (candidate(), candidate(STEP)))]

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import oscillators
 import pytest
 
 from fitting import LIBRARY, Candidate, Criteria, Estimate, diagnose, effect_name
@@ -37,7 +38,7 @@ def estimate(value=4e-8, stderr=1e-9, unit="N m s2", *, at_bound=False):
 def data(*, oscillation=None, lines=(), slips=(), label="run"):
     samples = SimpleNamespace(sigma=np.full(3, 1e-3))
     return SimpleNamespace(
-        oscillation=oscillation, spectral_lines=lines, slips=slips, has_noise_of=lambda _: True,
+        motion=oscillators.stub(oscillation), spectral_lines=lines, slips=slips, has_noise_of=lambda _: True,
         casing=SimpleNamespace(scale=2.0, samples=samples), rotor=(),
         record=SimpleNamespace(label=label, inputs=()),
     )  # fmt: skip
@@ -306,7 +307,7 @@ class TestVerdict(Answer):
         assert "with_random_torque" not in self.asked
 
     def test_of_an_oscillation_there_is_no_random_alternative(self):
-        swinging = Found(wrong=True, problem=problem(data(oscillation=object())))
+        swinging = Found(wrong=True, problem=problem(data(oscillation=SimpleNamespace())))
         self.answer(
             swinging, select=selection(candidate()), grade=COMPLETE, describes=True, is_established=False
         )
@@ -346,7 +347,7 @@ class TestVerdict(Answer):
         nuisance = [Nuisance("camera.centre", "run", 2e-3, 1e-5, "rad", 1e-9)]
         words = "Camera centre offset 2 mrad (nuisance parameter, fitted)."
         assert words in self.answer(Found(), nuisance_parameters=nuisance).sentence
-        swinging = Found(problem=problem(data(oscillation=object())))
+        swinging = Found(problem=problem(data(oscillation=SimpleNamespace())))
         assert words not in self.answer(swinging).sentence
 
     @pytest.mark.parametrize(("limit", "stated"), [(0.2, 0.2), (math.inf, None)])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 from linearised import covariance, gyroscope, least_squares
 
@@ -12,6 +13,7 @@ from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 
 
@@ -34,12 +36,14 @@ def noise(level=1.0, least=1.0, pure=1.0, excess=0.0):
     return Level(level=level, least=least, pure=pure, excess=excess)
 
 
-def body(speed, time=None, *, oscillation=None, single=False, label="run"):
+def body(speed, time=None, *, oscillation=None, parts=("casing", "rotor"), label="run"):
     speed = np.asarray(speed, dtype=float)
     time = np.linspace(0.0, 10.0, len(speed)) if time is None else time
-    record = SimpleNamespace(label=label, single=single)
+    record = SimpleNamespace(label=label, parts=frozenset(parts))
     return SimpleNamespace(
-        initial_speeds=(time, np.column_stack([10 * speed, speed])), oscillation=oscillation, record=record
+        initial_speeds=(time, np.column_stack([10 * speed, speed])),
+        motion=oscillators.stub(oscillation),
+        record=record,
     )
 
 
@@ -312,7 +316,7 @@ class TestFit:
     ):
         calls = []
         data = [body([1.0, 2.0], label=f"run{i}", oscillation=oscillation) for i in range(cases)]
-        layout = SimpleNamespace(tied=(), names=("a.k",))
+        layout = SimpleNamespace(tied=(), names=("a.k",), absent=())
         problem = Asked(calls, layout, tuple(data))
 
         def search(problem, theta, *, quick=False, active=None):
@@ -364,7 +368,7 @@ class TestFit:
             module,
             "ParameterLayout",
             SimpleNamespace(
-                of=lambda *args: layouts.append(args) or SimpleNamespace(names=("a.k",), tied=())
+                of=lambda *args: layouts.append(args) or SimpleNamespace(names=("a.k",), tied=(), absent=())
             ),
         )
         model = SimpleNamespace(restoring=False, free=("a.k", "b.k"))
@@ -411,7 +415,7 @@ class TestFit:
 
     @pytest.mark.parametrize(
         ("oscillation", "restoring", "quick"),
-        [(object(), False, True), (object(), True, False), (None, False, False)],
+        [(SimpleNamespace(), False, True), (SimpleNamespace(), True, False), (None, False, False)],
     )
     def test_an_oscillation_without_a_restoring_torque_is_fitted_quickly(
         self, monkeypatch, oscillation, restoring, quick
@@ -428,7 +432,7 @@ class TestChecks:
         [
             ([], "different labels"),
             ([body([1.0]), body([1.0])], "different labels"),
-            ([body([1.0], label="a"), body([1.0], label="b", single=True)], "cannot be fitted together"),
+            ([body([1.0], label="a"), body([1.0], label="b", parts=["casing"])], "cannot be fitted together"),
         ],
     )
     def test_cases_that_cannot_be_fitted(self, cases, words):
@@ -436,9 +440,9 @@ class TestChecks:
             module._check(Model.of(["casing.air.linear"]), cases)
 
     def test_a_body_alone_has_laws_of_one_body(self):
-        module._check(Model.of(["casing.air.linear"]), [body([1.0], single=True)])
+        module._check(Model.of(["casing.air.linear"]), [body([1.0], parts=["casing"])])
         with pytest.raises(EstimationError, match=r"bearing\.linear needs rotor data"):
-            module._check(Model.of(["bearing.linear"]), [body([1.0], single=True)])
+            module._check(Model.of(["bearing.linear"]), [body([1.0], parts=["casing"])])
 
     @pytest.mark.parametrize(
         ("law", "speeds", "singular"),
@@ -465,11 +469,14 @@ class TestChecks:
         else:
             module._check(model, data)
 
-    @pytest.mark.parametrize("single", [True, False])
-    def test_the_rotor_of_a_body_alone_is_not_a_variable(self, single):
-        names = ("a.k", "initial.omega_r@run", "initial.omega_c@run")
-        problem = SimpleNamespace(data=[body([1.0], single=single)], layout=SimpleNamespace(names=names))
-        assert module._free_names(problem) == {*names} - ({"initial.omega_r@run"} if single else set())
+    @pytest.mark.parametrize(
+        ("parts", "absent"), [(["casing"], {"initial.omega_r@run"}), (["casing", "rotor"], set())]
+    )
+    def test_the_rotor_of_a_body_alone_is_not_a_variable(self, parts, absent):
+        record = body([1.0], parts=parts).record
+        layout = ParameterLayout(Model.of(["casing.air.linear"]), (record,), ())
+        assert module._free_names(SimpleNamespace(layout=layout)) == {*layout.names} - absent
+        assert {*layout.names} >= absent
 
 
 class TestRobust:
@@ -560,7 +567,7 @@ class TestSearchWithNoise:
         }
         for name, result in steps.items():
             monkeypatch.setattr(module, name, named(name, result))
-        data = [body([1.0]), body([1.0], oscillation=object() if oscillates else None)]
+        data = [body([1.0]), body([1.0], oscillation=SimpleNamespace() if oscillates else None)]
         problem = Asked(calls, None, tuple(data))
         found, measured = module.search_with_noise(problem, "start", None, quick=False)
         return calls, found, measured

@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import oscillators
 import pytest
 from linearised import BEGIN, SPAN, VALUES, gyroscope
 
@@ -194,7 +195,7 @@ class TestSamples:
         t = np.arange(500) * 0.04
         run = Samples(t + 3.0, np.sin(t), np.ones(500))
         record = SimpleNamespace(casing=run)
-        data = SimpleNamespace(record=record, oscillation=SimpleNamespace(period=1.0, periods=20.0))
+        data = SimpleNamespace(record=record, motion=SimpleNamespace(period=1.0, periods=20.0))
         made = []
         patched = lambda record, *, casing, digest: made.append(digest) or SimpleNamespace(casing=casing)  # noqa: E731
         with pytest.MonkeyPatch.context() as patch:
@@ -203,7 +204,7 @@ class TestSamples:
         assert len(found.casing) == size
         assert found.casing.time[0] == 3.0
         assert made == ([] if size == 500 else [""])
-        data.oscillation = None
+        data.motion = oscillators.stub()
         assert module._first_periods(data, count) is record
 
 
@@ -211,9 +212,9 @@ class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
         )
-        return [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
+        return [SimpleNamespace(record=record, initial_speeds=rough, motion=oscillators.stub())]
 
     def test_it_vanishes_for_the_right_laws_only(self):
         names, drag = (*LINEAR, "casing.air.quadratic"), {"casing.air.quadratic.k": 2e-7}
@@ -228,9 +229,9 @@ class TestEquationError:
         t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, single=False, inputs=()
+            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
         )
-        data = [SimpleNamespace(record=record, initial_speeds=rough, oscillation=None)]
+        data = [SimpleNamespace(record=record, initial_speeds=rough, motion=oscillators.stub())]
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
 
 
@@ -317,7 +318,7 @@ class TestGivenValues:
         monkeypatch.setattr(module, "Problem", SimpleNamespace(of=lambda layout, data: None))
         monkeypatch.setattr(module, "replace", lambda layout, records: layout)
         monkeypatch.setattr(module, "search", lambda part, theta, **_: SimpleNamespace(theta=theta + 1))
-        data = [SimpleNamespace(oscillation=SimpleNamespace(periods=p), criteria=None) for p in (9.0, 17.0)]
+        data = [SimpleNamespace(motion=SimpleNamespace(periods=p), criteria=None) for p in (9.0, 17.0)]
         found = module._period_by_period(SimpleNamespace(layout=None, data=data), np.zeros(1))
         assert counts[::2] == [2.0, 4.0, 8.0, 16.0]
         assert found.tolist() == [4.0]

@@ -15,7 +15,7 @@ from fitting.effects._user import resolve
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
-from fitting.inference._oscillation import find_oscillation, turning_points
+from fitting.inference._oscillation import are_smooth, find_oscillation, motion_of, turning_points
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._speed_residuals import SpeedMap
 
@@ -342,3 +342,39 @@ def test_the_residual_speed_of_an_oscillation_is_resolved_within_a_period(durati
         slope = [np.polyfit(x - x.mean(), y, 1)[0] for x, y in zip(inside, change, strict=True)]
         # the polynomials of a block follow the fundamental
         assert to_speeds(rows)[0] == pytest.approx(np.array(slope), abs=0.05 * np.abs(slope).max())
+
+
+class TestMotion:
+    """A rotation has what an oscillation has, as nothing, zero or without a limit."""
+
+    t = np.arange(0.0, 20.0, 0.05)
+
+    def both(self):
+        swing = motion_of(oscillators.record(self.t, analytic(self.t, 10.0, 0.1, 1.0), 1e-3, 0))
+        return motion_of(oscillators.record(self.t, 30 * self.t - 0.7 * self.t**2, 1e-3, 0)), swing
+
+    def test_of_a_record(self):
+        turning, swinging = self.both()
+        assert (turning.is_smooth, swinging.is_smooth) == (True, False)
+        assert are_smooth([turning, turning])
+        assert not are_smooth([turning, swinging])
+        assert (len(turning.reversals), turning.periods, turning.slow_motion) == (0, 0.0, None)
+        assert (turning.period, turning.amplitude) == (np.inf, np.inf)
+        assert turning.phase(self.t[:3]).tolist() == [0.0, 0.0, 0.0]
+        assert swinging.amplitude == pytest.approx(0.5 * np.ptp(swinging.deflection))
+
+    def test_functions_beside_the_motion(self):
+        turning, swinging = self.both()
+        assert [m.harmonics(len(self.t)).shape[1] for m in (turning, swinging)] == [0, 24]
+        assert [m.offsets(5).shape for m in (turning, swinging)] == [(5, 0), (5, 1)]
+        assert [m.samples_per_period(400) > 399 for m in (turning, swinging)] == [True, False]
+        columns = np.stack([self.t, self.t**2], axis=1)
+        assert turning.beyond_motion(columns, self.t) is columns
+        rest = swinging.beyond_motion(columns, self.t)
+        assert np.abs(rest[:, 0]).max() < 1e-9
+        assert np.abs(rest[:, 1]).max() > 1.0
+
+    def test_numbers_of_rough_speeds(self):
+        turning, swinging = self.both()
+        assert turning.rough == ()
+        assert swinging.rough == (int(np.ceil(24 * swinging.periods)), 3)

@@ -15,7 +15,7 @@ from fitting.inference._fit import fit
 from fitting.inference._record import Samples
 from fitting.inference._replica import replica
 
-BASE = Model.of(REDUCED).alone
+BASE = Model.of(REDUCED).of_bodies({"casing"})
 
 
 def motion(found):

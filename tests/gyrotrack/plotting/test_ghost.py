@@ -189,6 +189,6 @@ def test_a_film_has_consecutive_frames_around_the_largest_difference(tmp_path, m
 
 
 def test_a_case_without_films_has_no_ghost():
-    record = SimpleNamespace(quantity="angle", single=True)
+    record = SimpleNamespace(quantity="angle", parts=frozenset({"casing"}))
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(record=record)]))
     assert ghosts(SimpleNamespace(recordings={}), [fit], ["base"]) == []

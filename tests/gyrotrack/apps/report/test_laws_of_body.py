@@ -10,8 +10,8 @@ from gyrotrack.apps.report._laws import laws_of_body
 from gyrotrack.io.readers._reading import units_of_file
 
 
-def fitted(values, inertia=2.0, single=True):
-    record = SimpleNamespace(single=single, I_casing=inertia, body="body")
+def fitted(values, inertia=2.0, joints=()):
+    record = SimpleNamespace(joints=joints, I_casing=inertia, body="body")
     return SimpleNamespace(
         problem=SimpleNamespace(data=[SimpleNamespace(record=record)]),
         name=lambda key: effect_name(key, "body"),
@@ -38,7 +38,7 @@ def test_a_strength_is_recognised_by_what_it_does(key, value, words):
     (weak,) = laws_of_body(fitted({key: (value, value / 2.9)}))
     assert words not in weak.meaning
     assert weak.meaning
-    assert laws_of_body(fitted({key: (value, 0.0)}, single=False)) == ()
+    assert laws_of_body(fitted({key: (value, 0.0)}, joints=("bearing",))) == ()
 
 
 @pytest.mark.parametrize(
