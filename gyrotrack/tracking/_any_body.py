@@ -135,9 +135,11 @@ _OTHER_RANGE = 0.05
 """Relative difference of the ranges of the angles about two hubs, from which both are reported [1]. Chosen: a smaller
 value reports equal answers, a larger one hides different ones."""
 _AS_GOOD = 0.8
-"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous; share of a given
-hub below which other hubs are tried [1]. Chosen: a smaller value refuses films with shadows, a larger one may choose
-the wrong body."""
+"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous [1]. Chosen: a
+smaller value refuses films with shadows, a larger one may choose the wrong body."""
+_GIVEN_IS_NEAR = 0.8
+"""Explained share about a given hub below which the hubs that are proposed near it are tried, too [1]. Chosen: a local
+search reaches the true hub from a near one; a smaller value misses a far one, a larger one costs time."""
 _HOPELESS = 0.3
 """Explained share, relative to the best candidate or to what is needed, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
@@ -651,7 +653,7 @@ def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]],
 def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
     """Return a warning if rotation about another place near the given hub explains the film much better."""
     starts = [trial]
-    if given.score < _AS_GOOD:  # perhaps too far from it for a local search
+    if given.score < _GIVEN_IS_NEAR:  # perhaps too far from it for a local search
         near = [
             p
             for p in propose_hubs(block, motion)

@@ -125,6 +125,16 @@ def test_two_bobs_are_reported(bob):
     assert abs(found.hub[0] - 120.0) < 1.0
 
 
+@pytest.mark.parametrize(("shown", "message"), [(6, "at least one is at rest"), (0, "No point that moves")])
+def test_a_spot_at_rest_that_vanishes_is_reported_as_at_rest(bob, shown, message):
+    moving = bob(hub=(40.0, -120.0), amplitude=0.1, frames=44, thread=False)
+    rests = bob(hub=(120.0, -120.0), amplitude=0.0, frames=44, thread=False).pictures()
+    both = enumerate(zip(moving.pictures(), rests, strict=True))
+    frames = [np.minimum(a, b) if k < shown else a for k, (a, b) in both]
+    with pytest.raises(TrackingError, match=message):
+        follow_point(Rendered(frames), None)
+
+
 def drawn(radius=300.0, reach=0.2, hub=(80.0, -180.0), flat=1.0, count=160):
     """A path with white noise of 0.02 px on an arc, flattened across its middle as by a tilted camera."""
     rng = np.random.default_rng(3)
