@@ -70,6 +70,7 @@ from gyrotrack.tracking._registration import (
     learn,
     register,
     rolled,
+    without_slips,
 )
 from gyrotrack.tracking._silhouettes import axes_meet
 from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
@@ -936,6 +937,7 @@ def _measure(
     template = learn(
         [polars[i] for i in few], angle[few], allowed, coarse, separate=best.separate, plain=True
     )
+    angle = without_slips(polars, angle, usable, template)
 
     def share_of(counter_clockwise: Floats) -> float:
         return _score(polars, -counter_clockwise, allowed, coarse, separate=best.separate)[0]
