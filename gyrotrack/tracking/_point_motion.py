@@ -441,9 +441,9 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
-        if (second := _second_rotation(film, found)) is not None:
-            warnings.append(second)
-    return TrackedPoint(**{**vars(found), "warnings": (*warnings, *found.warnings)})
+        if (second := _second_rotation(film, found)) is not None:  # the last warning is the doubt
+            found = replace(found, warnings=(*found.warnings, second), ambiguous=True)
+    return replace(found, warnings=(*warnings, *found.warnings))
 
 
 def _second_rotation(film: Film, found: TrackedPoint) -> str | None:

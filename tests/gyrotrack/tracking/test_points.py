@@ -3,6 +3,7 @@
 import itertools
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -133,6 +134,19 @@ def test_a_spot_at_rest_that_vanishes_is_reported_as_at_rest(bob, shown, message
     frames = [np.minimum(a, b) if k < shown else a for k, (a, b) in both]
     with pytest.raises(TrackingError, match=message):
         follow_point(Rendered(frames), None)
+
+
+@pytest.mark.parametrize(
+    ("start", "second", "doubt"), [(None, "two", True), (None, None, False), ((80, 80), "two", False)]
+)
+def test_an_unselected_point_beside_another_rotation_is_ambiguous(monkeypatch, start, second, doubt):
+    path = drawn()
+    monkeypatch.setattr(_point_motion, "_check_unselected", lambda *_: None)
+    monkeypatch.setattr(_point_motion, "_second_rotation", lambda *_: second)
+    film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"), warnings=(), tilt=None)
+    found = _point_motion._of_path(film, path, start, None)
+    assert found.ambiguous == doubt
+    assert (found.warnings[-1] == second) == doubt
 
 
 def drawn(radius=300.0, reach=0.2, hub=(80.0, -180.0), flat=1.0, count=160):
