@@ -78,7 +78,13 @@ def unaliased(
     # an oscillation has no alternative
     if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
-    for n in [*symmetries(template), 1]:
+    orders = symmetries(template)
+    # by chance, the first step may be one of a whole period more
+    for period in (TURN / n for n in orders if abs(usual) > TURN / n):
+        slower = angle - sense * math.floor(abs(usual) / period) * period * (frame - frame[0])
+        if explained(slower) > explained(angle) - _EQUAL:
+            return unaliased(slower, frame, template, explained)
+    for n in [*orders, 1]:
         period = TURN / n
         if abs(usual) < _FAST * period or abs(usual) > period:
             continue

@@ -963,13 +963,13 @@ def _measure(
     template = learn(
         [polars[i] for i in few], angle[few], allowed, coarse, separate=best.separate, plain=True
     )
-    angle = without_slips(polars, angle, usable, template)
 
     def share_of(counter_clockwise: Floats) -> float:
         return _score(polars, -counter_clockwise, allowed, coarse, separate=best.separate)[0]
 
     alias = unaliased(-angle, usable, template, share_of)
-    angle, share = -alias.angle, share_of(alias.angle)
+    angle = without_slips(polars, -alias.angle, usable, template)
+    share = share_of(-angle)
     if share < _EXPLAINED:
         raise TrackingError(
             f"The body in {film.path.name} is tracked through a part of the film only: tracking quality "
