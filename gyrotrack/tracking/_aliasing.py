@@ -68,7 +68,8 @@ def unaliased(
     """Return the rotation to take of those that a film allows.
 
     The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
-    one that slows down, as a free body does; if both are steady, the slower one, with a warning.
+    one that slows down, as a free body does; if both are steady, the slower one, with a warning. Whole periods per
+    frame are subtracted first.
     `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
     picture `template` was learnt.
     """
