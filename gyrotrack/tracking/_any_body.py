@@ -166,10 +166,6 @@ bodies, a larger one screens fewer films."""
 _SCREENED = 0.75
 """Factor on the share that a candidate explains in reduced frames [1]. Chosen: they lose detail; a larger value refuses
 films that the full frames explain, a smaller one costs time."""
-_HUB_GAIN = 0.15
-"""Largest gain of the explained share by a search for the hub in full frames, after one in reduced frames [1].
-Measured: a public film of 1280 px: 0.11; a smaller value refuses films that the full frames explain, a larger one
-costs time."""
 _STEPS = 6
 """Iterations of the refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
 _FRAMES = 60
@@ -346,7 +342,6 @@ def _track(
     if hub is not None:
         where = f"about the hub ({hub[0]:g}, {hub[1]:g}) px"
         hint = "Check the hub. The body must show marks or texture; --point X,Y follows one of its points."
-    screened: _Candidates | None = None
     if small is not None:
         there = None if hub is None else small.reduced(hub)
         screened = _candidates(small.frames[first : first + _TRIAL], small.motion, there, share=_SCREENED)
@@ -354,23 +349,16 @@ def _track(
             shown = film.some(usable[first : first + _TRIAL][:: max(min(len(usable), _TRIAL) // 30, 1)])
             _refuse(film, pairs(), shown, motion, small.seen(screened.best), where, hint, screened.needed)
     block = film.some(usable[first : first + _TRIAL])
-    # time: the hubs of reduced frames first, and those of the full ones where these may explain more
-    reduced_hubs = [small.proposal(t) for t in screened.kept] if small and screened and hub is None else None
-    for proposals in (reduced_hubs, None) if reduced_hubs else (None,):
-        candidates = _candidates(block, motion, hub, proposals=proposals)
-        distinct = candidates.kept
-        if not distinct and proposals:
-            continue
-        if not distinct:
-            _refuse(film, pairs(), block, motion, candidates.best, where, hint, candidates.needed)
-        if hub is None:
-            refuse_link(film.path.name, block, motion, distinct[0])
-        refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
-        best = max(refined, key=lambda t: t.score * _steadiness(t))
-        outside = _off_picture(best.ring, motion, hub)
-        needed = _OUTSIDE if outside else _EXPLAINED
-        if best.score >= needed or best.score < needed - _HUB_GAIN:
-            break
+    candidates = _candidates(block, motion, hub)
+    if not candidates.kept:
+        _refuse(film, pairs(), block, motion, candidates.best, where, hint, candidates.needed)
+    distinct = candidates.kept
+    if hub is None:
+        refuse_link(film.path.name, block, motion, distinct[0])
+    refined = [_refined_trial(trial, block, motion.area, keep=hub is not None) for trial in distinct]
+    best = max(refined, key=lambda t: t.score * _steadiness(t))
+    outside = _off_picture(best.ring, motion, hub)
+    needed = _OUTSIDE if outside else _EXPLAINED
     if best.score < needed:
         _refuse(film, pairs(), block, motion, best, where, hint, needed)
     _refuse_translation(film.path.name, block, motion, best)
@@ -455,27 +443,18 @@ class _Candidates:
 
 
 def _candidates(
-    block: StoredPictures,
-    motion: Motion,
-    hub: tuple[float, float] | None,
-    share: float = 1.0,
-    proposals: Sequence[Proposal] | None = None,
+    block: StoredPictures, motion: Motion, hub: tuple[float, float] | None, share: float = 1.0
 ) -> _Candidates:
-    """Track about each of the proposed hubs, or the given one, and keep the candidates that may explain enough.
+    """Propose hubs unless it is given, track about each, and keep the candidates that may explain enough.
 
-    Without `proposals`, hubs are searched for. Candidates must reach `share` of what a candidate must explain before
-    its refinement, which is the slowest step.
+    They must reach `share` of what a candidate must explain before its refinement, which is the slowest step.
     """
-    searched = proposals is None
-    if proposals is None:
-        proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
+    proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
-    best = max((t.score for t in trials), default=0.0)
-    if searched and best < _OUTSIDE and (seen := tilted_outline(motion, hub)):
+    if max((t.score for t in trials), default=0.0) < _OUTSIDE and (seen := tilted_outline(motion, hub)):
         trials += _trials(seen, block, motion)
     if (
-        searched
-        and max((t.score for t in trials), default=0.0) < _EXPLAINED
+        max((t.score for t in trials), default=0.0) < _EXPLAINED
         and hub is None
         and (place := axes_meet(block, motion))
     ):
@@ -526,11 +505,6 @@ class _Reduced:
         """Return where a place (x, y) of the film is in the reduced frames."""
         x, y = ((v + 0.5) / self.factor - 0.5 for v in place)
         return x, y
-
-    def proposal(self, trial: _Trial) -> Proposal:
-        """Return the hub of a candidate as a proposal for the film."""
-        x, y = ((v + 0.5) * self.factor - 0.5 for v in trial.ring.hub)
-        return Proposal((x, y), trial.way, trial.ring.stretch)
 
     def seen(self, trial: _Trial | None) -> _Trial | None:
         """Return a candidate with its ring in the film."""

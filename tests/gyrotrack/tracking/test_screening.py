@@ -66,49 +66,6 @@ def test_a_screened_candidate_reaches_three_quarters_of_what_is_required(monkeyp
     assert not _candidates((), motion, None, share=_any_body._SCREENED).kept
 
 
-@pytest.mark.parametrize(
-    ("kept", "score", "full"),
-    [(True, 0.41, False), (True, 0.39, True), (True, 0.26, True), (True, 0.24, False), (False, 0.0, True)],
-)
-def test_full_frames_are_searched_where_the_hubs_of_reduced_frames_nearly_explain_enough(
-    monkeypatch, kept, score, full
-):
-    """The hub (160, 90) px of frames that are reduced by 2 is (320.5, 180.5) px in the film; 40 % are required."""
-    ring = Ring.about((160.0, 90.0), 10.0, 80.0)
-    trial = _Trial(ring, "edges", "low", True, np.linspace(0.0, 3.0, 12), 0.9, True)
-    asked = []
-
-    def candidates(_block, _motion, _hub, share=1.0, proposals=None):
-        asked.append(None if proposals is None else [p.hub for p in proposals])
-        there = share < 1.0 or (kept and proposals is not None)
-        return _any_body._Candidates([trial] if there else [], trial, 0.4)
-
-    def refuse(*_):
-        raise LookupError
-
-    frames = [np.zeros((180, 320), np.uint8)] * 12
-    motion = _still(360, 640, 4000)
-    film = SimpleNamespace(some=lambda index: [frames[0]] * len(index), path=SimpleNamespace(name="film.mp4"))
-    small = _Reduced(2, StoredPictures.of(12, iter(frames)), _still(180, 320, 1000))
-    for name, value in {
-        "Motion": SimpleNamespace(of=lambda *_: motion),
-        "_Reduced": SimpleNamespace(of=lambda *_: small),
-        "_candidates": candidates,
-        "_refuse": refuse,
-        "refuse_link": lambda *_: None,
-        "_refined_trial": lambda *_, **__: SimpleNamespace(score=score, angle=trial.angle, ring=ring),
-        "_off_picture": lambda *_: False,
-        "_refuse_translation": refuse,
-        "refuse_moving_camera": lambda *_: None,
-        "pairs_of": lambda *_: [],
-        "may_be_loose": lambda *_: False,
-    }.items():
-        monkeypatch.setattr(_any_body, name, value)
-    with pytest.raises(LookupError):
-        _any_body._track(film, np.arange(12), frames, None, None)
-    assert asked == [None, [(320.5, 180.5)], *([None] if full else [])]
-
-
 @pytest.mark.parametrize(("angles", "loose"), [(0.0051, True), (0.0049, False), (1.99, True), (2.01, False)])
 def test_a_loose_body_turns_measurably_in_reduced_frames(monkeypatch, angles, loose):
     turn = np.exp(1j * np.linspace(0.0, angles, 30))
