@@ -68,7 +68,8 @@ def unaliased(
     """Return the rotation to take of those that a film allows.
 
     The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
-    one that slows down, as a free body does; if both are steady, the slower one, with a warning.
+    one that slows down, as a free body does; if both are steady, the slower one, with a warning. Whole periods per
+    frame are subtracted first.
     `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
     picture `template` was learnt.
     """
@@ -78,7 +79,13 @@ def unaliased(
     # an oscillation has no alternative
     if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
-    for n in [*symmetries(template), 1]:
+    orders = symmetries(template)
+    # by chance, the first step may be one of a whole period more
+    for period in (TURN / n for n in orders if abs(usual) > TURN / n):
+        slower = angle - sense * math.floor(abs(usual) / period) * period * (frame - frame[0])
+        if explained(slower) > explained(angle) - _EQUAL:
+            return unaliased(slower, frame, template, explained)
+    for n in [*orders, 1]:
         period = TURN / n
         if abs(usual) < _FAST * period or abs(usual) > period:
             continue

@@ -70,6 +70,7 @@ from gyrotrack.tracking._registration import (
     learn,
     register,
     rolled,
+    without_slips,
 )
 from gyrotrack.tracking._silhouettes import axes_meet
 from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
@@ -135,9 +136,11 @@ _OTHER_RANGE = 0.05
 """Relative difference of the ranges of the angles about two hubs, from which both are reported [1]. Chosen: a smaller
 value reports equal answers, a larger one hides different ones."""
 _AS_GOOD = 0.8
-"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous; share of a given
-hub below which other hubs are tried [1]. Chosen: a smaller value refuses films with shadows, a larger one may choose
-the wrong body."""
+"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous [1]. Chosen: a
+smaller value refuses films with shadows, a larger one may choose the wrong body."""
+_GIVEN_IS_NEAR = 0.8
+"""Explained share about a given hub below which the hubs that are proposed near it are tried, too [1]. Chosen: a local
+search reaches the true hub from a near one; a smaller value misses a far one, a larger one costs time."""
 _HOPELESS = 0.3
 """Explained share, relative to the best candidate or to what is needed, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
@@ -400,8 +403,8 @@ def _track(
     second = second_rotation(
         block, motion, best.ring.hub, best.angle, stretch=best.ring.stretch, separate=best.separate
     )
-    if second is not None:
-        tracked = replace(tracked, warnings=(second.warning(best.angle), *tracked.warnings))
+    if second is not None:  # neither is the body of the film
+        doubts.append(second.warning(best.angle))
     if hub is None and moved > allowed and not tracked.ambiguous:
         doubts.append(_loose_doubt(moved, allowed))
     if hub is None and (doubt := hub_doubt(best.score, tracked.explained)) is not None:
@@ -651,7 +654,7 @@ def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]],
 def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
     """Return a warning if rotation about another place near the given hub explains the film much better."""
     starts = [trial]
-    if given.score < _AS_GOOD:  # perhaps too far from it for a local search
+    if given.score < _GIVEN_IS_NEAR:  # perhaps too far from it for a local search
         near = [
             p
             for p in propose_hubs(block, motion)
@@ -939,7 +942,8 @@ def _measure(
         return _score(polars, -counter_clockwise, allowed, coarse, separate=best.separate)[0]
 
     alias = unaliased(-angle, usable, template, share_of)
-    angle, share = -alias.angle, share_of(alias.angle)
+    angle = without_slips(polars, -alias.angle, usable, template)
+    share = share_of(-angle)
     if share < _EXPLAINED:
         raise TrackingError(
             f"The body in {film.path.name} is tracked through a part of the film only: tracking quality "

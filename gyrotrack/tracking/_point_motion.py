@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._coaxial import second_rotation
-from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import FARTHEST, Motion
 from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
@@ -273,13 +273,32 @@ def follow_links(
         return np.asarray(turn - turn[0])
 
     path = track_point(film, starts[1], turn_of, progress)
-    # the patch that is followed may be centred beside the click
-    off = math.hypot(OFF_AXIS, math.dist(starts[0], joint.place[0]))
+    # the patch that is followed may be centred beside the click, which is a place in the first frame
+    beside = math.dist(starts[0], joint.place[0]) if joint.frame[0] == fresh_frames(film)[0] else 0.0
+    off = math.hypot(OFF_AXIS, beside)
     second = second_link(joint, path, film.path.name, off)
-    if (moved := _on_second_link(joint, second, off)) is not None:
+    if (found := _on_second_link(joint, second, off)) is not None:
+        moved, shared = found
         joint = _of_path(film, moved, starts[0], hub)
+        # on the second link, the error of the displacement is constant: a zero of its angle
         second = second_link(joint, path, film.path.name, off)
+        joint = _with_error(joint, shared[np.isin(moved.frame, joint.frame)])
     return joint, second
+
+
+def _with_error(joint: TrackedPoint, shared: Floats) -> TrackedPoint:
+    """Return a point whose uncertainties contain another error of its places, of the covariance (m, 2, 2) [px2]."""
+    away = joint.place - joint.hub
+    radius = np.hypot(*away.T)
+    across = np.stack([-away[:, 1], away[:, 0]], axis=1) / radius[:, None]
+    of_angle = np.sqrt(np.einsum("ni,nij,nj->n", across, shared, across)) / radius
+    of_place = np.sqrt(np.stack([shared[:, i, i] for i in (0, 1)], axis=1))
+    return replace(
+        joint,
+        sigma=np.hypot(joint.sigma, of_angle),
+        place_sigma=np.hypot(joint.place_sigma, of_place),
+        path=replace(joint.path, covariance=joint.path.covariance + shared),
+    )
 
 
 def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OFF_AXIS) -> SecondLink:
@@ -322,8 +341,12 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OF
     return SecondLink(frame, angle + shift / length, np.hypot(sigma, off_axis), off_axis, path)
 
 
-def _on_second_link(joint: TrackedPoint, second: SecondLink, off: float = OFF_AXIS) -> PointPath | None:
+def _on_second_link(
+    joint: TrackedPoint, second: SecondLink, off: float = OFF_AXIS
+) -> tuple[PointPath, Floats] | None:
     """Return the path of the joint, corrected for a followed point beside its axis on the second link, or None.
+
+    The second result is the covariance of the correction (m, 2, 2) [px2], whose error is constant on the second link.
 
     Its displacement d from the axis is constant on the second link. The distance of the point from the pivot is then
     that of a circle and the radial part of d, which a linear fit gives, with a normal prior of mean 0. None for a
@@ -347,11 +370,7 @@ def _on_second_link(joint: TrackedPoint, second: SecondLink, off: float = OFF_AX
         d, u = found[:2], covariance[:2, :2]
     if float(d @ np.linalg.solve(u, d)) < _CONTRADICTS**2:
         return None
-    return replace(
-        path,
-        place=path.place - axes @ d,
-        covariance=path.covariance + np.einsum("nik,kl,njl->nij", axes, u, axes),
-    )
+    return replace(path, place=path.place - axes @ d), np.einsum("nik,kl,njl->nij", axes, u, axes)
 
 
 def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats, float]:
@@ -422,9 +441,9 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
-        if (second := _second_rotation(film, found)) is not None:
-            warnings.append(second)
-    return TrackedPoint(**{**vars(found), "warnings": (*warnings, *found.warnings)})
+        if (second := _second_rotation(film, found)) is not None:  # the last warning is the doubt
+            found = replace(found, warnings=(*found.warnings, second), ambiguous=True)
+    return replace(found, warnings=(*warnings, *found.warnings))
 
 
 def _second_rotation(film: Film, found: TrackedPoint) -> str | None:

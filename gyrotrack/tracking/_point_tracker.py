@@ -461,9 +461,7 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
         if body is not None:
             spots = [s for s in spots if 1.0 / ALIKE < s.radius / body.radius < ALIKE]
         if len(spots) > 1:
-            if (several := _several(film, usable[skipped:], seen, frame, spots)) is not None:
-                raise several
-            break
+            raise _several(film, usable[skipped:], seen, frame, spots)
         if spots:
             return skipped, spots[0]
         if body is None:
@@ -476,17 +474,21 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
-) -> RefusedFilmError | None:
+) -> TrackingError:
     """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links.
 
-    None if one of them rests: parts of a picture that appear or vanish are not bodies.
+    Parts of a picture that appear or vanish are not bodies: one that rests is reported without a kind.
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
     linked = _linked(differs(frame, seen.background, seen.noise), one, other)
     paths = paths_of(film.some(usable[: _FOLLOWED if linked else _FOLLOWED // 2]), seen, (one, other))
     if one_rests(paths):
-        return None
+        return TrackingError(
+            f"Of the two largest compact parts that differ from the background of {film.path.name} in the first frame, "
+            f"at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px, at least one is at rest.",
+            "Give a point on the moving body with --point X,Y.",
+        )
     links = linked and move_as_links(paths, max(one.radius, other.radius))
     return RefusedFilmError(
         f"Several bodies move in {film.path.name}, at ({x:.0f}, {y:.0f}) px and at ({u:.0f}, {v:.0f}) px in the first "

@@ -480,6 +480,51 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
     return angle * ring.step
 
 
+_RETURNS = 2.0
+"""Deviation of one angle from the line through its neighbours, over the typical step, from which the body leaves its
+motion in this frame alone [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips of many equal
+parts."""
+_AS_WELL = 1.2
+"""Misfit at the expected angle over that at the measured one, up to which the expected one is taken [1]. Chosen: equal
+parts fit alike within noise; a smaller value keeps slips, a larger one removes true jumps."""
+
+
+def without_slips(
+    polars: Sequence[Picture], angle: Floats, at: npt.NDArray[np.int64], template: Template
+) -> Floats:
+    """Return the angles (n,) [rad] without slips by one of several equal parts, for example a spoke, in single frames.
+
+    In such a frame the angle leaves the motion and returns. It is replaced if the picture fits as well at the angle
+    that the neighbours predict. `at` (n,) are the numbers of the frames.
+    """
+    angle = angle.copy()
+    if len(angle) < 4:
+        return angle
+    typical = float(np.median(np.abs(np.diff(angle))))
+    limit = max(_RETURNS * typical, _LEAST_JUMP * template.ring.step)
+    off = np.abs(_off_line(angle, at))
+    # the largest deviation first, which is that of the frame itself, and the ends, which have one neighbour, last
+    inner = 1 + np.argsort(-off[1:-1])
+    for k in (k for k in [*inner.tolist(), 0, len(angle) - 1] if off[k] > limit):
+        expected = angle[k] - _off_line(angle, at)[k]
+        if abs(expected - angle[k]) < limit:  # its neighbour was wrong
+            continue
+        there, here = (register(polars[k], template, a) for a in (expected, angle[k]))
+        if there.misfit <= _AS_WELL * here.misfit and abs(there.angle - expected) < 0.5 * limit:
+            angle[k] = there.angle
+    return angle
+
+
+def _off_line(angle: Floats, at: npt.NDArray[np.int64]) -> Floats:
+    """Return the deviation of each angle from the line through its neighbours, at the ends through the next two."""
+    last = len(angle) - 1
+    found = np.empty(len(angle))
+    for k in range(len(angle)):
+        a, b = (k - 1, k + 1) if 0 < k < last else (1, 2) if k == 0 else (last - 2, last - 1)
+        found[k] = angle[k] - angle[a] - (angle[b] - angle[a]) * (at[k] - at[a]) / (at[b] - at[a])
+    return found
+
+
 _COMPARED = 100
 """Largest number of frames from which a template is learnt for a comparison, and that are compared [frames]. Chosen:
 time; fewer decide by noise."""

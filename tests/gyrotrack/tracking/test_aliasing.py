@@ -65,6 +65,14 @@ def test_a_motion_without_alternative_is_kept(angle):
     assert warning is None
 
 
+@pytest.mark.parametrize(("mark", "kept"), [(0.0, False), (60.0, True)])
+def test_a_period_per_frame_too_much_is_removed_unless_the_pictures_show_it(mark, kept):
+    apparent = TRUE / 10 - np.radians(120) * FRAMES
+    (found, warning), _ = taken(apparent, polars(apparent if kept else TRUE / 10, mark))
+    np.testing.assert_allclose(found, apparent if kept else TRUE / 10, atol=1e-9)
+    assert (warning is None) == (not kept)
+
+
 @pytest.mark.parametrize("speed", [20, 50, 100])
 def test_of_two_steady_rotations_of_a_symmetric_body_the_slower_one_is_taken_with_a_warning(speed):
     """Up to a quarter period per frame the alternative is at least three times as fast: no warning."""

@@ -8,6 +8,7 @@ import pytest
 
 from gyrotrack.tracking import _any_body
 from gyrotrack.tracking._any_body import calmer
+from gyrotrack.tracking._coaxial import SecondRotation
 from gyrotrack.tracking._fixed_hub import drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._tracked import apart_beyond_harmonics
@@ -153,7 +154,15 @@ def test_a_hub_that_moves_by_twice_the_limit_is_refused(moved, refused, monkeypa
         assert "The hub moves by 1.9 px" in _tracked_with(0.0, monkeypatch).warnings[-1]
 
 
-def _tracked_with(share, monkeypatch):
+def test_a_second_body_on_the_hub_makes_the_answer_ambiguous(monkeypatch):
+    second = SecondRotation(2.0 * ANGLE, 0.5, 0.1)
+    tracked = _tracked_with(0.0, monkeypatch, second)
+    assert tracked.ambiguous
+    assert tracked.warnings[-1] == second.warning(ANGLE)
+    assert not _tracked_with(0.0, monkeypatch).ambiguous
+
+
+def _tracked_with(share, monkeypatch, second=None):
     """Track with a given share of motion outside of the ring; all slow steps are replaced by constants."""
     frames = _any_body.StoredPictures.of(24, iter(_frames(0.0)))
     trial = _any_body._Trial(RING, "features", "low", True, ANGLE, 0.9, False)
@@ -169,7 +178,7 @@ def _tracked_with(share, monkeypatch):
         "_refuse_translation": None,
         "refuse_link": None,
         "_second_body": None,
-        "second_rotation": None,
+        "second_rotation": second,
         "_measure": found,
         "elsewhere": share,
     }

@@ -3,6 +3,7 @@
 import itertools
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -123,6 +124,29 @@ def test_two_bobs_are_reported(bob):
         follow_point(Rendered(frames), None)
     found = follow_point(Rendered(frames), tuple(two.place[0]))
     assert abs(found.hub[0] - 120.0) < 1.0
+
+
+@pytest.mark.parametrize(("shown", "message"), [(6, "at least one is at rest"), (0, "No point that moves")])
+def test_a_spot_at_rest_that_vanishes_is_reported_as_at_rest(bob, shown, message):
+    moving = bob(hub=(40.0, -120.0), amplitude=0.1, frames=44, thread=False)
+    rests = bob(hub=(120.0, -120.0), amplitude=0.0, frames=44, thread=False).pictures()
+    both = enumerate(zip(moving.pictures(), rests, strict=True))
+    frames = [np.minimum(a, b) if k < shown else a for k, (a, b) in both]
+    with pytest.raises(TrackingError, match=message):
+        follow_point(Rendered(frames), None)
+
+
+@pytest.mark.parametrize(
+    ("start", "second", "doubt"), [(None, "two", True), (None, None, False), ((80, 80), "two", False)]
+)
+def test_an_unselected_point_beside_another_rotation_is_ambiguous(monkeypatch, start, second, doubt):
+    path = drawn()
+    monkeypatch.setattr(_point_motion, "_check_unselected", lambda *_: None)
+    monkeypatch.setattr(_point_motion, "_second_rotation", lambda *_: second)
+    film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"), warnings=(), tilt=None)
+    found = _point_motion._of_path(film, path, start, None)
+    assert found.ambiguous == doubt
+    assert (found.warnings[-1] == second) == doubt
 
 
 def drawn(radius=300.0, reach=0.2, hub=(80.0, -180.0), flat=1.0, count=160):

@@ -13,7 +13,7 @@ from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import distant_hub, fit_circle
-from gyrotrack.tracking._registration import Ring, follow, learn, register, rolled
+from gyrotrack.tracking._registration import Ring, follow, learn, register, rolled, without_slips
 from gyrotrack.tracking._tracked import hub_error
 
 
@@ -321,3 +321,25 @@ def test_a_flickering_lamp_is_compensated(tmp_path):
     assert any("flickers by 2.8 % rms" in text for text in film.warnings)
     corner = np.array([frame[:30].mean() for frame in film.frames()])
     assert corner.std() / corner.mean() < 0.002
+
+
+def _polars(parts, angle):
+    """Polar pictures of a body of equal parts that turns by `angle` (n,) columns of 240, with noise."""
+    rng = np.random.default_rng(2)
+    one = cv2.GaussianBlur(rng.normal(size=(24, 240 // parts)).astype(np.float32), (0, 0), 3) * 200
+    body = np.tile(one, parts)
+    return [rolled(body, a) + rng.normal(0, 1, body.shape).astype(np.float32) for a in angle]
+
+
+@pytest.mark.parametrize("frame", [0, 1, 9, 19])
+@pytest.mark.parametrize(("parts", "slips"), [(6, True), (1, False)])
+def test_a_slip_by_an_equal_part_in_one_frame_is_removed_and_a_true_jump_is_kept(parts, slips, frame):
+    ring = Ring((0.0, 0.0), 20.0, 44.0, 24, 240)
+    turn = 1.7 * np.arange(20.0)
+    jumped = turn.copy()
+    jumped[frame] += 40.0  # a sixth of a turn
+    polars = _polars(parts, turn if slips else jumped)
+    allowed = np.ones((24, 240), dtype=bool)
+    template = learn(polars, jumped * ring.step, allowed, ring, separate=False, plain=True)
+    found = without_slips(polars, jumped * ring.step, np.arange(20), template) / ring.step
+    assert np.abs(found - (turn if slips else jumped)).max() < 0.2

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _point_tracker
-from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link
+from gyrotrack.tracking import _point_motion, _point_tracker
+from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link, _with_error
 from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _cut, _follow
 from gyrotrack.tracking._silhouettes import Foreground, Spot
 
@@ -137,11 +137,40 @@ def test_a_point_beside_the_joint_on_the_second_link_is_corrected(beside, off, f
         np.arange(200), joint + away + noise, np.tile(0.05**2 * np.eye(2), (200, 1, 1)), 9.0, 200, True, FULL
     )
     link = SimpleNamespace(frame=np.arange(200), angle=second)
-    moved = _on_second_link(SimpleNamespace(path=path), link, off)
-    assert (moved is not None) == found
-    if moved is not None:
+    corrected = _on_second_link(SimpleNamespace(path=path), link, off)
+    assert (corrected is not None) == found
+    if corrected is not None:
+        moved, shared = corrected
         assert np.abs(moved.place - joint - noise).max() < 0.1
-        assert np.all(moved.covariance[:, 0, 0] > path.covariance[:, 0, 0])
+        assert np.all(np.linalg.eigvalsh(shared) > 0)
+
+
+def test_the_error_of_a_displacement_on_the_second_link_is_in_the_first_angle():
+    """The places of a joint share an error along x: of its angle on the right of the pivot it is no part."""
+    theta = np.array([0.0, -np.pi / 2])
+    place = 50.0 * np.stack([np.cos(theta), -np.sin(theta)], axis=1)
+    size = np.full((2, 2), 0.1)
+    path = PointPath(np.arange(2), place, np.zeros((2, 2, 2)), 9.0, 2, True, FULL)
+    joint = TrackedPoint(
+        np.arange(2), place, size, theta, size[0] / 50, np.zeros(2), np.eye(2), 0.0, "", path, None, ()
+    )
+    found = _with_error(joint, np.tile(np.diag([0.3**2, 0.0]), (2, 1, 1)))
+    assert found.sigma * 50 == pytest.approx([0.1, np.hypot(0.1, 0.3)])
+    assert found.place_sigma == pytest.approx(np.array([[np.hypot(0.1, 0.3), 0.1]] * 2))
+
+
+@pytest.mark.parametrize(("first", "off"), [(0, np.hypot(1.0, 5.0)), (3, 1.0)])
+def test_a_click_is_compared_with_the_joint_in_the_first_frame_alone(monkeypatch, first, off):
+    """The joint is 5 px beside the click in the first frame that shows it, which may be a later one."""
+    seen = []
+    joint = SimpleNamespace(frame=np.array([first]), place=np.array([[3.0, 4.0]]))
+    monkeypatch.setattr(_point_motion, "follow_point", lambda *_: joint)
+    monkeypatch.setattr(_point_motion, "track_point", lambda *_: None)
+    monkeypatch.setattr(_point_motion, "fresh_frames", lambda _: np.arange(9))
+    monkeypatch.setattr(_point_motion, "second_link", lambda *args: seen.append(args[-1]))
+    monkeypatch.setattr(_point_motion, "_on_second_link", lambda *_: None)
+    _point_motion.follow_links(SimpleNamespace(path=SimpleNamespace(name="film.mp4")), ((0, 0), (9, 9)))
+    assert seen == [pytest.approx(off)]
 
 
 @pytest.mark.parametrize("size", [0.1, 0.4])
