@@ -96,9 +96,17 @@ class TestAliasing:
 
     @pytest.mark.parametrize(
         ("step", "tried"),
-        [(0.24, False), (0.26, True), (0.99, True), (1.01, False), (-0.26, True), (-0.24, False)],
+        [
+            (0.24, False),
+            (0.26, True),
+            (0.99, True),
+            (1.01, True),
+            (-1.01, True),
+            (-0.26, True),
+            (-0.24, False),
+        ],
     )
-    def test_alternatives_of_a_quarter_to_a_whole_period(self, monkeypatch, step, tried):
+    def test_alternatives_from_a_quarter_of_a_period_on(self, monkeypatch, step, tried):
         period = TURN / 3
         angle = step * period * FRAMES
         # a whole turn is tried as well: only periods of a third count here
