@@ -502,11 +502,11 @@ def without_slips(
         return angle
     typical = float(np.median(np.abs(np.diff(angle))))
     limit = max(_RETURNS * typical, _LEAST_JUMP * template.ring.step)
-    off = np.abs(_off_line(angle, at))
+    off = np.abs([_off_line(angle, at, k) for k in range(len(angle))])
     # the largest deviation first, which is that of the frame itself, and the ends, which have one neighbour, last
     inner = 1 + np.argsort(-off[1:-1])
     for k in (k for k in [*inner.tolist(), 0, len(angle) - 1] if off[k] > limit):
-        expected = angle[k] - _off_line(angle, at)[k]
+        expected = angle[k] - _off_line(angle, at, k)
         if abs(expected - angle[k]) < limit:  # its neighbour was wrong
             continue
         there, here = (register(polars[k], template, a) for a in (expected, angle[k]))
@@ -515,14 +515,11 @@ def without_slips(
     return angle
 
 
-def _off_line(angle: Floats, at: npt.NDArray[np.int64]) -> Floats:
-    """Return the deviation of each angle from the line through its neighbours, at the ends through the next two."""
+def _off_line(angle: Floats, at: npt.NDArray[np.int64], k: int) -> float:
+    """Return the deviation of an angle from the line through its neighbours, at the ends through the next two."""
     last = len(angle) - 1
-    found = np.empty(len(angle))
-    for k in range(len(angle)):
-        a, b = (k - 1, k + 1) if 0 < k < last else (1, 2) if k == 0 else (last - 2, last - 1)
-        found[k] = angle[k] - angle[a] - (angle[b] - angle[a]) * (at[k] - at[a]) / (at[b] - at[a])
-    return found
+    a, b = (k - 1, k + 1) if 0 < k < last else (1, 2) if k == 0 else (last - 2, last - 1)
+    return float(angle[k] - angle[a] - (angle[b] - angle[a]) * (at[k] - at[a]) / (at[b] - at[a]))
 
 
 _COMPARED = 100
