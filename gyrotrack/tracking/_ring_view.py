@@ -6,12 +6,15 @@ flattening f = p + i q, displace a sample at the angle a of the picture along an
 
     u_t = Im(z exp(-i a)) + r Im(f exp(-2 i a)),    u_r = Re(z exp(-i a)) + r Re(f exp(-2 i a)),
 
-and change its grey level by -(u_r dB/dr + u_t dB/dtheta / r), with B the picture of the body. Shading with the
-gradient g = g_x + i g_y changes it by B Re(g* r exp(i a)) / R, with R the outer radius. With a = theta + psi, z and g
-turn against the body by its angle psi once, and f twice: over an arc they are distinguishable from its rotation. They
-follow from linear least squares beside rotation, offset and gain of each frame. Over more than a turn, all that is
-static in the picture, L(r, a), the light and the rim against the table, is the mean of the residuals at each place. It
-contains the effect of z and f on the circular mean of B, which therefore does not count.
+and change its grey level by -(u_r dB/dr + u_t dB/dtheta / r), with B the picture of the body. A near camera that is
+tilted displaces samples along the radius by r^2 Re(k* exp(i a)) / R, with R the outer radius, and shading with the
+gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. With a = theta + psi, z, g and k turn against
+the body by its angle psi once, and f twice: over an arc they are distinguishable from its rotation. They follow from
+linear least squares beside rotation, offset and gain of each frame. dB/dr is measured in the frames: edges are narrower
+than the distance of the rows. Over more than a turn, all that is static in the picture, L(r, a), the light and the rim
+against the table, is the mean of the residuals at each place. It contains the effect of a view on the circular mean of
+B, which therefore does not count. Over less, a shadow beside a circular edge resembles a displacement of this edge; the
+circular mean counts in rows of which a view explains most of what is static (`ViewResponse.explains`).
 
 The rotation that one frame seems to have depends on z and f through the slopes of B in both directions: the edges of a
 bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
@@ -50,6 +53,17 @@ some films; it matters only where a ring does not determine its centre."""
 FLATTENING = 0.01
 """Standard deviation of a flattening before the measurement [1]. Derived: a tilt t flattens by t^2 / 4, 0.2 rad by
 0.01; it matters only where a ring does not determine it."""
+
+PERSPECTIVE = 0.02
+"""Standard deviation of the perspective before the measurement, per axis [1]. Derived: a camera at ten radii that is
+tilted by 0.2 rad; it matters only where a ring does not determine it."""
+ORDERS = (1, 2, 1, 1)
+"""Orders of centre, flattening, shading and perspective [periods per turn]. Derived: see the module docstring."""
+SIZE = 2 * len(ORDERS)
+"""Number of parameters of a view [1]. Derived: two for each of `ORDERS`."""
+MOST = 0.5
+"""Share of the power of what is static in a row that a view leaves, below which its circular edges show the view [1].
+Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for displacements."""
 
 
 def slope(picture: npt.NDArray[np.floating]) -> Singles:
@@ -94,21 +108,27 @@ def _columns(angle: Floats, count: int) -> npt.NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class ViewResponse:
-    """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y), in coordinates that turn with the body."""
+    """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
-    # shape (zones, samples, 6); change of the grey levels per px of displacement, per unit of flattening and of shading
+    # shape (zones, samples, SIZE); change of the grey levels per px of displacement, and per unit of the others, beside
+    # rotation, offset and gain
     change: Singles
-    rotation: Floats  # shape (zones, 6); rotation that each zone seems to have [rad]
-    information: Floats  # shape (zones, 6, 6); about the view in one frame, beside rotation, offset and gain
+    rotation: Floats  # shape (zones, SIZE); rotation that each zone seems to have [rad]
+    information: Floats  # shape (zones, SIZE, SIZE); about the view in one frame
+    columns: int  # samples of a row
 
     @classmethod
-    def of(cls, picture: Singles, basis: Singles, weight: Singles, radius: Floats) -> ViewResponse:
+    def of(
+        cls, picture: Singles, radial: Singles, basis: Singles, weight: Singles, radius: Floats
+    ) -> ViewResponse:
         """Compute the response of zones with templates `picture`.
 
         Parameters
         ----------
         picture, weight : ndarray, shape (zones, samples)
             Mean picture, samples in rows of equal radius, and weight of a sample, 1 / variance.
+        radial : ndarray, shape (rows, columns)
+            Derivative of the picture with respect to the radius [1/px].
         basis : ndarray, shape (zones, samples, 3)
             Changes of the picture per rad of rotation, with an offset and with the gain.
         radius : ndarray, shape (rows,)
@@ -118,17 +138,16 @@ class ViewResponse:
         body = picture.reshape(len(radius), -1)
         theta = np.arange(body.shape[1]) * TURN / body.shape[1]
         r = radius[:, None]
-        radial = np.asarray(np.gradient(body, radius, axis=0))
-        radial = radial - radial.mean(axis=1, keepdims=True)  # the static light contains the circular mean
         tangential = slope(body) / r
         patterns = []
         for order, size in ((1, np.ones_like(r)), (2, r)):
             cos, sin = size * np.cos(order * theta), size * np.sin(order * theta)
             patterns += [sin * tangential - cos * radial, -cos * tangential - sin * radial]
-        bright = body * r / radius[-1]
-        patterns += [bright * np.cos(theta), bright * np.sin(theta)]
-        change = np.stack(patterns, axis=-1).reshape(zones, samples, 6)
-        rotation, information = np.empty((zones, 6)), np.empty((zones, 6, 6))
+        bright, nearer = body * r / radius[-1], -radial * r**2 / radius[-1]
+        for size in (bright, nearer):
+            patterns += [size * np.cos(theta), size * np.sin(theta)]
+        change = np.stack(patterns, axis=-1).reshape(zones, samples, SIZE)
+        rotation, information = np.empty((zones, SIZE)), np.empty((zones, SIZE, SIZE))
         for z in range(zones):
             weighted = basis[z] * weight[z, :, None]
             normal = np.asarray(weighted.T @ basis[z], dtype=np.float64)
@@ -136,8 +155,9 @@ class ViewResponse:
             both = weighted.T @ change[z]
             resembling = np.linalg.solve(normal, both)
             rotation[z] = resembling[0]
-            information[z] = (change[z] * weight[z, :, None]).T @ change[z] - both.T @ resembling
-        return cls(change.astype(np.float32), rotation, information)
+            change[z] -= basis[z] @ resembling
+            information[z] = (change[z] * weight[z, :, None]).T @ change[z]
+        return cls(change.astype(np.float32), rotation, information, body.shape[1])
 
     @property
     def first(self) -> Complexes:
@@ -150,22 +170,37 @@ class ViewResponse:
         return np.asarray(self.rotation[:, 3] + 1j * self.rotation[:, 2])
 
     def seen(self, view: Floats, angle: Floats) -> Floats:
-        """Return the rotation that the zones seem to have in a view (6,) at the angles (n,), (zones, n) [rad]."""
-        z, f, g = view[0::2] + 1j * view[1::2]
-        once, twice = np.exp(-1j * angle), np.exp(-2j * angle)
-        shading = self.rotation[:, 5] + 1j * self.rotation[:, 4]
-        turned = (
-            np.outer(self.first, z * once) + np.outer(self.second, f * twice) + np.outer(shading, g * once)
-        )
-        return np.asarray(turned.imag)
+        """Return the rotation that the zones seem to have in a view (SIZE,) at the angles (n,), (zones, n) [rad]."""
+        response = self.rotation[:, 1::2] + 1j * self.rotation[:, 0::2]
+        turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
+        return np.asarray((response @ turning).imag)
+
+    def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> npt.NDArray[np.bool_]:
+        """Return the rows of which a view explains most of what is static in the residuals of the zones, (rows,).
+
+        A shadow or a window beside a circular edge resembles a displacement of the edge. The power of the orders 1 and
+        2 in the image, of the residuals (n, samples) of each zone, is compared with and without the view.
+        """
+        turn = _rotations(angle)
+        moved = (turn - turn.mean(axis=0)) @ view
+        rows = []
+        for seen, change in zip(residuals, self.change, strict=True):
+            left = seen - moved.astype(np.float32) @ change.T
+            power = []
+            for each in (seen, left):
+                orders = np.fft.rfft(each.reshape(len(angle), -1, self.columns), axis=2)[:, :, 1:3]
+                still = np.mean(orders * np.exp(-1j * np.outer(angle, (1, 2)))[:, None], axis=0)
+                power.append(np.sum(np.abs(still) ** 2, axis=1))
+            rows.append(power[1] < MOST * power[0])
+        return np.concatenate(rows)
 
 
 @dataclass(frozen=True)
 class View:
     """The view of a ring: centre (x, y) [px], y up, relative to that of the samples, flattening and shading [1]."""
 
-    value: Floats  # shape (6,)
-    covariance: Floats  # shape (6, 6)
+    value: Floats  # shape (SIZE,)
+    covariance: Floats  # shape (SIZE, SIZE)
 
     @classmethod
     def of(
@@ -185,14 +220,14 @@ class View:
         """
         turn = _rotations(angle)
         zones = [z for z, used in enumerate(known) if used.any()]
-        normal, right = np.zeros((len(zones), 6, 6)), np.zeros((len(zones), 6))
+        normal, right = np.zeros((len(zones), SIZE, SIZE)), np.zeros((len(zones), SIZE))
         for k, z in enumerate(zones):
             use = known[z]
             moved = turn[use] - turn[use].mean(axis=0)  # the template contains the mean
             projected = (residuals[z][use] * weight[z]) @ response.change[z]
             normal[k] = np.einsum("tji,jk,tkl->il", moved, response.information[z], moved) / together
             right[k] = np.einsum("tji,tj->i", moved, projected) / together
-        prior = np.diag([DISPLACEMENT**-2] * 2 + [FLATTENING**-2] * 2 + [SHADING**-2] * 2)
+        prior = np.diag(np.repeat([DISPLACEMENT, FLATTENING, SHADING, PERSPECTIVE], 2) ** -2.0)
         covariance = np.linalg.inv(normal.sum(axis=0) + prior)
         value = covariance @ right.sum(axis=0)
         apart = right - normal @ value
@@ -200,15 +235,15 @@ class View:
         return cls(value, covariance + covariance @ spread @ covariance)
 
     def error(self, rotation: Floats) -> float:
-        """Return the rms error over a turn of a mean of zones with the responses `rotation` (6,) [rad]."""
-        squares = np.diag(self.covariance).reshape(3, 2).sum(axis=1)
-        return float(np.sqrt(0.5 * np.sum(rotation.reshape(3, 2) ** 2 @ np.ones(2) * squares)))
+        """Return the rms error over a turn of a mean of zones with the responses `rotation` (SIZE,) [rad]."""
+        squares = np.diag(self.covariance).reshape(-1, 2).sum(axis=1)
+        return float(np.sqrt(0.5 * np.sum(rotation.reshape(-1, 2) ** 2 @ np.ones(2) * squares)))
 
 
 def _rotations(angle: Floats) -> Floats:
-    """Return the matrices that turn a view into coordinates of a body at the angles (n,) [rad], (n, 6, 6)."""
-    found = np.zeros((len(angle), 6, 6))
-    for at, order in ((0, 1), (2, 2), (4, 1)):
+    """Return the matrices that turn a view into coordinates of a body at the angles (n,) [rad], (n, SIZE, SIZE)."""
+    found = np.zeros((len(angle), SIZE, SIZE))
+    for at, order in zip(range(0, SIZE, 2), ORDERS, strict=True):
         cos, sin = np.cos(order * angle), np.sin(order * angle)
         found[:, at, at] = found[:, at + 1, at + 1] = cos
         found[:, at, at + 1], found[:, at + 1, at] = sin, -sin

@@ -34,6 +34,7 @@ from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import spread_out
 from gyrotrack.tracking._ring_view import (
     LEAST_ARC,
+    SIZE,
     WHOLE_TURN,
     View,
     ViewResponse,
@@ -98,6 +99,9 @@ linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Contrast of a zone, relative to its template, below which it is covered [1]. Chosen: a smaller value fits a hand of
 one brightness, a larger one omits zones in shadow."""
+MOSTLY = 0.9
+"""Share of the frames of the best zone from which a zone is used [1]. Chosen: where it is not known it disagrees, and
+the rest looks better than it is; a smaller value admits such zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
 """Smallest number of zones with information about the angle, from which their errors are known [1]. Derived: the
 differences of three angles determine three variances; that of two is an upper limit of both."""
@@ -122,6 +126,11 @@ learnt from the angles; over fewer turns, a motion that is not uniform leaves li
 FINE = 3
 """Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are those of a
 displaced centre and of an oblique view, which are measured with the markers."""
+_SLOPE_EVERY = 8
+"""Distance of the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a smaller one
+costs time, a larger one leaves noise in it."""
+_FEWEST_SLOPES = 4
+"""Smallest number of such frames [frames]. Chosen: of fewer, that of the mean picture between rows is less noisy."""
 _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
@@ -248,6 +257,10 @@ class _Zones:
             found[z] = np.where(similar, parts[:, 0], np.nan)
         return found, misfit
 
+    def response(self, radial: Singles, radius: Floats) -> ViewResponse:
+        """Return the response to a view, with the derivative of the picture with respect to the radius."""
+        return ViewResponse.of(self.picture, radial, self.basis, self.weight, radius)
+
     def weighted(self, angle: Floats, turned: Floats, shift: float) -> _Zones:
         """Return the zones with weights by their angles and their rotations, both (ZONES, n) [rad].
 
@@ -360,7 +373,9 @@ class TextureTracker:
         theta = (np.arange(COLUMNS + 2 * MARGIN) - MARGIN) * TURN / COLUMNS
         self._x = (self._radius[:, None] * np.cos(theta)).astype(np.float32)
         self._y = (self._radius[:, None] * np.sin(theta)).astype(np.float32)
+        self._outward = np.stack([np.cos(theta), np.sin(theta)]).astype(np.float32)
         self._strips = np.zeros((capacity, *self._x.shape), dtype=np.uint8)
+        self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius, of some frames [1/px]
         self._angle = np.full(capacity, np.nan)
         self._centre = np.zeros((capacity, 2))
         self._used = False
@@ -390,6 +405,20 @@ class TextureTracker:
             cv2.remap(
                 frames[k].y, x, y, cv2.INTER_LINEAR, self._strips[place + k], borderMode=cv2.BORDER_REPLICATE
             )
+            if (place + k) % _SLOPE_EVERY == 0:
+                u, v = self._outward
+                right, up = 0.5 * (c * u - s * v), 0.5 * (s * u + c * v)
+                ends = (
+                    cv2.remap(
+                        frames[k].y,
+                        x + f * right,
+                        y - f * up,
+                        cv2.INTER_LINEAR,
+                        borderMode=cv2.BORDER_REPLICATE,
+                    )
+                    for f in (np.float32(1.0), np.float32(-1.0))
+                )
+                self._slopes[place + int(k)] = np.subtract(*ends, dtype=np.float32)
 
     def measure(self, count: int, angle: Floats) -> tuple[TextureObservations, TextureObservations]:
         """Measure the first `count` frames, whose angles (count,) [rad] are known to some mrad.
@@ -442,10 +471,21 @@ class TextureTracker:
             ahead = np.rint((angle - self._angle[use]) / STEP * FINENESS) / FINENESS
             rough = self._angle[use] + ahead * STEP
             strips = self._turned(use, ahead)
-            own = learnt or _OwnView.learn(strips, rough, self._radius)
+            own = learnt or _OwnView.learn(strips, rough, self._radius, self._radial_slope(use, ahead))
             turned, misfit = own.fit(strips, rough)
             angle = rough + np.nan_to_num(own.zones.mean(turned)[0])
         return own, rough, turned, misfit
+
+    def _radial_slope(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
+        """Return the mean derivative of the pictures with respect to the radius, (rows, COLUMNS) [1/px].
+
+        It is measured in the frames, as edges are narrower than the distance of the rows.
+        """
+        known = [k for k, at in enumerate(use) if int(at) in self._slopes]
+        if len(known) < _FEWEST_SLOPES:
+            return np.asarray(np.gradient(self._turned(use, ahead).mean(axis=0), self._radius, axis=0))
+        slopes = [_columns_ahead(self._slopes[int(use[k])], ahead[k]) for k in known]
+        return np.asarray(np.mean(slopes, axis=0))
 
     def _turned(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
         """Return the samples of the frames `use`, turned by more columns `ahead`, (n, rows, COLUMNS).
@@ -454,10 +494,14 @@ class TextureTracker:
         """
         strips = np.empty((len(use), len(self._radius), COLUMNS), dtype=np.float32)
         for k, at in enumerate(use):
-            shift = np.array([[1.0, 0.0, -MARGIN - ahead[k]], [0.0, 1.0, 0.0]])
-            strip = self._strips[at].astype(np.float32)
-            cv2.warpAffine(strip, shift, strips.shape[:0:-1], strips[k], cv2.INTER_LINEAR)
+            strips[k] = _columns_ahead(self._strips[at].astype(np.float32), ahead[k])
         return strips
+
+
+def _columns_ahead(strip: Singles, ahead: float) -> Singles:
+    """Return a strip (rows, COLUMNS + 2 MARGIN) without its margins, turned by more columns `ahead`."""
+    shift = np.array([[1.0, 0.0, -MARGIN - ahead], [0.0, 1.0, 0.0]])
+    return np.asarray(cv2.warpAffine(strip, shift, (COLUMNS, len(strip)), flags=cv2.INTER_LINEAR))
 
 
 @dataclass(frozen=True)
@@ -471,22 +515,31 @@ class _OwnView:
     known: bool  # whether the arc determines the view
 
     @classmethod
-    def learn(cls, strips: Singles, angle: Floats, radius: Floats) -> _OwnView:
-        """Learn templates, static light and view from strips (n, rows, COLUMNS) at the angles (n,) [rad]."""
+    def learn(cls, strips: Singles, angle: Floats, radius: Floats, radial: Singles) -> _OwnView:
+        """Learn templates, static light and view from strips (n, rows, COLUMNS) at the angles (n,) [rad].
+
+        `radial` (rows, COLUMNS) is the derivative of the picture with respect to the radius [1/px].
+        """
         arc = float(np.ptp(angle)) / TURN
         light = static_light(strips, angle) if arc > WHOLE_TURN else None
         lit = strips if light is None else without_light(strips, light, angle)
         zones = _templates(lit, radius)
-        response = ViewResponse.of(zones.picture, zones.basis, zones.weight, radius)
+        uneven = radial - radial.mean(axis=1, keepdims=True)
+        # the static light contains what a view does to circular edges
+        response = zones.response(radial if light is None else uneven, radius)
         turned, _ = zones.fit(lit)
         known = arc > LEAST_ARC
-        view = View(np.zeros(6), np.zeros((6, 6)))
+        view = View(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
         if known:
             left = [
                 _fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
                 for z, seen in enumerate(_by_zone(lit))
             ]
             view = View.of(response, left, zones.weight, angle, np.isfinite(turned), TOGETHER)
+            if light is None:
+                clear = response.explains(view.value, left, angle)
+                response = zones.response(np.where(clear[:, None], radial, uneven), radius)
+                view = View.of(response, left, zones.weight, angle, np.isfinite(turned), TOGETHER)
             turned = turned - response.seen(view.value, angle)
         zones = replace(zones, first=response.first, second=response.second)
         return cls(zones.weighted(angle + turned, turned, SHADOW_ERROR), response, light, view, known)
@@ -512,8 +565,10 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
     each coordinate, which turns a zone at the angle psi by Im(z m_1 exp(-i psi)) (`first` m_1 [1/px]). All weights are
     0 if too few zones are known.
     """
-    weights = np.zeros(len(angle))
-    known = np.flatnonzero(np.isfinite(angle).mean(axis=1) > 0.5)
+    weights, seen = np.zeros(len(angle)), np.isfinite(angle).mean(axis=1)
+    known = np.flatnonzero(seen > max(0.5, MOSTLY * seen.max()))
+    if len(known) < LEAST_ZONES:
+        known = np.flatnonzero(seen > 0.5)
     if len(known) < LEAST_ZONES:
         return weights, math.nan
     some = np.flatnonzero(np.isfinite(angle[known]).any(axis=0))

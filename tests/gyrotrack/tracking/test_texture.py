@@ -188,6 +188,24 @@ class TestWeights:
         weights, _ = zone_weights(noise, first, SHIFT)
         assert weights[0] == pytest.approx(0.5 * weights[1], rel=0.1)
 
+    @pytest.mark.parametrize(("share", "used"), [(0.02, True), (-0.02, False)])
+    def test_a_zone_that_is_often_lost_is_not_used(self, share, used):
+        rng = np.random.default_rng(6)
+        noise = 1e-3 * rng.standard_normal((3, 4096))
+        noise[:, :1000] = np.nan  # a hand on all of them
+        lost = round((1.0 - texture.MOSTLY - share) * 3096)
+        noise[0, 1000 : 1000 + lost] = np.nan
+        weights, _ = zone_weights(noise, np.zeros(3, dtype=complex), SHIFT)
+        assert (weights[0] > 0.0) == used
+        assert weights.sum() == pytest.approx(1.0)
+
+    def test_it_is_used_beside_only_one_other(self):
+        rng = np.random.default_rng(7)
+        noise = 1e-3 * rng.standard_normal((2, 4096))
+        noise[0, :1500] = np.nan
+        weights, _ = zone_weights(noise, np.zeros(2, dtype=complex), SHIFT)
+        assert (weights > 0.0).all()
+
     def test_no_weight_is_negative(self):
         rng = np.random.default_rng(5)
         common, other = rng.standard_normal((2, 4096))
