@@ -449,7 +449,7 @@ class TestErrorOfARing:
 
 
 def test_typical_errors_have_their_stated_sizes():
-    """A tilt of 0.2 rad flattens by a hundredth; 0.055 px of a ring, 0.3 mrad of shading, 14 degrees of a level view."""
+    """A tilt of 0.2 rad flattens by a hundredth; 0.055 px of a ring, 0.3 mrad of shading, a view of 14 degrees."""
     assert pytest.approx(0.2**2 / 4.0) == ring_view.FLATTENING
     assert (ring_view.DISPLACEMENT, ring_view.SHADING) == (1.0, 0.1)
     assert (RING_ERROR, LEAST_PERIODIC) == (0.055, 0.3e-3)
