@@ -246,7 +246,7 @@ class Units:
     @classmethod
     def common(cls, several: Iterable[Units]) -> Units:
         """Return the units of a joint fit of cases: SI units if any case has them."""
-        return max(several, key=lambda u: u is SI)
+        return max(several, key=lambda u: u == SI)  # by value: a record may come from another process
 
     @classmethod
     def by_torque(cls, unit: str) -> Units:

@@ -295,7 +295,7 @@ def merit_lines(fit: FitSummary) -> list[str]:
 
 
 # names of the bodies of a fit that was read from a file, by their number
-_NAMES: dict[int, tuple[str, ...]] = {1: ("body",), 2: ("casing", "rotor")}
+_NAMES: dict[int, tuple[str, ...]] = {0: (), 1: ("body",), 2: ("casing", "rotor")}
 
 
 def _levels(noises: Sequence[Noise]) -> str:

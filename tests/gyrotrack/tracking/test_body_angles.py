@@ -419,6 +419,20 @@ class TestTexture:
         assert (changes > 0.0) == learnt
         assert found.periodic == pytest.approx(math.hypot(expected, changes), rel=0.01)
 
+    def test_an_error_that_grows_with_the_speed_is_removed(self):
+        n = 6 * 512
+        speed = np.linspace(0.3, 1.7, n) * FAST
+        true = np.cumsum(speed) / 250.0
+        rng = np.random.default_rng(2)
+        marker, column = body(true + 2e-3 * rng.standard_normal(n), 2e-3), np.ones(n)
+        ring = TextureObservations(
+            true + 3e-3 * speed / 100.0 * np.sin(true) + 5e-4 * rng.standard_normal(n), 5e-4 * column,
+            5e-5 * column, column, np.tile(CENTRE, (n, 1)), np.zeros((n, 2)), np.zeros((n, 2)), 0.0 * column,
+        )  # fmt: skip
+        found = by_texture(marker, ring, path(n, 0.0), Flattening({}, 0.0, 0.0), true, 250.0, 1e-3, 100.0)
+        slow = (found.angle - true)[:1000]
+        assert 2.0 * abs(np.mean((slow - slow.mean()) * np.exp(-1j * true[:1000]))) < 0.4e-3
+
     def test_frames_without_texture_keep_the_angle_of_the_markers(self):
         true, marker, _ = self.both(2e-3, 5e-4)
         column = np.ones(self.N)

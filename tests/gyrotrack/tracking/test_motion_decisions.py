@@ -115,6 +115,12 @@ class TestAliasing:
         expected = -math.copysign(period, step) if tried else 0.0
         assert changed == pytest.approx(expected) or (not tried and changed == pytest.approx(-TURN))
 
+    def test_periods_are_subtracted_by_the_number_of_the_frame(self, monkeypatch):
+        monkeypatch.setattr(aliasing, "symmetries", lambda _: [3])
+        frame = np.delete(FRAMES, [5, 6, 30])
+        found = unaliased(1.2 * TURN / 3 * frame, frame, None, lambda _: 0.0)
+        assert found.angle == pytest.approx(0.2 * TURN / 3 * frame, abs=1e-9)
+
     @pytest.mark.parametrize(("gain", "other"), [(0.03, True), (0.01, False), (-0.03, False)])
     def test_pictures_decide_where_they_differ(self, monkeypatch, gain, other):
         """A steady rotation of 0.4 periods: without pictures the slower one, with a warning."""

@@ -343,3 +343,17 @@ def test_a_slip_by_an_equal_part_in_one_frame_is_removed_and_a_true_jump_is_kept
     template = learn(polars, jumped * ring.step, allowed, ring, separate=False, plain=True)
     found = without_slips(polars, jumped * ring.step, np.arange(20), template) / ring.step
     assert np.abs(found - (turn if slips else jumped)).max() < 0.2
+
+
+@pytest.mark.parametrize(("step", "kept"), [(7.0, False), (8.0, True)])
+def test_a_jump_below_two_steps_is_a_motion(step, kept):
+    """A body of sixteen parts of 15 columns each, in steps of a half of this."""
+    ring = Ring((0.0, 0.0), 20.0, 44.0, 24, 240)
+    turn = step * np.arange(20.0)
+    jumped = turn.copy()
+    jumped[9] += 15.0
+    polars = _polars(16, turn)
+    allowed = np.ones((24, 240), dtype=bool)
+    template = learn(polars, jumped * ring.step, allowed, ring, separate=False, plain=True)
+    found = without_slips(polars, jumped * ring.step, np.arange(20), template) / ring.step
+    assert (abs(found[9] - jumped[9]) < 0.2) == kept
