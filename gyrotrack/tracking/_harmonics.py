@@ -121,14 +121,14 @@ determine the change with the blur, a larger one does not use them."""
 
 @dataclass(frozen=True)
 class ChangeWithSpeed:
-    """Change of the errors once and twice per turn in proportion to the speed, from those of fast frames."""
+    """Change of the error once per turn in proportion to the speed, from that of fast frames."""
 
     angle: Floats  # shape (n,), error of each frame [rad]
-    error: float  # largest standard uncertainty of an amplitude [rad]
+    error: float  # largest standard uncertainty of its amplitudes [rad]
 
 
 def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) -> ChangeWithSpeed:
-    """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of orders 1 and 2, and return what c_1 causes.
+    """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return what c_1 causes.
 
     Parameters
     ----------
@@ -149,22 +149,21 @@ def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) ->
     ends = np.clip(np.arange(len(angle))[:, None] + np.array([-reach, reach]), 0, len(angle) - 1)
     speed = np.abs(np.diff(path[ends], axis=1)[:, 0]) / np.diff(ends, axis=1)[:, 0] * fps / _USUAL
     ahead = speed - speed[fast].mean()
-    for order, rows in _amplitudes(angle).items():
-        if order >= _FIRST_STATED or len(rows) < _FEWEST_BATCHES:
-            continue
-        v = rows[:, 3] / (BATCH - 1) * fps / _USUAL
-        laws = np.stack([np.ones_like(v), v - speed[fast].mean(), v**-2.0], axis=1)
-        prior = np.diag([_WIDE**-2, _CHANGE**-2, _WIDE**-2])
-        torque = np.zeros_like(v)
-        for _ in range(2):
-            variance = rows[:, 2] + _SCATTER**2 + (_NOT_SQUARE * torque) ** 2
-            weighted = laws.T / variance
-            covariance = np.linalg.inv(weighted @ laws + prior)
-            fitted = covariance @ (weighted @ rows[:, :2])
-            torque = np.hypot(*(laws[:, 2:] @ fitted[2:]).T)
-        left = rows[:, :2] - laws @ fitted
-        excess = max(float(np.sum(left**2 / variance[:, None])) / max(2 * len(v) - 6, 1), 1.0)
-        amplitude = fitted[1]
-        found += ahead * (amplitude[0] * np.cos(order * path) + amplitude[1] * np.sin(order * path))
-        error = max(error, math.sqrt(excess * covariance[1, 1]) * float(np.abs(ahead[known]).max()))
+    rows = _amplitudes(angle)[1]
+    if len(rows) < _FEWEST_BATCHES:
+        return ChangeWithSpeed(found, error)
+    v = rows[:, 3] / (BATCH - 1) * fps / _USUAL
+    laws = np.stack([np.ones_like(v), v - speed[fast].mean(), v**-2.0], axis=1)
+    prior = np.diag([_WIDE**-2, _CHANGE**-2, _WIDE**-2])
+    torque = np.zeros_like(v)
+    for _ in range(2):
+        variance = rows[:, 2] + _SCATTER**2 + (_NOT_SQUARE * torque) ** 2
+        weighted = laws.T / variance
+        covariance = np.linalg.inv(weighted @ laws + prior)
+        fitted = covariance @ (weighted @ rows[:, :2])
+        torque = np.hypot(*(laws[:, 2:] @ fitted[2:]).T)
+    left = rows[:, :2] - laws @ fitted
+    excess = max(float(np.sum(left**2 / variance[:, None])) / max(2 * len(v) - 6, 1), 1.0)
+    found = ahead * (fitted[1, 0] * np.cos(path) + fitted[1, 1] * np.sin(path))
+    error = math.sqrt(excess * covariance[1, 1]) * float(np.abs(ahead[known]).max())
     return ChangeWithSpeed(found, error)
