@@ -67,13 +67,13 @@ def test_a_sinusoid_of_many_periods_is_not_a_slow_torque():
 
 
 @pytest.mark.slow
-def test_a_sinusoid_of_one_period_is_a_hint_only():
+def test_a_sinusoid_of_less_than_a_period_is_not_named():
     """Amplitude and phase of less than a period are degenerate: nothing of them is determined."""
     found = base("wear")
     (slow,) = (c for c in ranked("wear") if c.effect.name == "casing.precession")
     answer = diagnose(found, candidates=[replace(slow, indistinguishable_from=())])
-    assert answer.verdict == "undecided"
-    assert "(casing.precession) is a hint only" in answer.sentence
+    assert answer.verdict == "unexplained"
+    assert "precession" not in answer.sentence
 
 
 @pytest.mark.slow

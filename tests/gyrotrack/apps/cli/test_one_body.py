@@ -43,7 +43,7 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
     assert gyrotrack("export", case, "-o", tmp_path / "w.csv", "--json").json["rows"] == 1500
     assert gyrotrack("report", case, "-o", tmp_path / "w.html").code == 0
     page = (tmp_path / "w.html").read_text()
-    assert "one body 1500" in page
+    assert "body 1500;" in page
     shown = html.unescape(re.sub(r"<[^>]+>", " ", page))
     for verb in ("info", "fit", "diagnose", "ladder"):
         said = gyrotrack(verb, case)
