@@ -203,7 +203,7 @@ def grammar(
     """Return all laws of the grammar, with trial values of their constants for some recordings.
 
     `ranges` holds the least and the largest omega_r, omega_c and delta along the motion [rad/s], `span` is the length
-    of the longest recording [s]. The laws act on, and depend on, no other than these `bodies` of the library; laws of
+    of the longest recording [s]. The laws act on, and depend on, no other than these ``bodies`` of the library; laws of
     the angle need measured `angles`.
     """
     found: list[LawForm] = []

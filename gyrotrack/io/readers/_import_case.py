@@ -308,7 +308,7 @@ def import_body(
     Returns
     -------
     Case
-        With the body as the casing, `bodies` "one" and an empty rotor.
+        With the body as the casing, ``bodies`` "one" and an empty rotor.
 
     Raises
     ------
