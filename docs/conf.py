@@ -16,8 +16,9 @@ exclude_patterns = ["_build", "make_*.py"]
 html_theme = "furo"
 html_title = "gyrotrack"
 html_show_copyright = False
-# what a page links to outside this folder is read on the project's site, not in the built pages
-suppress_warnings = ["myst.xref_missing", "myst.header"]
+# what a page links to outside this folder is read on the project's site, not in the built pages; fields of several
+# classes have the same name
+suppress_warnings = ["myst.xref_missing", "myst.header", "ref.python"]
 myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath"]
 myst_heading_anchors = 3
 autodoc_typehints = "none"
