@@ -1,6 +1,7 @@
 """Pages that are made from the program must be as the program would make them now."""
 
 import importlib.util
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -84,11 +85,12 @@ def test_workflows_and_forms_are_valid(path):
 
 def test_the_top_level_has_nothing_else():
     root = DOCS.parent
-    if not (root / ".git").exists():
+    if not (root / ".git").exists() or shutil.which("git") is None:
         pytest.skip("not a checkout")
-    command = ["git", "ls-files", "-z"]
-    listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
-    named = {name.partition("/")[0] for name in listed.split("\0") if name}
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=root, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("git does not read this checkout")
+    named = {name.partition("/")[0] for name in listed.stdout.split("\0") if name}
     folders = {"benchmarks", "docs", "fitting", "gyrotrack", "sample_clips", "tests"}
     files = {"CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"}
     assert {name for name in named if not name.startswith(".")} == folders | files
