@@ -69,7 +69,7 @@ def unaliased(
 
     The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
     one that slows down, as a free body does; if both are steady, the slower one, with a warning. Whole periods per
-    frame are subtracted first.
+    frame are subtracted first, unless the pictures contradict.
     `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
     picture `template` was learnt.
     """
@@ -80,7 +80,7 @@ def unaliased(
     if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
     orders = symmetries(template)
-    # by chance, the first step may be one of a whole period more
+    # the first step may have been taken for one of a whole period more
     for period in (TURN / n for n in orders if abs(usual) > TURN / n):
         slower = angle - sense * math.floor(abs(usual) / period) * period * (frame - frame[0])
         if explained(slower) > explained(angle) - _EQUAL:

@@ -758,15 +758,14 @@ def by_texture(
     encoder keeps a body at rest fixed in the picture, in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
-    off = wrapped(
-        body.angle - angle
-    )  # an error that repeats with the turn does not change the zeros of batches
+    # an error that repeats with the turn does not change the zeros of batches
+    off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
     with np.errstate(invalid="ignore"):
         fast = np.abs(np.gradient(coarse)) * fps > FAST
-    blurred = change_with_speed(angle, fps, fast)
-    angle = angle - blurred.angle
+    change = change_with_speed(angle, fps, fast)
+    angle = angle - change.angle
     good = np.isfinite(angle)
     middle = median_of(off[np.isfinite(off)])
     off = middle + wrapped(off - middle)
@@ -806,7 +805,7 @@ def by_texture(
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
     learnt = fast & good if found.axis_off else np.zeros_like(good)
     periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty else 0.0
-    periodic = math.hypot(periodic, blurred.error)
+    periodic = math.hypot(periodic, change.error)
     return replace(body, angle=angle, sigma=sigma, slow=(zeros.uncertainty, float(BATCH)), periodic=periodic)
 
 

@@ -1,9 +1,10 @@
 """Errors of an angle that repeat with the turn, by their amplitudes in batches of frames.
 
-In each batch, a polynomial and harmonics of the angle psi are fitted to it. A harmonic of order k that is due to the
-camera has an amplitude that is constant (centre, tilt) or changes with the motion blur, in proportion to the speed: the
-shadow that a body casts on what lies below it is displaced from the body by a constant vector, and joins its blurred
-edges. A torque that repeats with the turn, as of an unbalance, has the amplitude A / omega^2.
+In each batch, a polynomial and harmonics of the angle psi are fitted to it. Harmonics
+that the camera causes have constant amplitudes (centre, tilt). The shadow that a body casts on what lies below it is
+displaced from the body by a constant vector and joins its blurred edges; the amplitude of order 1 that it causes
+grows with the blur, in proportion to the speed. A torque that repeats with the turn, as of an unbalance, has the
+amplitude A / omega^2.
 """
 
 from __future__ import annotations
@@ -104,17 +105,17 @@ def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
     return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 
-_USUAL = 100.0
+_REFERENCE_SPEED = 100.0
 """Speed at which the sizes below are meant [rad/s]. Derived: a casing in the scene of the paper."""
-_CHANGE = 2e-3
-"""Standard deviation of the change of an amplitude per `_USUAL` before the measurement [rad]. Measured: 1.5 mrad in a
-rendered film with a shadow of 16 %; a smaller value keeps the error, a larger one amplifies noise."""
-_WIDE = 20e-3
-"""Standard deviation of a constant amplitude, and of one of a torque at `_USUAL`, before the measurement [rad].
-Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
-_SCATTER = 0.1e-3
+_CHANGE_SIGMA = 2e-3
+"""Standard deviation of the change of an amplitude per `_REFERENCE_SPEED` before the measurement [rad]. Measured: 1.5
+mrad in a rendered film with a shadow of 16 %; a smaller value keeps the error, a larger one amplifies noise."""
+_WIDE_SIGMA = 20e-3
+"""Standard deviation of a constant amplitude, and of that of a torque at `_REFERENCE_SPEED`, before the measurement
+[rad]. Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
+_BATCH_SIGMA = 0.1e-3
 """Standard deviation of an amplitude in a batch beside noise [rad]. Chosen: a smaller value trusts few batches."""
-_NOT_SQUARE = 0.1
+_LAW_ERROR = 0.1
 """Relative error of the amplitude of a torque by its law A / omega^2 [1]. Chosen: a smaller value lets slow batches
 determine the change with the blur, a larger one does not use them."""
 
@@ -140,30 +141,26 @@ def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) ->
         Frames in which the constant error is learnt: at their mean speed, the change is 0. It is 0 at any speed if
         their share is below `LEAST_FAST`.
     """
-    found, error = np.zeros(len(angle)), 0.0
     known = np.flatnonzero(np.isfinite(angle))
-    if fast[known].sum() <= LEAST_FAST * len(known):
-        return ChangeWithSpeed(found, error)
-    path = np.interp(np.arange(len(angle)), known, angle[known])
-    reach = min(BATCH // 4, len(angle) // 4)
-    ends = np.clip(np.arange(len(angle))[:, None] + np.array([-reach, reach]), 0, len(angle) - 1)
-    speed = np.abs(np.diff(path[ends], axis=1)[:, 0]) / np.diff(ends, axis=1)[:, 0] * fps / _USUAL
-    ahead = speed - speed[fast].mean()
     rows = _amplitudes(angle)[1]
-    if len(rows) < _FEWEST_BATCHES:
-        return ChangeWithSpeed(found, error)
-    v = rows[:, 3] / (BATCH - 1) * fps / _USUAL
+    if fast[known].sum() <= LEAST_FAST * len(known) or len(rows) < _FEWEST_BATCHES:
+        return ChangeWithSpeed(np.zeros(len(angle)), 0.0)
+    path = np.interp(np.arange(len(angle)), known, angle[known])
+    ends = np.clip(np.arange(len(angle))[:, None] + np.array([-1, 1]) * BATCH // 4, 0, len(angle) - 1)
+    speed = np.abs(np.diff(path[ends], axis=1)[:, 0]) / np.diff(ends, axis=1)[:, 0] * fps / _REFERENCE_SPEED
+    faster = speed - speed[fast].mean()
+    v = rows[:, 3] / (BATCH - 1) * fps / _REFERENCE_SPEED
     laws = np.stack([np.ones_like(v), v - speed[fast].mean(), v**-2.0], axis=1)
-    prior = np.diag([_WIDE**-2, _CHANGE**-2, _WIDE**-2])
+    prior = np.diag([_WIDE_SIGMA**-2, _CHANGE_SIGMA**-2, _WIDE_SIGMA**-2])
     torque = np.zeros_like(v)
     for _ in range(2):
-        variance = rows[:, 2] + _SCATTER**2 + (_NOT_SQUARE * torque) ** 2
+        variance = rows[:, 2] + _BATCH_SIGMA**2 + (_LAW_ERROR * torque) ** 2
         weighted = laws.T / variance
         covariance = np.linalg.inv(weighted @ laws + prior)
         fitted = covariance @ (weighted @ rows[:, :2])
         torque = np.hypot(*(laws[:, 2:] @ fitted[2:]).T)
     left = rows[:, :2] - laws @ fitted
     excess = max(float(np.sum(left**2 / variance[:, None])) / max(2 * len(v) - 6, 1), 1.0)
-    found = ahead * (fitted[1, 0] * np.cos(path) + fitted[1, 1] * np.sin(path))
-    error = math.sqrt(excess * covariance[1, 1]) * float(np.abs(ahead[known]).max())
+    found = faster * (fitted[1, 0] * np.cos(path) + fitted[1, 1] * np.sin(path))
+    error = math.sqrt(excess * covariance[1, 1]) * float(np.abs(faster[known]).max())
     return ChangeWithSpeed(found, error)

@@ -59,9 +59,9 @@ PERSPECTIVE = 0.02
 tilted by 0.2 rad; it matters only where a ring does not determine it."""
 ORDERS = (1, 2, 1, 1)
 """Orders of centre, flattening, shading and perspective [periods per turn]. Derived: see the module docstring."""
-SIZE = 2 * len(ORDERS)
+VIEW_SIZE = 2 * len(ORDERS)
 """Number of parameters of a view [1]. Derived: two for each of `ORDERS`."""
-MOST = 0.5
+LARGEST_UNEXPLAINED = 0.5
 """Share of the power of what is static in a row that a view leaves, below which its circular edges show the view [1].
 Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for displacements."""
 
@@ -110,11 +110,11 @@ def _columns(angle: Floats, count: int) -> npt.NDArray[np.int64]:
 class ViewResponse:
     """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
-    # shape (zones, samples, SIZE); change of the grey levels per px of displacement, and per unit of the others, beside
-    # rotation, offset and gain
+    # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
+    # beside rotation, offset and gain
     change: Singles
-    rotation: Floats  # shape (zones, SIZE); rotation that each zone seems to have [rad]
-    information: Floats  # shape (zones, SIZE, SIZE); about the view in one frame
+    rotation: Floats  # shape (zones, VIEW_SIZE); rotation that each zone seems to have [rad]
+    information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); about the view in one frame
     columns: int  # samples of a row
 
     @classmethod
@@ -146,8 +146,8 @@ class ViewResponse:
         bright, nearer = body * r / radius[-1], -radial * r**2 / radius[-1]
         for size in (bright, nearer):
             patterns += [size * np.cos(theta), size * np.sin(theta)]
-        change = np.stack(patterns, axis=-1).reshape(zones, samples, SIZE)
-        rotation, information = np.empty((zones, SIZE)), np.empty((zones, SIZE, SIZE))
+        change = np.stack(patterns, axis=-1).reshape(zones, samples, VIEW_SIZE)
+        rotation, information = np.empty((zones, VIEW_SIZE)), np.empty((zones, VIEW_SIZE, VIEW_SIZE))
         for z in range(zones):
             weighted = basis[z] * weight[z, :, None]
             normal = np.asarray(weighted.T @ basis[z], dtype=np.float64)
@@ -170,7 +170,7 @@ class ViewResponse:
         return np.asarray(self.rotation[:, 3] + 1j * self.rotation[:, 2])
 
     def seen(self, view: Floats, angle: Floats) -> Floats:
-        """Return the rotation that the zones seem to have in a view (SIZE,) at the angles (n,), (zones, n) [rad]."""
+        """Return the rotation (zones, n) that the zones seem to have in a view (VIEW_SIZE,) at the angles (n,) [rad]."""
         response = self.rotation[:, 1::2] + 1j * self.rotation[:, 0::2]
         turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
         return np.asarray((response @ turning).imag)
@@ -191,7 +191,7 @@ class ViewResponse:
                 orders = np.fft.rfft(each.reshape(len(angle), -1, self.columns), axis=2)[:, :, 1:3]
                 still = np.mean(orders * np.exp(-1j * np.outer(angle, (1, 2)))[:, None], axis=0)
                 power.append(np.sum(np.abs(still) ** 2, axis=1))
-            rows.append(power[1] < MOST * power[0])
+            rows.append(power[1] < LARGEST_UNEXPLAINED * power[0])
         return np.concatenate(rows)
 
 
@@ -199,8 +199,8 @@ class ViewResponse:
 class View:
     """The view of a ring: centre (x, y) [px], y up, relative to that of the samples, flattening and shading [1]."""
 
-    value: Floats  # shape (SIZE,)
-    covariance: Floats  # shape (SIZE, SIZE)
+    value: Floats  # shape (VIEW_SIZE,)
+    covariance: Floats  # shape (VIEW_SIZE, VIEW_SIZE)
 
     @classmethod
     def of(
@@ -220,7 +220,7 @@ class View:
         """
         turn = _rotations(angle)
         zones = [z for z, used in enumerate(known) if used.any()]
-        normal, right = np.zeros((len(zones), SIZE, SIZE)), np.zeros((len(zones), SIZE))
+        normal, right = np.zeros((len(zones), VIEW_SIZE, VIEW_SIZE)), np.zeros((len(zones), VIEW_SIZE))
         for k, z in enumerate(zones):
             use = known[z]
             moved = turn[use] - turn[use].mean(axis=0)  # the template contains the mean
@@ -235,15 +235,15 @@ class View:
         return cls(value, covariance + covariance @ spread @ covariance)
 
     def error(self, rotation: Floats) -> float:
-        """Return the rms error over a turn of a mean of zones with the responses `rotation` (SIZE,) [rad]."""
+        """Return the rms error over a turn of a mean of zones with the responses `rotation` (VIEW_SIZE,) [rad]."""
         squares = np.diag(self.covariance).reshape(-1, 2).sum(axis=1)
         return float(np.sqrt(0.5 * np.sum(rotation.reshape(-1, 2) ** 2 @ np.ones(2) * squares)))
 
 
 def _rotations(angle: Floats) -> Floats:
-    """Return the matrices that turn a view into coordinates of a body at the angles (n,) [rad], (n, SIZE, SIZE)."""
-    found = np.zeros((len(angle), SIZE, SIZE))
-    for at, order in zip(range(0, SIZE, 2), ORDERS, strict=True):
+    """Return the matrices (n, VIEW_SIZE, VIEW_SIZE) that turn a view into coordinates of a body at the angles [rad]."""
+    found = np.zeros((len(angle), VIEW_SIZE, VIEW_SIZE))
+    for at, order in zip(range(0, VIEW_SIZE, 2), ORDERS, strict=True):
         cos, sin = np.cos(order * angle), np.sin(order * angle)
         found[:, at, at] = found[:, at + 1, at + 1] = cos
         found[:, at, at + 1], found[:, at + 1, at] = sin, -sin

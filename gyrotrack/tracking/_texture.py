@@ -34,7 +34,7 @@ from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import spread_out
 from gyrotrack.tracking._ring_view import (
     LEAST_ARC,
-    SIZE,
+    VIEW_SIZE,
     WHOLE_TURN,
     View,
     ViewResponse,
@@ -99,7 +99,7 @@ linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Contrast of a zone, relative to its template, below which it is covered [1]. Chosen: a smaller value fits a hand of
 one brightness, a larger one omits zones in shadow."""
-MOSTLY = 0.9
+LEAST_KNOWN = 0.9
 """Share of the frames of the best zone from which a zone is used [1]. Chosen: where it is not known it disagrees, and
 the rest looks better than it is; a smaller value admits such zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
@@ -118,12 +118,12 @@ SHADOW_ERROR = 0.6
 """Standard uncertainty of the displacement of a ring beside its own view, per coordinate [px]. Measured: a shadow that
 a bar casts beside itself displaces its edges; on eleven films by two other renderers, 0.3, 0.6 and 1.2 px leave a
 median error of 0.75, 0.69 and 0.81 mrad."""
-_LIT = 128
+_LIGHT_FRAMES = 128
 """Frames of a batch from which the static light is learnt [frames]. Chosen: fewer leave noise in it, more cost time."""
 FAST_TURNS = 10.0
 """Turns of a batch from which static light is subtracted [turns]. Chosen: there, errors once and twice per turn are
 learnt from the angles; over fewer turns, a motion that is not uniform leaves light in the templates."""
-FINE = 3
+LOWEST_LIGHT_ORDER = 3
 """Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are those of a
 displaced centre and of an oblique view, which are measured with the markers."""
 _SLOPE_EVERY = 8
@@ -433,9 +433,9 @@ class TextureTracker:
         strips = self._turned(use, ahead[use])
         rough = self._angle[use] + ahead[use] * STEP
         if learning := self._last is None or len(use) >= LEARNT:
-            some = slice(None, None, max(len(use) // _LIT, 1))
+            some = slice(None, None, max(len(use) // _LIGHT_FRAMES, 1))
             fast = np.ptp(rough) > FAST_TURNS * TURN
-            self._light = static_light(strips[some], rough[some], FINE) if fast else None
+            self._light = static_light(strips[some], rough[some], LOWEST_LIGHT_ORDER) if fast else None
         if self._light is not None:
             strips = without_light(strips, self._light, rough)
         if learning or self._last is None:
@@ -529,7 +529,7 @@ class _OwnView:
         response = zones.response(radial if light is None else uneven, radius)
         turned, _ = zones.fit(lit)
         known = arc > LEAST_ARC
-        view = View(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
+        view = View(np.zeros(VIEW_SIZE), np.zeros((VIEW_SIZE, VIEW_SIZE)))
         if known:
             left = [
                 _fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
@@ -566,7 +566,7 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
     0 if too few zones are known.
     """
     weights, seen = np.zeros(len(angle)), np.isfinite(angle).mean(axis=1)
-    known = np.flatnonzero(seen > max(0.5, MOSTLY * seen.max()))
+    known = np.flatnonzero(seen > max(0.5, LEAST_KNOWN * seen.max()))
     if len(known) < LEAST_ZONES:
         known = np.flatnonzero(seen > 0.5)
     if len(known) < LEAST_ZONES:

@@ -143,6 +143,12 @@ class TestChangeWithSpeed:
         ratio = np.sqrt(np.mean(off**2) / 2.0) / np.mean([error for _, error in found])
         assert ratio == pytest.approx(0.0625 / np.hypot(0.0625, 0.1), rel=0.2)
 
+    def test_a_narrow_range_of_speeds_leaves_the_stated_uncertainty(self):
+        """From 99 to 101 rad/s: 2 mrad per 100 rad/s."""
+        angle, speed, _ = self.seen(0.0, slow=99.0, top=101.0)
+        found = change_with_speed(angle, FPS, speed > FAST)
+        assert found.error == pytest.approx(2e-3 * np.abs(speed - speed.mean()).max() / 100.0, rel=0.03)
+
     def test_a_law_that_does_not_fit_makes_it_uncertain(self):
         angle, speed, wave = self.seen(0.0)
         wrong = angle + 1e-3 * np.sign(np.sin(np.arange(self.COUNT) / 500.0)) * wave

@@ -163,7 +163,7 @@ class TestViewOfARing:
         angles = np.linspace(0.0, 1.6 * TURN, 80)
         nothing = np.zeros((texture.ZONES, len(angles)), dtype=bool)
         view, _, _ = view_of(angles, (0.35, -0.2), (0.0, 0.0), known=nothing)
-        assert view.value == pytest.approx(np.zeros(ring_view.SIZE))
+        assert view.value == pytest.approx(np.zeros(ring_view.VIEW_SIZE))
         assert np.sqrt(np.diag(view.covariance)) == pytest.approx(
             np.repeat(
                 [getattr(ring_view, n) for n in ("DISPLACEMENT", "FLATTENING", "SHADING", "PERSPECTIVE")], 2
@@ -526,9 +526,9 @@ class TestFastBody:
     def test_the_orders_of_centre_and_tilt_are_kept(self):
         angles = np.linspace(0.0, 12.0 * TURN, 120, endpoint=False)
         strips = np.stack([spots(angle=a, light=6.0) for a in angles])  # of order 1
-        assert np.abs(static_light(strips, angles, texture.FINE)).max() < 0.3
+        assert np.abs(static_light(strips, angles, texture.LOWEST_LIGHT_ORDER)).max() < 0.3
         strips += np.stack([np.roll(4.0 * np.cos(3.0 * THETA), -round(a * COLUMNS / TURN)) for a in angles])[
             :, None
         ]
-        found = static_light(strips, angles, texture.FINE)
+        found = static_light(strips, angles, texture.LOWEST_LIGHT_ORDER)
         assert found == pytest.approx(np.tile(4.0 * np.cos(3.0 * THETA), (len(RADIUS), 1)), abs=0.4)

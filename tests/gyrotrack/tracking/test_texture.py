@@ -193,7 +193,7 @@ class TestWeights:
         rng = np.random.default_rng(6)
         noise = 1e-3 * rng.standard_normal((3, 4096))
         noise[:, :1000] = np.nan  # a hand on all of them
-        lost = round((1.0 - texture.MOSTLY - share) * 3096)
+        lost = round((1.0 - texture.LEAST_KNOWN - share) * 3096)
         noise[0, 1000 : 1000 + lost] = np.nan
         weights, _ = zone_weights(noise, np.zeros(3, dtype=complex), SHIFT)
         assert (weights[0] > 0.0) == used
