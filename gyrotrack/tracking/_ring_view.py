@@ -170,7 +170,7 @@ class ViewResponse:
         return np.asarray(self.rotation[:, 3] + 1j * self.rotation[:, 2])
 
     def seen(self, view: Floats, angle: Floats) -> Floats:
-        """Return the rotation (zones, n) that the zones seem to have in a view (VIEW_SIZE,) at the angles (n,) [rad]."""
+        """Return the rotation (zones, n) that the zones seem to have in a view (VIEW_SIZE,) at angles (n,) [rad]."""
         response = self.rotation[:, 1::2] + 1j * self.rotation[:, 0::2]
         turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
         return np.asarray((response @ turning).imag)
