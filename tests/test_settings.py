@@ -138,10 +138,10 @@ def test_settings_of_fitting_as_text_and_as_json():
         "    source: Westfall & Young 1993; "
     )
     rows = {(r["module"], r["name"]): r["value"] for r in settings.to_json()}
-    assert len(rows["fitting.inference._noise", "LEVELS"]) == 58
+    assert len(rows["fitting.inference._process_noise", "_GRID"]) == 32
     assert rows["fitting.inference._case_data", "_OSCILLATION_BLOCKS"][-1] == ["inf", [12, 50, 126]]
-    grid = next(s for s in settings if (s.module, s.name) == ("fitting.inference._noise", "LEVELS"))
-    assert grid.value_text == "(0, 0.03, ..., 300000)"
+    grid = next(s for s in settings if (s.module, s.name) == ("fitting.inference._process_noise", "_GRID"))
+    assert grid.value_text == "(0, 0.1, ..., 100000)"
 
 
 def module_of(folder, text):

@@ -63,7 +63,9 @@ def summary(rows: list[dict]) -> list[str]:
         lines.append(f"| {key} | {len(z)} | {100 * inside:.1f} % | {np.std(z):.2f} | {np.mean(z):+.2f} |")
     z = np.concatenate(every)
     lines.append(f"| all | {len(z)} | {100 * np.mean(np.abs(z) < _NORMAL_95):.1f} % | {np.std(z):.2f} | |")
-    lines.append(f"verdicts: {sum(r['verdict'] == 'adequate' for r in rows)} of {len(rows)} adequate")
+    lines.append(
+        f"verdicts: {sum(r['verdict'] == 'no_lack_of_fit' for r in rows)} of {len(rows)} without lack of fit"
+    )
     return lines
 
 

@@ -271,7 +271,7 @@ class _Periodogram:
 
     def __init__(self, data: CaseData, prediction: Prediction, noise: Noise) -> None:
         self._response = TorqueResponse(data, prediction.motion)
-        self._project = Projection(data, noise.whitener.at(noise.pure))
+        self._project = Projection(data, noise.whitener.at(noise.tested))
         self._rows = len(data.z)
         self._basis = orthonormal(self._project(prediction.columns), _RANK_FREE)
         self._residual = self._orthogonal(self._project((data.z - prediction.rows)[:, None]))[:, 0]
@@ -370,7 +370,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
                 continue
             numbers = fit.problem.layout.numbers(fit.theta, index)
             sine, cosine = fit.problem.cases[index].unit_columns(law, p.path, p.sensitivity, numbers)
-            project = Projection(data, n.whitener.at(n.pure))
+            project = Projection(data, n.whitener.at(n.tested))
             basis = orthonormal(project(p.columns), _RANK_FREE)
             rows = project(np.stack([sine, cosine, data.z - p.rows], axis=1))
             rows = orthogonal_to(basis, rows)

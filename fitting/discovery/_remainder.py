@@ -478,7 +478,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the amplitudes of the camera effects that are fitted always, case by case.
 
     The columns of the cameras, with their priors, and the free parameters are estimated together by generalised least
-    squares at the pure noise; the amplitude is the root of the sum of the squares of its cosine and sine.
+    squares at the noise of the tests; the amplitude is the root of the sum of the squares of its cosine and sine.
     """
     from fitting.effects._library import LIBRARY
 
@@ -490,7 +490,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
         columns = np.concatenate([p.jacobian[:, moving], data.nuisance], axis=1)
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = np.inf
-        whitener = n.whitener.at(n.pure)
+        whitener = n.whitener.at(n.tested)
         white, r = whitener(columns / size), whitener(data.z - p.rows)
         first = columns.shape[1] - 2 * len(CAMERA_COLUMNS)
         speed = largest_speed(data.casing.samples)

@@ -51,7 +51,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
         # at the level of the fit, process noise would account for a lack of fit as well
-        project = Projection(data, n.whitener.at(n.pure))
+        project = Projection(data, n.whitener.at(n.tested))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
         lags = min(_LAGS, blocks // 4)

@@ -373,8 +373,8 @@ class FewRows(NamedTuple):
 
     @classmethod
     def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array) -> Self:
-        """Return the rows of a case, whitened at its pure noise, nuisance parameters projected out."""
-        project = Projection(data, n.whitener.at(n.pure))
+        """Return the rows of a case, whitened at its level of tests, nuisance parameters projected out."""
+        project = Projection(data, n.whitener.at(n.tested))
         white = project(np.concatenate([tested, p.columns, (data.z - p.rows)[:, None]], axis=1))
         share = project.whitener.share(orthonormal(white[:, : tested.shape[1]], _RANK))
         few, own, residual = np.split(r_factor(white), [tested.shape[1], -1], axis=1)
@@ -384,7 +384,7 @@ class FewRows(NamedTuple):
 
 
 def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise]) -> LackOfFit:
-    """Return the lack of fit of a fitted model, at the pure noise of its cases."""
+    """Return the lack of fit of a fitted model, at the level of tests of each case."""
     cases = zip(problem.data, predictions, noise, strict=True)
     rows = [FewRows.of(data, p, n, slow_responses(data, p)) for data, p, n in cases]
     slow, free, residual, shares = zip(*rows, strict=True)

@@ -6,11 +6,11 @@ the process noise of the recording. Rows of harmonics of the angle respond to th
 a variance each.
 
 Two levels matter. The *pure* level is that of the recording (`fitting.inference._process_noise`): no model enters,
-and chi-square, cross-validation errors and tests of every fit of the recording use it. The *level* of a fit is the
-maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack of fit,
-and smaller if the model needs less random torque than the recording alone can exclude. Parameters and rival models are
-estimated at this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its
-worst interval.
+and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit is the maximum of
+the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack of fit, and smaller
+if the model needs less random torque than the recording alone can exclude. Parameters and rival models are estimated at
+this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its worst
+interval. Tests of a fit use the smaller one of both.
 """
 
 from __future__ import annotations
@@ -117,6 +117,14 @@ class Noise:
         return self.at(max(self.level, self.unresolved))
 
     @property
+    def tested(self) -> float:
+        """The level at which residuals are tested [N m]: of the recording, or of the model if it needs less.
+
+        The recording alone may not exclude a random torque that would hide a lack of fit of the model.
+        """
+        return min(self.pure, self.level)
+
+    @property
     def least(self) -> float:
         """The lowest level that the recording allows [N m]."""
         return self.pure * self.process.least / self.process.level
@@ -178,9 +186,18 @@ def variance_factor(chi2: float, dof: int) -> float:
     return float(1 + probability * (half / a * gammainc(a, half) / mass - 1))
 
 
-LEVELS = np.concatenate([[0.0], np.geomspace(0.03, 3e5, 57)])
-"""Trial levels of random torque, in units to which the median row responds as much as to white noise [1]. Chosen: eight
-per decade from none to far above any misfit; a shorter range ends at a bound, a coarser grid rounds the level."""
+_LEAST_SHARE = 0.1
+"""Lowest trial level, in units to which the most responsive row responds as much as to white noise [1]. Chosen: a lower
+one changes no row noticeably, a higher one leaves a gap above zero."""
+_EVIDENCE = 2.7
+"""Twice the logarithm of the likelihood ratio from which on residuals show a random torque [1]. Derived: without one it
+exceeds this in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
+Assoc. 82, 605 (1987))."""
+_LARGEST_SHARE = 3e5
+"""Highest trial level, in units to which the median row responds as much as to white noise [1]. Chosen: far above any
+misfit; a lower one ends at a bound."""
+_PER_DECADE = 8
+"""Trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
 _ROUNDING = 1e-20
 """Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest have rounding
 only; a larger value excludes slow rows, a smaller one includes those at rest."""
@@ -204,16 +221,25 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
     The likelihood is restricted: `free` (rows, columns), derivatives by the parameters and nuisance, is integrated
-    out.
+    out. A level that white noise alone shows in 5 % of the recordings is zero: it would double the standard errors of
+    parameters that a slow torque resembles.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
     smooth = values[: len(whitener.vectors)]
     responding = smooth[smooth > _ROUNDING * smooth.max(initial=0.0)]
-    levels = LEVELS / np.sqrt(np.median(responding)) if len(responding) else np.zeros(1)
+    levels = _trial_levels(responding) if len(responding) else np.zeros(1)
     deviances = [_deviance(rotated, 1 + s**2 * values) for s in levels]
     best = int(np.argmin(deviances))
-    return _peak(levels, -np.array(deviances)), deviances[0] - deviances[best]
+    excess = deviances[0] - deviances[best]
+    return (_peak(levels, -np.array(deviances)) if excess > _EVIDENCE else 0.0), excess
+
+
+def _trial_levels(responses: Array) -> Array:
+    """Return no random torque and levels from what the most responsive row hardly notices to far above any misfit."""
+    first, last = _LEAST_SHARE / np.sqrt(responses.max()), _LARGEST_SHARE / np.sqrt(np.median(responses))
+    count = int(np.ceil(_PER_DECADE * np.log10(last / first))) + 1
+    return np.concatenate([[0.0], np.geomspace(first, last, count)])
 
 
 def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected: float) -> float:

@@ -274,6 +274,10 @@ def merit_lines(fit: FitSummary) -> list[str]:
         pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
         text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
+        if isinstance(fit, Fit) and fit.needs_unestablished_torque():
+            text = "the recording does not establish this random torque without the model: "
+            text += "`gyrotrack diagnose` tests whether an effect describes it better"
+            lines += wrap(text, 79, initial_indent="  ", subsequent_indent="  ")
         if any(n.unresolved > n.level for n in noises):
             unresolved = ", ".join(f"{max(n.level, n.unresolved):.2g}" for n in noises)
             text = f"not separable from the angle noise, included in the uncertainties: {unresolved} {unit}"
@@ -594,6 +598,19 @@ class Fit(FitSummary):
         excess = n.level > n.pure + criteria.excess_noise * n.pure_u
         return excess and n.excess > criteria.random_torque_evidence
 
+    def needs_unestablished_torque(self, criteria: Criteria | None = None) -> bool:
+        """Return whether a case needs a random torque whose level its recording may not have.
+
+        The residuals are then consistent with noise, but a missing effect may describe them better.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `random_torque_evidence` is the fall of the deviance by the random torque. By default those of the fit.
+        """
+        criteria = criteria or self.criteria
+        return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
+
     @property
     def undetermined(self) -> list[str]:
         """Parameters that the data do not determine (`undetermined_at` the criteria of the fit)."""
@@ -646,7 +663,7 @@ class Fit(FitSummary):
     @property
     def bic_noise(self) -> float:
         """BIC of a model with as many parameters whose residuals are noise."""
-        logs = sum(n.whitener.at(min(n.pure, n.level)).log_determinant for n in self.noise)
+        logs = sum(n.whitener.at(n.tested).log_determinant for n in self.noise)
         free = int(self.problem.layout.is_free.sum())
         return logs + self.rows - free + free * float(np.log(self.rows))
 

@@ -531,7 +531,7 @@ def test_amplitudes_of_the_camera_are_those_of_least_squares():
     """
     rows = 3.0 * np.random.default_rng(2).standard_normal(len(gyroscope().predictions[0].rows))
     base = gyroscope(level=1e-7, residual=[rows])
-    base.noise[0].pure = 3e-8
+    base.noise[0].tested = 3e-8
     (data,) = base.problem.data
     assert data.has_camera_prior
     columns = np.concatenate([base.predictions[0].jacobian, data.nuisance], axis=1)

@@ -6,21 +6,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from linearised import gyroscope
+from scipy.optimize import brentq
 
 from fitting._criteria import DEFAULT
 from fitting.inference import _angle_noise as angle
 from fitting.inference import _process_noise as process
 from fitting.inference._compression import compress
 from fitting.inference._noise import (
-    LEVELS,
     Noise,
     TorqueNoise,
     TorqueResponse,
     Whitener,
+    _trial_levels,
     remaining_level,
 )
 from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
 from fitting.inference._record import Samples
+from fitting.inference._result import Fit
 
 RNG = np.random.default_rng(0)
 
@@ -95,7 +97,23 @@ class TestRemainingLevel:
             0.0,
             0.0,
         )
-        assert LEVELS[0] == 0.0
+
+    def test_levels_reach_from_the_most_responsive_row_to_far_above_the_median_one(self):
+        levels = _trial_levels(np.array([1e-12, 1e-4, 4.0]))
+        assert levels[0] == 0.0
+        assert levels[1] == pytest.approx(0.1 / 2.0)
+        assert levels[-1] == pytest.approx(3e5 / 1e-2)
+        assert np.all(np.diff(np.log10(levels[1:])) == pytest.approx(1 / 8, rel=0.02))
+
+    @pytest.mark.parametrize("level", [1.0, 3.0])
+    def test_a_level_that_few_rows_show_is_found(self, level):
+        """Of 300 rows 20 respond as to white noise, all others a million times less."""
+        values = np.concatenate([np.ones(20), np.full(280, 1e-12)])
+        found = []
+        for seed in range(40):
+            rows = np.random.default_rng(seed).standard_normal(300) * np.sqrt(1 + level**2 * values)
+            found.append(remaining_level(Whitener(np.eye(300), values), rows, np.zeros((300, 0)))[0])
+        assert np.mean(np.square(found)) == pytest.approx(level**2, rel=0.35)
 
     def test_free_columns_explain_a_residual(self):
         column = RNG.standard_normal((20, 1))
@@ -511,3 +529,32 @@ class TestGrid:
         assert len(asked) == (1 if ends is None else 2)
         if ends is not None:
             assert asked[1] == pytest.approx(np.geomspace(times[ends[0]], times[ends[1]], 15))
+
+
+@pytest.mark.parametrize(("pure", "level", "tested"), [(2.0, 3.0, 2.0), (2.0, 0.5, 0.5), (2.0, 0.0, 0.0)])
+def test_residuals_are_tested_at_the_smaller_level(pure, level, tested):
+    found = Noise(1.0, pure, 0.1, level, 1.0, Whitener(np.zeros((0, 0)), np.zeros(0)), None)
+    assert found.tested == tested
+
+
+@pytest.mark.parametrize(
+    ("level", "excess", "needs"), [(1.6, 10.1, True), (1.4, 10.1, False), (1.6, 9.9, False)]
+)
+def test_a_random_torque_that_the_recording_may_not_have_is_told(level, excess, needs):
+    """The lowest level that the recording allows is 1 N m, and a level counts as raised from 1.5 N m on."""
+    process = SimpleNamespace(level=4.0, least=2.0)
+    noise = Noise(1.0, 2.0, 1.0, level, 1.0, Whitener(np.zeros((0, 0)), np.zeros(0)), process, excess)
+    assert noise.least == 1.0
+    found = SimpleNamespace(noise=(noise,), criteria=DEFAULT)
+    assert Fit.needs_unestablished_torque(found) is needs
+
+
+@pytest.mark.parametrize(("excess", "found"), [(2.8, True), (2.6, False)])
+def test_a_level_needs_evidence(excess, found):
+    """A row of response 1 and residual x has the excess x^2 - 1 - ln x^2 at its most likely level."""
+    square = brentq(lambda s: s - 1 - math.log(s) - excess, 1.0, 50.0)
+    level, measured = remaining_level(
+        Whitener(np.eye(1), np.ones(1)), np.array([square**0.5]), np.zeros((1, 0))
+    )
+    assert measured == pytest.approx(excess, abs=0.05)
+    assert (level > 0) is found
