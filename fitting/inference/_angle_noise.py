@@ -298,20 +298,30 @@ _NEGLIGIBLE_ROWS = 0.1
 
 
 def stated_error_rows(
-    run: Compressed, sigma: float, time: float, periodic: float = 0.0, harmonic: float = 0.0
+    run: Compressed,
+    sigma: float,
+    time: float,
+    periodic: float = 0.0,
+    harmonic: float = 0.0,
+    profile: Sequence[tuple[float, float]] = (),
 ) -> Array:
     """Return B, (rows, columns), with B B' the covariance of the polynomial rows by stated errors of the angle.
 
     The one is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
-    mean is the zero of the angle, which is free. The other are harmonics of orders 1 and 2 of the angle with amplitudes
-    of standard deviation `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal
-    to the polynomials. Those of orders 3 to 12 have amplitudes of standard deviation `harmonic` [rad], independent in
-    each block: they are slow where the order times the rate of turn is close to a multiple of the frame rate. For
-    orders 1 and 2 over more turns see `stated_harmonic_scale`.
+    mean is the zero of the angle, which is free. With a `profile` of times [s] and standard deviations [rad] its
+    standard deviation changes (see `profile_at`).
+
+    The other are harmonics of orders 1 and 2 of the angle with amplitudes of standard deviation `periodic` [rad],
+    independent in each block of few turns; over more turns they are orthogonal to the polynomials. Those of orders 3 to
+    12 have amplitudes of standard deviation `harmonic` [rad], independent in each block: they are slow where the order
+    times the rate of turn is close to a multiple of the frame rate. For orders 1 and 2 over more turns see
+    `stated_harmonic_scale`.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:
-        values, vectors = np.linalg.eigh(sigma**2 * _row_covariance(run, time))
+        values, vectors = np.linalg.eigh(
+            _row_covariance(run, time, lambda times: profile_at(times, sigma, profile))
+        )
         known = values > _NEGLIGIBLE
         found.append(vectors[:, known] * np.sqrt(values[known]))
     k = run.lift.shape[1]
@@ -331,6 +341,14 @@ def stated_error_rows(
         rows[i * k : (i + 1) * k] = part
         found.append(rows)
     return np.concatenate(found, axis=1)
+
+
+def profile_at(times: Array, sigma: float, profile: Sequence[tuple[float, float]]) -> Array:
+    """Return the standard deviation of the slowly varying error at times (n,) [rad], linear between those stated."""
+    if not profile:
+        return np.full(len(times), sigma)
+    at, size = np.transpose(profile)
+    return np.asarray(np.interp(times, at, size))
 
 
 def stated_harmonic_scale(run: Compressed, harmonic: float) -> Array:
@@ -412,8 +430,8 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
     return [np.asarray(rows @ (cosine * np.exp(-lag / time)) @ rows.T) for time in times]
 
 
-def _row_covariance(run: Compressed, time: float) -> Array:
-    """Return P R P' of the polynomial rows of a run.
+def _row_covariance(run: Compressed, time: float, size: Callable[[Array], Array] = np.ones_like) -> Array:
+    """Return P R P' of the polynomial rows of a run, for a process whose standard deviation is `size` of the time.
 
     Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
     """
@@ -421,6 +439,7 @@ def _row_covariance(run: Compressed, time: float) -> Array:
     forward, backward, first, last, diagonal = [], [], [], [], []
     for (where, _), (middle, p) in zip(run.operators, run.binned_operators, strict=True):
         t = run.samples.time[where]
+        p = p * size(middle)
         diagonal.append(p @ np.exp(-np.abs(middle[:, None] - middle) / time) @ p.T)
         forward.append(p @ np.exp((middle - t[-1]) / time))
         backward.append(p @ np.exp((t[0] - middle) / time))

@@ -618,7 +618,7 @@ class CaseData:
         """Polynomial rows of the slowly varying error that tracking states, at one standard deviation."""
         if not any(self.record.correlated) or not self.is_angle or not self.motion.is_smooth:
             return np.zeros((len(self.casing.z), 0))
-        return stated_error_rows(self.casing, *self.record.correlated)
+        return stated_error_rows(self.casing, *self.record.correlated, profile=self.record.correlated_profile)
 
     @cached_property
     def camera_columns(self) -> Array:

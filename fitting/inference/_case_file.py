@@ -216,6 +216,7 @@ def _read(path: Path, file: Any) -> Record:
         source=str(path),
         tracked=text(_own(path, file, main.place).attrs.get("sigma_source")) == "measured",
         correlated=_correlated(file, main.place),
+        correlated_profile=_profile(path, file, main.place),
         inputs=_inputs(path, file),
         modes=[m for b in bodies for m in _modes(path, file, b)],
     )
@@ -409,6 +410,17 @@ def _correlated(file: Any, place: str) -> tuple[float, float, float, float]:
     sigma, time, periodic, harmonic = (number(file, place, name) for name in names)
     slow = (sigma, time) if math.isfinite(sigma) and math.isfinite(time) else (0.0, 0.0)
     return (*slow, *(x if math.isfinite(x) else 0.0 for x in (periodic, harmonic)))  # type: ignore[return-value]
+
+
+def _profile(path: Path, file: Any, place: str) -> list[tuple[float, float]]:
+    """Return times and uncertainties of the slowly varying error of a series; none where it is constant."""
+    value = _own(path, file, place).attrs.get("correlated_profile")
+    if value is None:
+        return []
+    pairs = np.asarray(value)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind != "f":
+        raise RecordError(f"{path}: correlated_profile of {place} has no pairs of numbers", "remove it")
+    return [(float(t), float(u)) for t, u in pairs]
 
 
 def _start_sigma(path: Path, file: Any, window: Array, stated: float) -> list[float]:

@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import compress
+from itertools import compress, pairwise
 from typing import Literal
 
 import numpy as np
@@ -141,6 +141,9 @@ class Record:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
         periods per turn [rad]; zeros without one.
+    correlated_profile : tuple of (float, float)
+        Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them; empty if it is
+        constant.
     digest : str
         SHA-256 of the numbers.
     prior : Prior, optional
@@ -170,6 +173,7 @@ class Record:
     I_casing_u: float = math.nan
     units: Units = SI
     correlated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    correlated_profile: tuple[tuple[float, float], ...] = ()
     digest: str = field(default="")
     prior: Prior | None = None
     inputs: tuple[Input, ...] = ()
@@ -304,6 +308,7 @@ def make_record(
     I_casing_u: float = math.nan,
     per_inertia: bool = False,
     correlated: Sequence[float] = (),
+    correlated_profile: Sequence[tuple[float, float]] = (),
     inputs: Sequence[Input] = (),
     name: str = "",
     modes: Sequence[ErrorMode] = (),
@@ -337,6 +342,9 @@ def make_record(
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
         periods per turn [rad]; missing ones are zero.
+    correlated_profile : sequence of (float, float)
+        Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them, between which it is
+        linear; empty if it is constant.
     inputs : sequence of Input
         Recorded inputs on which torques may depend, on the same clock.
     name : str
@@ -368,6 +376,7 @@ def make_record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         units=(SI, WITHOUT_INERTIA)[per_inertia], correlated=_stated(*correlated),
+        correlated_profile=_profile(correlated_profile),
         inputs=_covering(inputs, runs[0], windows), name="" if windows else name,
         modes=of_windows(checked_modes(modes), kept),
     )  # fmt: skip
@@ -444,6 +453,19 @@ def _stated(
     return (*slow, max(periodic, 0.0), max(harmonic, 0.0))
 
 
+def _profile(pairs: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return a profile with increasing times and uncertainties that are not negative."""
+    found = tuple((float(t), float(u)) for t, u in pairs)
+    times = [t for t, _ in found]
+    if not all(math.isfinite(x) for pair in found for x in pair) or any(u < 0 for _, u in found):
+        raise RecordError(
+            "a profile of an error has a negative uncertainty", "state standard uncertainties [rad]"
+        )
+    if any(b <= a for a, b in pairwise(times)):
+        raise RecordError("the times of a profile of an error do not increase", "sort them")
+    return found
+
+
 def _digest(record: Record) -> str:
     hasher = hashlib.sha256(f"{record.I_rotor!r} {record.I_casing!r} {record.quantity}".encode())
     for samples in (record.casing, *record.rotor):
@@ -455,6 +477,8 @@ def _digest(record: Record) -> str:
         # without the last one, as in earlier ledgers
         stated = record.correlated if record.correlated[3] else record.correlated[:3]
         hasher.update(repr(stated).encode())
+    if record.correlated_profile:
+        hasher.update(repr(record.correlated_profile).encode())
     uncertainties = (record.I_rotor_u, record.I_casing_u)
     if not all(map(math.isnan, uncertainties)):
         hasher.update(repr(uncertainties).encode())

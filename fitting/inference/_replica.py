@@ -22,7 +22,7 @@ from fitting.dynamics._collocation import Path, Sampler, rule
 from fitting.dynamics._inputs import values_at
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
-from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise
+from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise, profile_at
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._record import Record, Samples, hermite
@@ -281,7 +281,8 @@ def _stated_error(data: CaseData, random: Random) -> Array:
     sigma, time, periodic, harmonic = data.record.correlated
     found = np.zeros(len(run))
     if sigma > 0:
-        found += sigma * _ornstein_uhlenbeck(run.time, time, random)
+        size = profile_at(run.time, sigma, data.record.correlated_profile)
+        found += size * _ornstein_uhlenbeck(run.time, time, random)
     for where, _ in data.casing.operators if periodic > 0 or harmonic > 0 else ():
         psi = run.value[where]
         few = np.ptp(psi) < TURNS_PER_BLOCK * 2 * np.pi

@@ -116,6 +116,8 @@ class BodyTrack:
         Points of the medians.
     correlated_sigma, correlated_time : float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+    correlated_profile : tuple of (float, float)
+        Times [s] and the standard uncertainty [rad] of this error at each of them; empty where it is constant.
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn while the body is slow [rad]; 0 without one.
     harmonic_sigma : float
@@ -133,6 +135,7 @@ class BodyTrack:
     smoothing_width: int
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
+    correlated_profile: tuple[tuple[float, float], ...] = ()
     periodic_sigma: float = 0.0
     harmonic_sigma: float = 0.0
 
@@ -256,6 +259,8 @@ class Series:
         "measured" (by tracking), "given" (in a table), "estimated" (from the scatter), or "mixed".
     correlated_sigma, correlated_time : float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+    correlated_profile : tuple of (float, float)
+        Times [s] and the standard uncertainty [rad] of this error at each of them; empty where it is constant.
     periodic_sigma : float
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     harmonic_sigma : float
@@ -274,6 +279,7 @@ class Series:
     sigma_source: str = "measured"
     correlated_sigma: float = 0.0
     correlated_time: float = 0.0
+    correlated_profile: tuple[tuple[float, float], ...] = ()
     periodic_sigma: float = 0.0
     harmonic_sigma: float = 0.0
     modes: tuple[ErrorMode, ...] = ()
@@ -290,7 +296,11 @@ def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measure
         name: max((getattr(part, name, 0.0) for part in parts), default=0.0)
         for name in ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
     }
-    return Series(**joined, turn=turn, window=window, sigma_source=sigma_source, **stated)
+    # windows of several cameras have no common profile
+    profile = getattr(parts[0], "correlated_profile", ()) if len(parts) == 1 else ()
+    return Series(
+        **joined, turn=turn, window=window, sigma_source=sigma_source, correlated_profile=profile, **stated
+    )
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Attribute:
-    """One scalar attribute, required unless it has a default; NaN is not written; `field` is its name in memory."""
+    """One attribute, required unless it has a default; NaN and () are not written; `field` is its name in memory.
+
+    A scalar, or pairs of numbers if its kind is tuple.
+    """
 
     name: str
     kind: type[Any]
@@ -108,6 +111,13 @@ MARKER = Table(
 CORRELATED = (
     Attribute("correlated_sigma", float, "rad", "standard uncertainty of a slowly varying error", 0.0),
     Attribute("correlated_time", float, "s", "correlation time of this error", 0.0),
+    Attribute(
+        "correlated_profile",
+        tuple,
+        "s, rad",
+        "times and the standard uncertainty of this error at each, (k, 2); absent where it is constant",
+        (),
+    ),
     Attribute(
         "periodic_sigma", float, "rad", "standard uncertainty of an error once and twice per turn", 0.0
     ),

@@ -235,10 +235,10 @@ def _attach_scales(group: Any, f: Field, shape: tuple[int, ...]) -> None:
 
 
 def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -> None:
-    """Write the attributes of `record`, each with its unit as ``<name>_units``; NaN is not written."""
+    """Write the attributes of `record`, each with its unit as ``<name>_units``; NaN and () are not written."""
     for a in attributes:
         value = a.kind(getattr(record, a.key))
-        if value != value:
+        if value != value or value == ():
             continue
         group.attrs[a.name] = valid(value) if isinstance(value, str) else value
         if a.units:
@@ -306,14 +306,18 @@ def load(dataset: Any) -> npt.NDArray[Any]:
 
 
 def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
-    """Return a scalar attribute as `kind` (int, float or str); one without a `default` must exist."""
+    """Return an attribute as `kind` (int, float, str, or pairs for tuple); one without a `default` must exist."""
     if name not in group.attrs:
         if default is not None:
             return default
         what = f"{location(group)} lacks the attribute '{name}'."
         raise DatasetError(what, "The file is not complete; create it again.")
     try:
-        if group.attrs.get_id(name).shape in {(), (1,)}:
+        if kind is tuple:
+            pairs = np.asarray(group.attrs[name], dtype=np.float64)
+            if pairs.ndim == 2 and pairs.shape[1] == 2 and np.isfinite(pairs).all():
+                return tuple(map(tuple, pairs.tolist()))
+        elif group.attrs.get_id(name).shape in {(), (1,)}:
             value = np.asarray(group.attrs[name]).reshape(())[()]
             value = value.decode() if isinstance(value, bytes) else value
             if (kind is str) == isinstance(value, str):
@@ -325,7 +329,12 @@ def attribute(group: Any, name: str, kind: type[Any], default: Any = None) -> An
     raise DatasetError(what, _OTHER_LAYOUT) from cause
 
 
-_KIND_NAMES: dict[type[Any], str] = {int: "an integer", float: "a number", str: "a text"}
+_KIND_NAMES: dict[type[Any], str] = {
+    int: "an integer",
+    float: "a number",
+    str: "a text",
+    tuple: "a table of pairs",
+}
 
 
 def stamp(file: Any, kind: str, *, command: str, settings: Mapping[str, Any]) -> None:

@@ -773,7 +773,8 @@ def by_texture(
     if abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi:
         zeros = template_zeros(off, template, [body.angle, *(a - body.angle for a in others)])
     else:
-        zeros = TemplateZeros(np.full(len(off), middle), scatter_of_templates(off - middle, template))
+        scatter = scatter_of_templates(off - middle, template)
+        zeros = TemplateZeros(np.full(len(off), middle), np.full(len(off), scatter))
     columns = {
         "angle": wrapped(np.nan_to_num(angle + zeros.zero)),
         "good": good,
@@ -804,9 +805,13 @@ def by_texture(
         return body
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
     learnt = fast & good if found.axis_off else np.zeros_like(good)
-    periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty else 0.0
+    periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty.any() else 0.0
     periodic = math.hypot(periodic, change.error)
-    return replace(body, angle=angle, sigma=sigma, slow=(zeros.uncertainty, float(BATCH)), periodic=periodic)
+    slow = float(np.sqrt(np.mean(zeros.uncertainty[new] ** 2))), float(BATCH)
+    first = np.flatnonzero(np.diff(template, prepend=-1))
+    middle = 0.5 * (first + np.append(first[1:], len(template)) - 1)
+    parts = np.stack([middle, zeros.uncertainty[first]], axis=1)
+    return replace(body, angle=angle, sigma=sigma, slow=slow, slow_parts=parts, periodic=periodic)
 
 
 RING_ERROR = 0.055

@@ -117,10 +117,24 @@ def body_track(
         smoothing_width=WIDTH,
         correlated_sigma=body.slow[0],
         correlated_time=body.slow[1] / fps,
+        correlated_profile=_profile(body.slow_parts, time),
         periodic_sigma=body.periodic,
         harmonic_sigma=body.harmonic,
         **stored,
     )
+
+
+_MOST_PARTS = 1000
+"""Largest number of parts of a film whose uncertainty is stored [1]. Chosen: an attribute of HDF5 holds 4000; fewer
+round the change of the uncertainty in long films."""
+
+
+def _profile(parts: Floats, time: Floats) -> tuple[tuple[float, float], ...]:
+    """Return times [s] and standard uncertainties [rad] of the slowly varying error in parts of a film."""
+    kept = parts[:: max(1, -(-len(parts) // _MOST_PARTS))]
+    known = np.flatnonzero(np.isfinite(time))
+    at = np.interp(kept[:, 0], known, time[known])
+    return tuple((float(t), float(u)) for t, u in zip(at, kept[:, 1], strict=True))
 
 
 def _paper_sigma(own: list[Floats]) -> Floats:

@@ -640,6 +640,8 @@ class BodyAngles:
     # standard uncertainty [rad] and correlation time [frames] of a slowly varying error; uncertainty of an error once
     # and twice per turn, and standard deviation of the amplitudes of an error of more periods per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
+    # middle [frames] of each part of the film and the uncertainty of the slowly varying error in it [rad], (parts, 2)
+    slow_parts: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     periodic: float = 0.0
     harmonic: float = 0.0
     axis_off: dict[str, complex] = field(default_factory=dict)

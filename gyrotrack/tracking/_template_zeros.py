@@ -67,13 +67,13 @@ class TemplateZeros:
     ----------
     zero : ndarray, shape (n,)
         What is added to the angle of the texture in each frame [rad].
-    uncertainty : float
-        Root mean square standard uncertainty of the zeros [rad]; the frames of a batch share its error. 0 where it is
-        not known.
+    uncertainty : ndarray, shape (n,)
+        Standard uncertainty of the zero of the template of each frame [rad]; the frames of a batch share its error. 0
+        where it is not known.
     """
 
     zero: Floats
-    uncertainty: float
+    uncertainty: Floats
 
 
 def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) -> TemplateZeros:
@@ -95,7 +95,8 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     batches = [_without_outliers(off, part.start + np.flatnonzero(known[part])) for part in parts]
     used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
     if len(used) < FEWEST_TEMPLATES:
-        return TemplateZeros(np.full(len(off), median_of(off[known]) if known.any() else 0.0), 0.0)
+        middle = median_of(off[known]) if known.any() else 0.0
+        return TemplateZeros(np.full(len(off), middle), np.zeros(len(off)))
     mean = np.array([float(off[batches[b]].mean()) for b in used])
     variance = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
     variance += sum(
@@ -110,7 +111,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     each = np.interp(np.arange(count), used, zero)[template]
     for b in used if per_speed > 0 else ():
         each[parts[b]] += _within(off, angles[0], batches[b], parts[b], per_speed)
-    return TemplateZeros(each, float(np.sqrt(left.mean())))
+    return TemplateZeros(each, np.sqrt(np.interp(np.arange(count), used, left))[template])
 
 
 def scatter_of_templates(off: Floats, template: Integers) -> float:

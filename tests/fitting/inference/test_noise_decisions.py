@@ -540,7 +540,7 @@ def test_residuals_are_tested_at_the_smaller_level(pure, level, tested):
 @pytest.mark.parametrize(
     ("level", "excess", "needs"), [(1.6, 10.1, True), (1.4, 10.1, False), (1.6, 9.9, False)]
 )
-def test_a_random_torque_that_the_recording_may_not_have_is_told(level, excess, needs):
+def test_fit_names_a_random_torque_beyond_the_recording(level, excess, needs):
     """The lowest level that the recording allows is 1 N m, and a level counts as raised from 1.5 N m on."""
     process = SimpleNamespace(level=4.0, least=2.0)
     noise = Noise(1.0, 2.0, 1.0, level, 1.0, Whitener(np.zeros((0, 0)), np.zeros(0)), process, excess)

@@ -8,17 +8,19 @@ import pytest
 import twobody
 
 from fitting import Model, fit, make_record
-from fitting.inference._angle_noise import AngleNoise, stated_error_rows, stated_harmonic_scale
+from fitting._errors import RecordError
+from fitting.inference._angle_noise import AngleNoise, profile_at, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
-from fitting.inference._case_file import _correlated
+from fitting.inference._case_file import _correlated, _profile
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
+from fitting.inference._replica import _stated_error
 
 SIGMA, TIME = 1.5e-4, 2.0
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
 
 
-def film(seed=0, stated=(SIGMA, TIME), added=0.0):
+def film(seed=0, stated=(SIGMA, TIME), added=0.0, profile=()):
     motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=30.0, seed=seed)
     cameras = twobody.Cameras(span=30.0, windows=(2.0, 12.0, 25.0), casing_rate=60.0, rotor_rate=200.0)
     found = twobody.film(motion, seed=seed, cameras=cameras)
@@ -28,7 +30,7 @@ def film(seed=0, stated=(SIGMA, TIME), added=0.0):
         twobody.ornstein_uhlenbeck(rng, len(t), float(np.median(np.diff(t))), added, TIME) if added else 0.0
     )
     found["casing"] = (t, y + slow, s)
-    return make_record(**found, correlated=stated)
+    return make_record(**found, correlated=stated, correlated_profile=profile)
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +105,75 @@ def test_it_is_read_from_the_casing_of_a_case(tmp_path):
         assert _correlated(file, "casing") == (SIGMA, TIME, 0.0, 0.0)
         group.attrs["periodic_sigma"] = 3 * SIGMA
         assert _correlated(file, "casing") == (SIGMA, TIME, 3 * SIGMA, 0.0)
+
+
+PROFILE = ((0.0, 4 * SIGMA), (10.0, SIGMA), (60.0, 2 * SIGMA))
+
+
+def test_a_profile_is_linear_between_its_times_and_constant_beyond():
+    times = np.array([-1.0, 0.0, 5.0, 10.0, 35.0, 60.0, 90.0])
+    factors = np.array([4.0, 4.0, 2.5, 1.0, 1.5, 2.0, 2.0])
+    assert profile_at(times, 9.0, PROFILE) == pytest.approx(factors * SIGMA)
+    assert profile_at(times, 9.0, ()) == pytest.approx(9.0)
+
+
+def test_the_rows_of_a_profile_have_the_covariance_of_the_scaled_process():
+    t = np.arange(0.0, 60.0, 0.02)
+    run = compress(Samples(t, 0.1 * t, np.full(len(t), 1e-3)), degree=7, blocks=20)
+    scaled = stated_error_rows(run, SIGMA, TIME, profile=PROFILE)
+    constant = stated_error_rows(run, SIGMA, TIME)
+    size = profile_at(t, SIGMA, PROFILE)
+    kernel = np.exp(-np.abs(t[:, None] - t) / TIME)
+    operator = np.zeros((len(run.z), len(t)))
+    k = run.lift.shape[1]
+    for i, (where, rows) in enumerate(run.operators):
+        operator[i * k : (i + 1) * k, where] = rows[:k]
+    expected = (operator * size) @ kernel @ (operator * size).T
+    assert scaled @ scaled.T == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())
+    assert np.trace(scaled @ scaled.T) > 1.5 * np.trace(constant @ constant.T)
+    same = stated_error_rows(run, 9.0, TIME, profile=((0.0, SIGMA), (60.0, SIGMA)))
+    assert same @ same.T == pytest.approx(constant @ constant.T, abs=1e-12)
+
+
+def test_simulated_recordings_have_the_error_of_the_profile():
+    data = CaseData.of(film(stated=(SIGMA, TIME), profile=PROFILE))
+    time = data.record.casing.time
+    drawn = np.array([_stated_error(data, np.random.default_rng(s)) for s in range(200)])
+    for at in (time[0], 10.0):
+        i = int(np.argmin(np.abs(time - at)))
+        assert drawn[:, i].std() == pytest.approx(profile_at(time[[i]], SIGMA, PROFILE)[0], rel=0.15)
+
+
+def test_a_profile_is_part_of_the_digest_and_of_the_fit():
+    constant, other = film(), film(profile=PROFILE)
+    assert constant.digest != other.digest
+    rows = [CaseData.of(r)._stated_error for r in (constant, other)]
+    assert np.linalg.norm(rows[1]) > 1.2 * np.linalg.norm(rows[0])
+
+
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [
+        (((0.0, -1e-4),), "negative uncertainty"),
+        (((0.0, np.nan),), "negative uncertainty"),
+        (((1.0, 1e-4), (1.0, 1e-4)), "do not increase"),
+    ],
+)
+def test_a_wrong_profile_is_refused(profile, message):
+    with pytest.raises(RecordError, match=message):
+        film(profile=profile)
+
+
+def test_a_profile_is_read_from_the_casing_of_a_case(tmp_path):
+    path = tmp_path / "case.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("casing")
+        assert _profile(path, file, "casing") == []
+        group.attrs["correlated_profile"] = np.array(PROFILE)
+        assert tuple(_profile(path, file, "casing")) == PROFILE
+        group.attrs["correlated_profile"] = np.zeros((2, 3))
+        with pytest.raises(RecordError, match="no pairs"):
+            _profile(path, file, "casing")
 
 
 def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):

@@ -12,6 +12,7 @@ import pytest
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, read_case, read_recording, write_case, write_recording
 from gyrotrack.io._hdf5 import read_kind
+from gyrotrack.io._records import series_of
 from gyrotrack.io._schema import STATUS
 
 
@@ -56,6 +57,33 @@ def test_uncertainties_of_the_inertias_reach_the_fit(tmp_path, case):
     record = read_record(path)
     assert record.I_rotor_u == 3e-7
     assert np.isnan(record.I_casing_u)
+
+
+def test_the_profile_of_an_error_reaches_the_fit(tmp_path, recording, case):
+    pairs = ((0.5, 2e-4), (1.5, 1e-4))
+    stated = {"correlated_sigma": 1e-4, "correlated_time": 2.0, "correlated_profile": pairs}
+    bodies = {k: dataclasses.replace(b, **stated) for k, b in recording.bodies.items()}
+    made = dataclasses.replace(recording, bodies=bodies)
+    path = write_recording(tmp_path / "r.h5", made, command="", settings={})
+    assert_same(made, read_recording(path))
+    assert series_of([made.bodies["casing"]]).correlated_profile == pairs
+    assert series_of([made.bodies["rotor"]] * 2).correlated_profile == ()
+    whole = dataclasses.replace(case, casing=dataclasses.replace(case.casing, **stated))
+    path = write_case(tmp_path / "case.h5", whole, command="", settings={})
+    assert_same(whole, read_case(path))
+    assert read_record(path).correlated_profile == pairs
+    with h5py.File(path, "r+") as file:
+        for name in ("casing", "body/casing/series/fused"):
+            if name in file and "correlated_profile" in file[name].attrs:
+                file[name].attrs["correlated_profile"] = [1.0, 2.0]
+    with pytest.raises(DatasetError, match="'correlated_profile' is not a table of pairs"):
+        read_case(path)
+
+
+def test_a_case_without_a_profile_has_no_such_attribute(tmp_path, case):
+    with h5py.File(write_case(tmp_path / "case.h5", case, command="", settings={})) as file:
+        assert "correlated_profile" not in file["casing"].attrs
+    assert read_record(tmp_path / "case.h5").correlated_profile == ()
 
 
 def long_series(series):

@@ -365,6 +365,10 @@ class TestTexture:
         _, _, found = self.both(2e-3, 5e-4, periodic=0.002)
         assert found.periodic == pytest.approx(0.002 * CENTRE_ERROR)
         assert found.slow[0] > 0.0
+        middle, size = found.slow_parts.T
+        assert middle[:2] == pytest.approx([0.5 * (module.BATCH - 1), 1.5 * module.BATCH - 0.5])
+        assert np.all(np.diff(middle) > 0)
+        assert np.sqrt(np.mean(size**2)) == pytest.approx(found.slow[0], rel=0.2)
 
     def arc(self, *, own, slow=1e-4, first=0.0, second=0.0, flat=0.0, usual=RING_ERROR):
         """Return the uncertainty of a body over an arc of 1.5 turns, by a ring about its own view or another one."""

@@ -23,7 +23,7 @@ def noise(seed=0):
 
 def zeros(off, *angles, template=TEMPLATE):
     found = template_zeros(off, template, angles or (ANGLE,))
-    return found.zero[::BATCH], found.uncertainty
+    return found.zero[::BATCH], float(np.sqrt(np.mean(found.uncertainty**2)))
 
 
 def steps(size, seed=1):
@@ -51,6 +51,25 @@ def test_equal_zeros_are_averaged():
     assert np.ptp(found) < 0.05e-3
     assert abs(found.mean()) < 0.05e-3
     assert u < 0.035e-3
+
+
+def test_a_zero_is_less_certain_where_few_frames_determine_it():
+    """Of the first batch every tenth frame is known; speeds change there, and the zeros with them."""
+    rate = np.where(TEMPLATE < 6, 0.1 * (1 + TEMPLATE), 0.7)
+    angle, z = np.cumsum(rate), []
+    for seed in range(30):
+        true = np.concatenate(
+            [np.cumsum(np.random.default_rng(seed).normal(0, 1e-3, 7)), np.zeros(COUNT - 7)]
+        )
+        true[7:] = true[6]
+        off = true[TEMPLATE] + noise(seed)
+        off[:BATCH][np.arange(BATCH) % 10 > 0] = np.nan
+        found = template_zeros(off, TEMPLATE, (angle,))
+        u = found.uncertainty[::BATCH]
+        assert u[0] > 2 * u[20]
+        assert np.ptp(found.uncertainty[:BATCH]) == 0.0
+        z.append((found.zero[BATCH // 2] - true[0]) / u[0])
+    assert np.std(z) == pytest.approx(1.0, abs=0.3)
 
 
 def beside_a_neighbour(amplitude, order=3):
@@ -153,7 +172,8 @@ def test_few_templates_have_one_zero(count, constant):
     n = count * BATCH
     found = template_zeros((np.arange(count) * 2e-3)[TEMPLATE[:n]] + noise()[:n], TEMPLATE[:n], [ANGLE[:n]])
     assert (np.ptp(found.zero) == 0.0) == constant
-    assert (found.uncertainty == 0.0) == constant
+    assert (not found.uncertainty.any()) == constant
+    assert len(found.uncertainty) == n
 
 
 def test_the_scatter_is_that_of_the_templates():

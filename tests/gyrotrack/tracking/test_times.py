@@ -10,7 +10,7 @@ from gyrotrack.io._schema import STATUS
 from gyrotrack.synthetic._film import to_planes
 from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
-from gyrotrack.tracking._extract import extract
+from gyrotrack.tracking._extract import _MOST_PARTS, _profile, extract
 
 SIZE = (320, 240)
 FPS, N = 260.0, 320
@@ -222,3 +222,20 @@ class TestRepeatedFrames:
         assert recording.extra["repeated_frames"] == 0
         assert recording.warnings == ()
         assert (recording.frame_index == np.arange(N)).all()
+
+
+def test_the_profile_of_an_error_has_the_times_of_its_frames():
+    """Of ten frames, the third has no time; it lies between its neighbours."""
+    time = 0.1 * np.arange(10)
+    time[2] = np.nan
+    parts = np.array([[2.0, 3e-4], [7.0, 1e-4]])
+    assert np.array(_profile(parts, time)) == pytest.approx(np.array([[0.2, 3e-4], [0.7, 1e-4]]))
+    assert _profile(np.zeros((0, 2)), time) == ()
+
+
+@pytest.mark.parametrize(
+    ("parts", "kept"), [(_MOST_PARTS, _MOST_PARTS), (_MOST_PARTS + 2, _MOST_PARTS // 2 + 1)]
+)
+def test_a_profile_of_a_long_film_is_thinned(parts, kept):
+    found = _profile(np.stack([np.arange(parts) + 0.0, np.ones(parts)], axis=1), np.arange(parts) / 260.0)
+    assert len(found) == kept
