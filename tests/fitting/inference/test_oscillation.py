@@ -1,6 +1,7 @@
 """Oscillators fitted without initial values, against independent integration and the analytic solution."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import oscillators
@@ -17,6 +18,7 @@ from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
 from fitting.inference._oscillation import are_smooth, find_oscillation, motion_of, turning_points
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._record import Samples
 from fitting.inference._speed_residuals import SpeedMap
 
 SPRING, DRAG = "casing.spring.linear", "casing.air.linear"
@@ -378,3 +380,29 @@ class TestMotion:
         turning, swinging = self.both()
         assert turning.rough == ()
         assert swinging.rough == (int(np.ceil(24 * swinging.periods)), 3)
+
+
+@pytest.mark.parametrize(
+    ("samples", "width"), [(16.0 * 60, 51), (16.0 * 48.5, 49), (16.0 * 3.5, 3), (16.0 * 1.9, 1)]
+)
+def test_speeds_are_smoothed_over_a_sixteenth_of_a_period_at_most(samples, width):
+    data = SimpleNamespace(
+        motion=SimpleNamespace(samples_per_period=lambda n: samples * n), record=SimpleNamespace(casing=[0.0])
+    )
+    assert CaseData.smoothing_width.fget(data) == width
+
+
+def test_the_largest_torque_of_an_oscillation_is_that_of_sixteenths_of_its_period():
+    """The second difference of a sinusoid over parts of length d is smaller by [sin(w d) / (w d)]^2 than w^2 A."""
+    t = np.arange(0.0, 60.0, 1e-3)
+    run = SimpleNamespace(samples=Samples(t, 0.3 * np.sin(2 * np.pi * t), np.ones_like(t)))
+    data = SimpleNamespace(
+        record=SimpleNamespace(I_casing=2.0, I_rotor=1.0),
+        casing=run,
+        rotor=(),
+        motion=SimpleNamespace(period=1.0),
+        is_angle=True,
+    )
+    x = 2 * np.pi / 16
+    expected = 2.0 * 0.3 * (2 * np.pi) ** 2 * (np.sin(x) / x) ** 2
+    assert CaseData.largest_torque.func(data) == pytest.approx(expected, rel=1e-3)
