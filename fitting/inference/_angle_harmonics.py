@@ -73,7 +73,8 @@ class AngleHarmonics:
         gamma = self.gamma[part]
         if not self.covariance[part, part].any():
             return 0.0, 0.0
-        square = float(gamma @ np.linalg.solve(self.covariance[part, part], gamma))
+        # a direction that the free parameters explain has no variance
+        square = float(gamma @ np.linalg.pinv(self.covariance[part, part], hermitian=True) @ gamma)
         return float(np.hypot(*gamma)), float(np.sqrt(square))
 
 
@@ -109,8 +110,11 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         rows = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
         slow = slow_responses(case.data, p)
         basis = orthonormal(project(np.concatenate([p.jacobian, slow], axis=1)), _RANK)
+        size = np.linalg.norm(rows[:, :-1], axis=0)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
+        # what is left of a torque that is in the model is rounding
+        response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)
         gamma = covariance @ (response.T @ residual)

@@ -57,3 +57,25 @@ def test_a_response_that_is_not_determined_has_no_size():
 def test_the_turns_are_those_of_the_record():
     (found,) = fitted(0.0).angle_harmonics
     assert found.turns == pytest.approx((60.0 * 20 - 200.0) / (2 * np.pi), rel=1e-4)
+
+
+def test_a_torque_in_the_model_is_not_a_lack_of_fit():
+    """What the free strength and phase leave of the response is rounding, whose covariance is singular."""
+    phase = 60.0 * T - 0.5 * T**2
+    angle = (
+        phase
+        - 3.0 * np.sin(phase) / (60.0 - T) ** 2
+        + 1e-4 * np.random.default_rng(1).standard_normal(len(T))
+    )
+    case = Case.from_arrays(wheel={"t": T, "angle": angle, "u": 1e-4})
+    found = fit("support.constant + casing.unbalance", case)
+    (harmonics,) = found.angle_harmonics
+    assert harmonics.size(1) == (0.0, 0.0)
+    assert 0.0 < harmonics.size(2)[1] < 4.0
+    assert found.verdict == "no_lack_of_fit"
+
+
+def test_of_a_response_with_one_direction_that_direction_counts():
+    covariance = np.diag([4e-12, 0.0, 1.0, 1.0])
+    amplitude, sigma = AngleHarmonics("case", np.array([6e-6, 0.0, 0.0, 0.0]), covariance).size(1)
+    assert (amplitude, sigma) == pytest.approx((6e-6, 3.0))
