@@ -17,6 +17,7 @@ from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import (
     Case,
     Floats,
+    Inertia,
     Piece,
     from_angles,
     from_speeds,
@@ -283,7 +284,7 @@ def import_case(
 @within_number_range
 def import_body(
     table: Path,
-    inertia: float,
+    inertia: float | Inertia | None = None,
     *,
     label: str = "",
     surface: str = "",
@@ -296,8 +297,8 @@ def import_body(
     ----------
     table : Path
         Angles or speeds of the body, as for `import_case`.
-    inertia : float
-        Moment of inertia [kg m2].
+    inertia : float or Inertia, optional
+        Moment of inertia [kg m2]; without it torques are per unit of inertia.
     label, surface : str
         Name of the case, and the surface on which the body turns.
     options : ReadOptions, optional
@@ -320,14 +321,15 @@ def import_body(
 
 def case_of_body(
     table: MotionTable,
-    inertia: float,
+    inertia: float | Inertia | None = None,
     *,
     label: str = "",
     surface: str = "",
     limits: Limits | None = None,
 ) -> tuple[Case, MotionTable]:
     """Return the case of one body from its table, and the part of the table that is used; see `import_body`."""
-    if not inertia > 0:
+    moment = inertia if isinstance(inertia, Inertia) else Inertia(1.0 if inertia is None else inertia)
+    if not moment.value > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     limits = limits or Limits()
     driven = any(i.unit != "K" for i in table.inputs)
@@ -347,8 +349,10 @@ def case_of_body(
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
     body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
     case = Case(
-        I_rotor=inertia,
-        I_casing=inertia,
+        I_rotor=moment.value,
+        I_casing=moment.value,
+        I_casing_u=moment.u,
+        per_inertia=int(inertia is None),
         label=label,
         surface=surface,
         casing=body,
