@@ -4,37 +4,34 @@ Numbers are in SI units. JSON has neither nan nor infinity: nan is written as nu
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 
-A file is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target. Its
-lock is ``.<name>.lock`` in the same folder, and names the temporary file, which the next writer removes if this one is
-killed (as in `gyrotrack.io._atomic`, which this package does not import).
+Files are written and locked as `fitting._files` describes.
 """
 
 from __future__ import annotations
 
-import errno
 import json
 import math
-import os
-import re
-import secrets
-import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from time import monotonic, sleep
 from typing import Annotated, Any, Literal, TypeVar
 
-from filelock import FileLock, Timeout
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from fitting._errors import LedgerError
+from fitting._files import Files, lock_file, new_part, publish
 from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
 
-LOCK_TIMEOUT = 10.0
-"""Time after which waiting for a lock ends with an error [s]. Chosen: writing takes milliseconds; a smaller value fails
-on slow network disks, a larger one delays the message about a lock that stays."""
+
+def _ledger_error(what: str, hint: str) -> LedgerError:
+    """Return the error of this package with a sentence and a hint of `fitting._files`."""
+    return LedgerError(what.removesuffix("."), f"{hint[:1].lower()}{hint[1:].removesuffix('.')}")
+
+
+_FILES = Files(_ledger_error, "Choose a file on another disk with --ledger.")
+locked, refuse_special = _FILES.locked, _FILES.refuse_special
 
 
 def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda: True) -> None:
@@ -43,131 +40,21 @@ def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda:
     The file is not replaced if it is no longer `unchanged`.
     """
     refuse_special(path)
-    part = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
-    _name_in_lock(part, _lock_file(path))
+    part = new_part(path)
+    _FILES.name_in_lock(part, lock_file(path))
     try:
         with part.open("x", encoding="utf-8") as stream:
             stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
         if not unchanged():
             raise LedgerError(
                 f"{path} was changed by another program at the same time", "run the command again"
             )
-        part.replace(path)
+        publish(part, path)
     except OSError as fault:
-        raise _refusal(path, fault) from None
+        raise _FILES.refusal(path, fault) from None
     finally:
         with suppress(OSError):  # on a read-only disk not even that is allowed
             part.unlink(missing_ok=True)
-
-
-def _refusal(path: Path, fault: OSError) -> LedgerError:
-    reason = {errno.ENOSPC: "the disk is full", errno.EFBIG: "the file size limit is reached"}
-    return LedgerError(
-        f"{path} cannot be written: {reason.get(fault.errno or 0, fault.strerror)}",
-        "free space, or choose another file",
-    )
-
-
-def refuse_special(path: Path) -> None:
-    """Raise `LedgerError` if `path` exists and is not a regular file: opening a pipe could block for ever."""
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):
-        return
-    if not stat.S_ISREG(mode):
-        raise LedgerError(f"{path} is not a regular file", "give the name of a file")
-
-
-@contextmanager
-def locked(path: Path, timeout: float | None = None) -> Iterator[None]:
-    """Hold the lock of `path` against other processes, of all users and hosts; the file is not touched.
-
-    A LedgerError is raised if another program holds the lock for longer than `timeout` [s], and if the file system has
-    no locks.
-    """
-    timeout = LOCK_TIMEOUT if timeout is None else timeout
-    own = _lock_file(path)
-    if not own.parent.is_dir():  # filelock would make it
-        raise _refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    remains = _remains(own, path)
-    lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
-    try:
-        _acquire(lock, own.parent, timeout)
-    except (Timeout, RuntimeError):
-        raise LedgerError(
-            f"{path} is locked by another program; waited {timeout:g} s",
-            "run the command again when the other program has finished",
-        ) from None
-    except (OSError, NotImplementedError) as fault:
-        if isinstance(fault, OSError) and fault.errno not in _NO_LOCKS:
-            raise _refusal(path, fault) from None
-        what = f"{path} cannot be locked: the file system has no locks"
-        raise LedgerError(what, "choose a file on another disk with --ledger") from None
-    try:
-        with suppress(OSError):
-            for part in remains:
-                part.unlink()
-        yield
-    finally:
-        with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
-            own.unlink()
-        lock.release()
-
-
-def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
-    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
-    end = monotonic() + timeout
-    while True:
-        try:
-            lock.acquire(timeout=timeout, poll_interval=_POLL)
-        except PermissionError:
-            if monotonic() > end or not os.access(folder, os.W_OK):
-                raise
-            sleep(_POLL)
-        else:
-            return
-
-
-_POLL = 0.02
-"""Time between two attempts to get a lock [s]. Chosen: a smaller value loads the disk, a larger one delays writers that
-wait."""
-
-
-_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
-
-
-_LOCK_LINE = b"gyrotrack lock\n"
-
-
-def _lock_file(path: Path) -> Path:
-    return path.with_name(f".{path.name}.lock")
-
-
-def _name_in_lock(part: Path, own: Path) -> None:
-    """Write the name of a temporary file into the lock that is held; after a kill the next writer removes the file."""
-    # there may be no lock, the disk may be full, and Windows does not write to a locked file
-    with suppress(OSError):
-        handle = os.open(own, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0))
-        try:
-            os.write(handle, _LOCK_LINE + os.fsencode(part.name))
-        finally:
-            os.close(handle)
-
-
-def _remains(own: Path, path: Path) -> list[Path]:
-    """Return the temporary file of `path` that its lock names; a LedgerError if its lock is a file of another kind."""
-    try:
-        found = own.lstat()
-        ours = stat.S_ISREG(found.st_mode) and found.st_nlink == 1
-        content = own.read_bytes() if ours and found.st_size else b""
-    except OSError:
-        return []
-    if not ours or (content and not content.startswith(_LOCK_LINE)):
-        raise LedgerError(f"{own} was not made by gyrotrack", "move it away")
-    name = os.fsdecode(content.removeprefix(_LOCK_LINE))
-    return [path.with_name(name)] if re.fullmatch(re.escape(path.name) + r"\.[0-9a-f]{8}\.part", name) else []
 
 
 # fields of an effect that files of older versions do not contain

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
 from fitting.effects._library import FRICTION, find
+from fitting.inference._record import scales_of
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -143,7 +144,10 @@ def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
     """
     strength = _strength(fit)
     responses = _Responses(fit)
-    laws = [find(n) for n in FRICTION if n not in _ALWAYS]
+    scales = scales_of(fit.problem.layout.records)
+    laws = [
+        replace(e, parameters=e.parameters_at(*scales)) for e in map(find, FRICTION) if e.name not in _ALWAYS
+    ]
     yielding = max(_typical(e)["s"] for e in laws if e.contact)
     edges = responses.edges
     first, last = float(edges[0]), float(edges[-1])

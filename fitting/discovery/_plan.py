@@ -265,6 +265,8 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
         )
     for key, value in given.items():
         p = model.parameters[key]
+        if p.scale:  # its bounds are those of the recordings that are planned
+            p = replace(p, lower=0.0, upper=math.inf)
         if not p.lower <= value <= p.upper or math.isnan(value):
             raise EstimationError(
                 f"{file}: parameters: {key} = {value:g} is outside {p.lower:g} to {p.upper:g}.", ""

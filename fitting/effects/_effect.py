@@ -131,6 +131,7 @@ Joint = Literal[
 ]
 Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
+Scale = Literal["", "speed", "length", "chirp"]
 
 # The variables of a law, with their units. `tau` is the whole bearing torque, for states that depend on it;
 # `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
@@ -222,6 +223,9 @@ class Parameter:
         Trial values of a shape constant [unit, or lengths of the recording].
     relative : bool
         The grid is in lengths of the recording.
+    scale : {"", "speed", "length", "chirp"}
+        Bounds, `start` and grid are in units of the largest speed of the body, of the length of the recording, or of
+        that speed over that length.
     meaning : str
         One line of description.
     """
@@ -235,6 +239,21 @@ class Parameter:
     grid: tuple[float, ...] = ()
     relative: bool = False
     meaning: str = ""
+    scale: Scale = ""
+
+    def at(self, speed: float, length: float) -> Parameter:
+        """Return the parameter of recordings of this largest speed [rad/s] and length [s], with values in its unit."""
+        if not self.scale:
+            return self
+        unit = {"speed": speed, "length": length, "chirp": speed / length}[self.scale]
+        return replace(
+            self,
+            lower=self.lower * unit,
+            upper=self.upper * unit,
+            start=self.start * unit,
+            grid=tuple(v * unit for v in self.grid),
+            scale="",
+        )
 
 
 @dataclass(frozen=True)
@@ -395,6 +414,12 @@ class Effect:
         if not self.mechanical or "psi_c" not in symbols(self.expression):
             return self
         return replace(self, law=re.sub(r"\bpsi_c\b", "deflection", self.law))
+
+    def parameters_at(self, speeds: Mapping[str, float], length: float) -> tuple[Parameter, ...]:
+        """Return the parameters of recordings with these largest speeds omega_r and omega_c [rad/s] and length [s]."""
+        used = symbols(self.expression).union(*map(symbols, self.rates))
+        speed = speeds["omega_r" if "omega_r" in used else "omega_c"]
+        return tuple(p.at(speed, length) for p in self.parameters)
 
     @cached_property
     def restoring(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import RecordError
+from fitting._files import FORMAT, MAJOR
 from fitting.dynamics._inputs import Input
 from fitting.inference._error_modes import MOST_AMPLITUDES, ErrorMode
 from fitting.inference._record import Quantity, Record, is_body_name, make_record
@@ -22,11 +22,6 @@ Array = NDArray[np.float64]
 _MAX_SAMPLES = 50_000_000
 """Samples of an array at most [samples]. Chosen: 53 hours at 260 frames per second; a smaller value refuses long films,
 a larger one admits files that fill the memory."""
-_INFLATION = 1100
-"""Largest ratio of the size of an array to its stored size [1]. Derived: deflate reaches 1032; the rest is a margin."""
-_SLACK = 2**22
-"""Size of an array that is admitted beyond the compression ratio [bytes]. Chosen: chunks are padded; a smaller value
-refuses small arrays, a larger one admits malicious files."""
 
 
 def series(path: Path, file: Any, group: str, key: tuple[str, str]) -> tuple[Array, Array, Array]:
@@ -47,19 +42,16 @@ def _numbers(path: Path, file: Any, place: str, dimensions: int) -> Array:
     """Return a dataset of real numbers that the file itself holds."""
     import h5py
 
+    from fitting._hdf5 import Guard
+
     data = _own(path, file, place)
-    if not isinstance(data, h5py.Dataset) or data.ndim != dimensions or data.is_virtual or data.external:
+    if not isinstance(data, h5py.Dataset) or data.ndim != dimensions:
         raise RecordError(f"{path}: {place} is not a plain {'column' if dimensions == 1 else 'matrix'}")
     if data.dtype.kind not in "fiu":
         raise RecordError(f"{path}: {place} holds no real numbers")
-    chunk = int(np.prod(data.chunks or (0,), dtype=object)) * data.dtype.itemsize
-    stored = data.id.get_storage_size()
-    if data.size > _MAX_SAMPLES or max(data.nbytes, chunk) > stored * _INFLATION + _SLACK:
+    if data.size > _MAX_SAMPLES:
         raise RecordError(f"{path}: {place} claims {data.size} samples")
-    plist = data.id.get_create_plist()
-    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
-    if not filters <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
-        raise RecordError(f"{path}: {place} is packed in an unknown way", "write it with gzip")
+    Guard(_error).check_bytes(data)
     return np.asarray(data[()], dtype=float)
 
 
@@ -93,74 +85,23 @@ def text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-_CHECKSUM_PREFIX = b"\ngyrotrack sha256 "
-_CHECKSUM_LENGTH = len(_CHECKSUM_PREFIX) + 65
-"""Length of the line with the checksum [bytes]. Derived: its prefix, 64 digits of SHA-256 and a line end."""
-_STRING_HEAP = b"GCOL\x01\x00\x00\x00"
-_HEADER = 16
-"""Length of the header of an object in a string heap [bytes]. Source: HDF5 file format, level 1E."""
-
-
-def is_open_elsewhere(path: Path) -> bool:
-    """Whether another program has opened an HDF5 file for writing, which HDF5 marks by a lock of the file."""
-    try:
-        import fcntl
-    except ImportError:  # Windows, where such a file cannot be opened
-        return False
-    with path.open("rb") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError as error:
-            return isinstance(error, BlockingIOError)  # some file systems have no locks
-    return False
-
-
-def check_intact(path: Path) -> None:
-    """Refuse a file with a wrong checksum in its last line, or with a string heap that HDF5 would read without end."""
-    content = path.read_bytes()
-    line = content[-_CHECKSUM_LENGTH:]
-    stated = line[len(_CHECKSUM_PREFIX) : -1] if line.startswith(_CHECKSUM_PREFIX) else None
-    if stated is not None and stated != hashlib.sha256(content[:-_CHECKSUM_LENGTH]).hexdigest().encode():
-        raise RecordError(
-            f"{path} is damaged: the checksum does not match the contents", "fetch a fresh copy"
-        )
-    place = content.find(_STRING_HEAP)
-    while place >= 0:
-        if _is_endless(content, place):
-            raise RecordError(f"{path} is damaged: corrupt string heap", "fetch a fresh copy")
-        place = content.find(_STRING_HEAP, place + 1)
-
-
-def _is_endless(content: bytes, place: int) -> bool:
-    """Return whether a string heap has an object of size zero, at which HDF5 2.0 enters an endless loop."""
-    size = int.from_bytes(content[place + 8 : place + 16], "little")
-    at, end = place + _HEADER, min(place + size, len(content))
-    while at + _HEADER <= end:
-        index, length = (int.from_bytes(content[at + a : at + b], "little") for a, b in ((0, 2), (8, 16)))
-        step = length if index == 0 else _HEADER + (length + 7) // 8 * 8
-        if step == 0:
-            return True
-        at += step
-    return False
-
-
-FORMAT = "gyrotrack"
-MAJOR = 2
-"""Major version of the layout that is read [1]. Derived: the layout that this version of the program writes."""
+def _error(what: str, hint: str) -> RecordError:
+    """Return the error of this package with a sentence and a hint of `fitting._hdf5`."""
+    return RecordError(what.removesuffix("."), f"{hint[:1].lower()}{hint[1:].removesuffix('.')}")
 
 
 def read_record(path: str | Path) -> Record:
     """Read an HDF5 file of kind "case", layout version 1 or 2, or say why it cannot be read."""
     import h5py
 
+    from fitting._hdf5 import Guard
+
     path = Path(path)
     if not path.is_file():
         what = "is not a regular file" if path.exists() else "does not exist"
         raise RecordError(f"{path} {what}", "give the name of a case file")
     try:
-        if is_open_elsewhere(path):
-            raise RecordError(f"{path} is open in another program", "close it there")
-        check_intact(path)
+        Guard(_error).check_file(path, "Fetch a fresh copy.")
         with h5py.File(path, "r") as file:
             return _read(path, file)
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as fault:

@@ -418,7 +418,9 @@ def _block(
     responses = rest_of[:, independent & (extra > 0)]
     if driven is not None and extra > 0:
         responses = _with_driven(responses, driven[where] / sigma[:, None], model)
-    design = np.concatenate([model, responses, powers[:, k:] / sigma[:, None]], axis=1)
+    higher = powers[:, k:] / sigma[:, None]
+    responses, higher = _independent(model, responses, higher, skipped)
+    design = np.concatenate([model, responses, higher], axis=1)
     q, r = np.linalg.qr(design)
     # the same sign in all blocks, so that a constant harmonic gives constant rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
@@ -437,9 +439,36 @@ def _block(
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - fixed))
 
 
+_INDEPENDENT = 1e-4
+"""Smallest relative singular value of responses and polynomials that are independent [1]. Chosen: a smaller value lets
+the rounding of the times enter the noise, a larger one loses rows of the noise."""
+_TINY = 1e-300
+"""Smallest norm of a column [1]. Derived: the quotient of zero and it is zero."""
 _DEPENDENT = 1e-6
 """Smallest share of a response to an input that is orthogonal to the others and to the model [1]. Chosen: a smaller
 value keeps rounding, a larger one leaves a part of the response in the noise."""
+
+
+def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
+    """Return responses and higher polynomials of a block, whose last ones measure the noise, as independent columns.
+
+    In a few turns a response is nearly a polynomial: the directions of a QR decomposition would be those of rounding.
+    Such responses are replaced by the first polynomials, whose place in them is largest.
+    """
+    columns = np.concatenate([model, responses, higher], axis=1)
+    values = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY), compute_uv=False)
+    if not responses.shape[1] or values[-1] > _INDEPENDENT * values[0]:
+        return responses, higher
+    known = np.linalg.qr(np.concatenate([model, higher[:, :skipped]], axis=1))[0]
+    rest = responses / np.maximum(np.linalg.norm(responses, axis=0), _TINY)
+    u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
+    responses = u[:, s > _INDEPENDENT]
+    known = np.concatenate([known, responses], axis=1)
+    noise = higher[:, : skipped - 1 if skipped else None : -1]
+    noise = noise - known @ (known.T @ noise)
+    r = np.abs(np.diag(np.linalg.qr(noise, mode="r")))
+    kept = r > _INDEPENDENT * np.linalg.norm(higher[:, : noise.shape[1]], axis=0).max(initial=0.0)
+    return responses, np.concatenate([higher[:, :skipped], noise[:, kept]], axis=1)
 
 
 def _with_driven(responses: Array, driven: Array, model: Array) -> Array:

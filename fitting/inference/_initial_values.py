@@ -41,7 +41,7 @@ from fitting.inference._parameters import (
     is_power_law,
 )
 from fitting.inference._problem import Problem, measure_noise, reference_speed
-from fitting.inference._record import Record, Samples
+from fitting.inference._record import Record, Samples, scales_of
 from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
@@ -499,7 +499,7 @@ def _stepped(
 def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
     first, last = problem.layout.records[0].span
     axes = []
-    for p in effect.parameters:
+    for p in effect.parameters_at(*scales_of(problem.layout.records)):
         if p.role != "shape":
             continue
         grid = np.array(p.grid or (p.start,))

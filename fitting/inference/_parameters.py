@@ -34,7 +34,7 @@ from fitting._numbers import Units
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
 from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
-from fitting.inference._record import Record
+from fitting.inference._record import Record, scales_of
 from fitting.inference._ties import Follower, followers, resolved
 
 Array = NDArray[np.float64]
@@ -156,7 +156,13 @@ class ParameterLayout:
     def parameter(self, name: str) -> Parameter:
         """Return the declaration behind a name."""
         key = name.partition("@")[0]
-        return self.model.parameters.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
+        return self._declared.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
+
+    @cached_property
+    def _declared(self) -> dict[str, Parameter]:
+        """The parameters of the model by key, in units of the cases."""
+        scales = scales_of(self.records)
+        return {f"{e.name}.{p.symbol}": p for e in self.model.effects for p in e.parameters_at(*scales)}
 
     @property
     def units(self) -> Units:
@@ -324,7 +330,7 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
         typical = [float(np.median(x)) for k in known if (x := _base(power, k)) is not None]
         if not typical:
             continue
-        reference = max(float(np.mean(typical)), 1e-3)
+        reference = float(np.mean(typical)) or 1.0
         _, order, straight = min(found, key=lambda pair: pair[0], default=(0.0, 1.0, None))
         if straight is not None:
             taken.add(straight.name)

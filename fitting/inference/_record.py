@@ -47,6 +47,11 @@ _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 from one measured speed; fewer angles give no uncertainty, more refuse short films."""
 _SHOWN = 6
 """Windows and inputs that a repr lists [1]. Chosen: fewer hide windows, more fill the console."""
+_SPEED_SAMPLES = 5
+"""Samples of an average speed, the largest of which is the unit of speeds in laws [samples]. Chosen: fewer contain
+more noise, more average over a period of an oscillation."""
+_LARGEST_SHARE = 0.95
+"""Quantile of the speeds that is their largest value [1]. Chosen: a higher one is an outlier, a lower one a mean."""
 LARGEST = 1e20
 """Largest time, angle or rate [SI units]. Derived: products of several are finite."""
 SMALLEST = 1e-20
@@ -267,6 +272,23 @@ class Record:
         ends = [(s.time[0], s.time[-1]) for s in (self.casing, *self.rotor)]
         return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
 
+    @cached_property
+    def largest_speeds(self) -> dict[str, float]:
+        """Largest speeds omega_c and omega_r [rad/s], that of the fastest body for one that was not measured or rests.
+
+        Outliers and noise are limited: it is the quantile 0.95 of mean speeds over a few samples.
+        """
+        found = {"omega_c": self._largest_speed((self.casing,)), "omega_r": self._largest_speed(self.rotor)}
+        return {k: v or max(found.values()) or 1.0 for k, v in found.items()}
+
+    def _largest_speed(self, runs: Sequence[Samples]) -> float:
+        speeds = [np.zeros(1)]
+        for run in runs:
+            rows = np.arange(0, len(run), min(_SPEED_SAMPLES, max(len(run) - 1, 1)))
+            value = run.value[rows]
+            speeds.append(value if self.quantity == "omega" else np.diff(value) / np.diff(run.time[rows]))
+        return float(np.quantile(np.abs(np.concatenate(speeds)), _LARGEST_SHARE))
+
 
 # role of the body of the series `casing`, without and with a rotor
 _MAIN: tuple[Literal["body", "casing"], ...] = ("body", "casing")
@@ -284,6 +306,12 @@ _TAKEN = {
     "contact",
     "initial",
 }
+
+
+def scales_of(records: Sequence[Record]) -> tuple[dict[str, float], float]:
+    """Return the largest speeds omega_c and omega_r [rad/s] and the largest length [s] of records."""
+    speeds = [r.largest_speeds for r in records]
+    return {k: max(s[k] for s in speeds) for k in speeds[0]}, max(float(np.ptp(r.span)) for r in records)
 
 
 def is_body_name(name: str) -> bool:

@@ -1,9 +1,6 @@
 """Output that survives a kill or a full disk: atomic writing of files, locks, and checkpoints of long runs.
 
-An output is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target.
-After a kill, an interrupt, or with a full disk, the old file is unchanged. The lock of a file is ``.<name>.lock`` in
-the same folder, so that it holds for all users and hosts; it exists only while it is held. It names the temporary file,
-which the next writer removes if this one is killed.
+Files are written and locked as `fitting._files` describes, which both packages use.
 
 Files that this package makes beside an output are opened without following links, and have a header: a file without
 it belongs to somebody else, and is left alone.
@@ -21,108 +18,34 @@ follow. HDF5 is not used because a kill can make an HDF5 file unreadable.
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import os
-import re
-import secrets
-import stat
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import numpy as np
 import numpy.typing as npt
-from filelock import FileLock, Timeout
 
+from fitting._files import LOCK_LINE, LOCK_SIZE, LOCK_TIMEOUT, Files, lock_file, new_part, publish
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 from gyrotrack.io._command_end import marks
 
-LOCK_TIMEOUT = 10.0  # longest time to wait for a lock [s]
+_FILES = Files(OutputError)
+open_side_file, foreign, refusal, busy = _FILES.open_side_file, _FILES.foreign, _FILES.refusal, _FILES.busy
 
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
-    """Hold the lock of `path`, which need not exist, against other processes; yield the lock file.
-
-    An OutputError is raised after `timeout` [s], and if the file system has no locks.
-    """
-    timeout = LOCK_TIMEOUT if timeout is None else timeout
-    own = _lock_file(path)
-    if not own.parent.is_dir():  # filelock would make it
-        raise refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    remains = _remains(own, path)
-    lock = FileLock(own, mode=0o666, thread_local=False)  # other users of the folder must be able to open it
-    try:
-        _acquire(lock, own.parent, timeout)
-    except (Timeout, RuntimeError) as error:
-        raise busy(path, timeout) from error
-    except (OSError, NotImplementedError) as error:
-        if isinstance(error, OSError) and error.errno not in _NO_LOCKS:
-            raise refusal(path, error) from error
-        what = f"{path} cannot be locked: the file system has no locks."
-        raise OutputError(what, "Write to another disk.") from error
-    try:
-        with suppress(OSError):
-            for part in remains:
-                part.unlink()
+    """Hold the lock of `path`, see `fitting._files.Files.locked`."""
+    with _FILES.locked(path, LOCK_TIMEOUT if timeout is None else timeout) as own:
         yield own
-    finally:
-        with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
-            own.unlink()
-        lock.release()
-
-
-def _lock_file(path: Path) -> Path:
-    return path.with_name(f".{path.name}.lock")
-
-
-def _acquire(lock: FileLock, folder: Path, timeout: float) -> None:
-    """Acquire a lock; another user makes its file without permissions for all, and adds them at once."""
-    end = monotonic() + timeout
-    while True:
-        try:
-            lock.acquire(timeout=timeout, poll_interval=_POLL)
-        except PermissionError:
-            if monotonic() > end or not os.access(folder, os.W_OK):
-                raise
-            sleep(_POLL)
-        else:
-            return
-
-
-_POLL = 0.02  # s
-
-
-_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
-_LOCK_LINE = b"gyrotrack lock\n"
-
-
-def _remains(own: Path, path: Path) -> list[Path]:
-    """Return the temporary file of `path` that is named in its lock file, if there is one."""
-    try:
-        stream = open_side_file(own)
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise refusal(path, error) from error
-    with stream:
-        content = stream.read(_LOCK_SIZE)
-    name = os.fsdecode(content.removeprefix(_LOCK_LINE))
-    if content and not content.startswith(_LOCK_LINE):
-        raise foreign(own)
-    return [path.with_name(name)] if re.fullmatch(re.escape(path.name) + _PART, name) else []
-
-
-_LOCK_SIZE = 1024
-_PART = r"\.[0-9a-f]{8}\.part"
 
 
 def remove_remains(folder: Path) -> None:
@@ -130,75 +53,15 @@ def remove_remains(folder: Path) -> None:
     for own in folder.glob(".*.lock"):
         with suppress(OSError, OutputError):
             with open_side_file(own) as stream:
-                content = stream.read(_LOCK_SIZE)
-            if not content or content.startswith(_LOCK_LINE):
+                content = stream.read(LOCK_SIZE)
+            if not content or content.startswith(LOCK_LINE):
                 with locked(own.with_name(own.name.removeprefix(".").removesuffix(".lock")), 0.0):
                     pass
 
 
-def open_side_file(path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
-    """Open a file that this package makes beside an output; an OutputError if it is a link or has several names.
-
-    `flags` are those of `os.open`.
-    """
-    refuse_special(path, OutputError)
-    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    try:
-        handle = os.open(path, flags, 0o666)
-    except OSError as error:
-        if path.is_symlink():
-            raise foreign(path) from error
-        raise
-    stream = os.fdopen(handle, "rb" if flags & os.O_ACCMODE == os.O_RDONLY else "r+b")
-    found = os.fstat(handle)
-    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
-        stream.close()
-        raise foreign(path)
-    return stream
-
-
-def foreign(path: Path) -> OutputError:
-    """Return the error for a file that has the name of a file of this package and was made by somebody else."""
-    return OutputError(f"{path} was not made by gyrotrack.", "Move it away, or write to another name.")
-
-
-def busy(path: Path, waited: float = 0.0) -> OutputError:
-    """Return the error for a file that another program has locked."""
-    after = f"; waited {waited:g} s" if waited else ""
-    return OutputError(
-        f"{path} is locked by another program{after}.",
-        "Run the command again when the other program has finished, or write to another name.",
-    )
-
-
-def refusal(path: Path, error: OSError) -> OutputError:
-    """Return the error for a failed write, with its reason."""
-    reason, hint = error.strerror or str(error), "Check the folder and its permissions."
-    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        reason, hint = "the disk is full", "Free some space, or use another disk."
-    elif error.errno == errno.EFBIG:
-        reason, hint = "the file size limit is reached", "Raise the limit (ulimit -f)."
-    return OutputError(f"{path} cannot be written: {reason}.", hint)
-
-
-_SPECIAL = (
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISDIR, "a folder"),
-)
-
-
 def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> None:
     """Raise `error` if `path` is a pipe, socket, device or folder; opening it could block for ever."""
-    try:
-        mode = Path(path).stat().st_mode
-    except (OSError, ValueError):
-        return
-    what = next((word for test, word in _SPECIAL if test(mode)), None)
-    if what is not None:
-        raise error(f"{path} is {what}, not a regular file.", "Give the name of a file.")
+    Files(error).refuse_special(Path(path))
 
 
 def refuse_existing(path: Path, *, force: bool, reads: Iterable[Path | None] = ()) -> None:
@@ -223,12 +86,10 @@ def new_path(path: Path, *, force: bool = False) -> Iterator[Path]:
     """Yield the path of an empty temporary file, and move it to `path` when the context ends without an error."""
     path = Path(path)
     refuse_existing(path, force=force)
-    part = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
+    part = new_part(path)
     try:
         with locked(path, 0.0) as lock:
-            # a disk that is full, and Windows, where a locked file cannot be written
-            with suppress(OSError), open_side_file(lock, os.O_RDWR | os.O_TRUNC) as stream:
-                stream.write(_LOCK_LINE + os.fsencode(part.name))
+            _FILES.name_in_lock(part, lock)
             part.open("xb").close()
             own = part.stat().st_ino
             try:
@@ -250,17 +111,9 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
     except FileNotFoundError:
         what = f"{path} cannot be written: its folder or drive was removed."
         raise OutputError(what, "Reconnect the drive and run the command again.") from None
-    with part.open("rb+") as stream:
-        os.fsync(stream.fileno())
     refuse_existing(path, force=force)
     mark_new(path, part)
-    part.replace(path)
-    with suppress(OSError):  # makes the rename durable, if supported
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    publish(part, path)
 
 
 _MARKED = {"command": "outputs"}
@@ -286,7 +139,7 @@ def is_left(path: Path) -> bool:
     if held is not None and path.absolute() in held:
         return False
     if not _mark_path(path).exists():
-        if _lock_file(_mark_path(path)).exists():  # a kill between the last two steps of the command
+        if lock_file(_mark_path(path)).exists():  # a kill between the last two steps of the command
             with suppress(OutputError, OSError), locked(_mark_path(path), 0.0):
                 pass
         return False

@@ -18,6 +18,8 @@ from typing import Any
 
 import h5py
 
+from fitting._files import FORMAT
+from fitting._hdf5 import checksum_line
 from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as layout
@@ -35,13 +37,9 @@ from gyrotrack.io._records import (
     Series,
 )
 from gyrotrack.io._tables import (
+    GUARD,
     attribute,
-    check_tree,
-    checksum_fails,
-    checksum_line,
     child_group,
-    has_endless_heap,
-    is_open_elsewhere,
     read_attributes,
     read_table,
     stamp,
@@ -404,12 +402,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     """Validate a file of this format and open it for reading; errors of HDF5 become a `DatasetError`."""
     path = Path(path)
     _check_signature(path)
-    if is_open_elsewhere(path):
-        raise DatasetError(f"{path} is open in another program.", "Close it there.")
-    if checksum_fails(path):
-        raise DatasetError(f"{path} is damaged: the checksum does not match the contents.", _RECREATE)
-    if has_endless_heap(path):
-        raise DatasetError(f"{path} is damaged: corrupt string heap.", _RECREATE)
+    GUARD.check_file(path, _RECREATE)
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -417,7 +410,7 @@ def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
     try:
         with file:
             _check_root(file, path, kind)
-            check_tree(file)
+            GUARD.check_tree(file)
             yield file
     except (OSError, RuntimeError, KeyError, ValueError, UnicodeError, MemoryError) as error:
         why = (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]
@@ -441,7 +434,7 @@ def _check_signature(path: Path) -> None:
 
 
 def _check_root(file: Any, path: Path, kind: str | None) -> None:
-    if attribute(file, "format", str, "?") != layout.FORMAT:
+    if attribute(file, "format", str, "?") != FORMAT:
         what = f"{path} is an HDF5 file, but was not written by gyrotrack."
         raise DatasetError(what, "The attribute 'format' is missing.")
     version = attribute(file, "format_version", str)

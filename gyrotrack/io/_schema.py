@@ -11,8 +11,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-FORMAT = "gyrotrack"
-FORMAT_VERSION = "2.0"
+from fitting._files import MAJOR
+
+FORMAT_VERSION = f"{MAJOR}.0"
 RECORDING = "recording"
 CASE = "case"
 

@@ -86,11 +86,12 @@ def import_command(
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
     The format is recognised by content: {formats}. Times are in s, all on one clock; angles in rad, wrapped or
-    unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column the
-    noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
-    rest at the end are detected, reported and excluded. Two lines for each file say what each column was taken for and
-    why, and what was left out; for a column in doubt the option is named. Every repair is reported with its line. With
-    --input nothing is cut from the record: the input describes the drive.
+    unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column
+    the noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a
+    brake or rest at the end are detected, reported and excluded; without --inertia its torques are per unit of
+    inertia. Two lines for each file say what each column was taken for and why, and what was left out; for a column
+    in doubt the option is named. Every repair is reported with its line. With --input nothing is cut from the
+    record: the input describes the drive.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -127,9 +128,9 @@ def import_command(
     options[0] = replace(options[0], inputs=read_input_options(inputs or ()))
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
-    if body is not None and (inertia is not None or dry_run) and casing is None and not rotor:
-        moment = Inertia(1.0) if inertia is None else Inertia.of(inertia)
-        case = replace(import_body(body, moment.value, options=options[0], **named), I_casing_u=moment.u)
+    if body is not None and casing is None and not rotor:
+        moment = None if inertia is None else Inertia.of(inertia)
+        case = import_body(body, moment, options=options[0], **named)
     elif casing is not None and body is None and inertia is None:
         one = "1" if dry_run else None
         r = Inertia.required(inertia_rotor or one, "rotor")
@@ -137,8 +138,8 @@ def import_command(
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
         case = replace(case, I_rotor_u=r.u, I_casing_u=c.u, start_u=math.nan if start_u is None else start_u)
     else:
-        what = "A case needs either --casing and --rotor, or --body and --inertia."
-        raise UsageError(what, "Give one of these pairs.")
+        what = "A case needs either --casing and --rotor, or --body, and --inertia applies to a single body."
+        raise UsageError(what, "Give --casing and --rotor with their inertias, or --body.")
     if body is not None:
         case = replace(case, body_name=checked_body_name(body_name))
     elif body_name:
@@ -154,6 +155,10 @@ def import_command(
         out.detail(f"{source['file']}: {source['samples']} samples used")
     for sentence in _proposals(case.extra["reading"]):
         out.note(sentence)
+    if case.per_inertia and not dry_run:
+        out.note(
+            "No moment of inertia is given: torques are per unit of inertia, in rad/s2 (--inertia: in N m)."
+        )
     document = {"output": output, "reading": case.extra["reading"], **summary(case)}
     if dry_run:
         document["plot"] = _plotted(case)

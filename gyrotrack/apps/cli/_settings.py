@@ -360,7 +360,11 @@ def checked_scale(scale: float | None) -> float | None:
 
 BodyInertia = Annotated[
     str | None,
-    option("--inertia I", "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2)."),
+    option(
+        "--inertia I",
+        "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2); without it torques are per "
+        "unit of inertia.",
+    ),
 ]
 Columns = Annotated[
     list[str] | None,

@@ -16,8 +16,11 @@ from gyrotrack._smoothing import median_smooth
 from gyrotrack.io._contents import describe_motion
 from gyrotrack.io._records import (
     Case,
+    ErrorMode,
     Floats,
+    Inertia,
     Piece,
+    Series,
     from_angles,
     from_speeds,
     no_series,
@@ -255,10 +258,8 @@ def import_case(
     quantity = _common_quantity(tables)
     notes = [note for table in tables for note in table.notes]
     keep_all = limits is not None and limits.keep_all
-    body, *rotor = (
-        pieces_of(*without_outliers(table, unwrapped(table, notes), notes, keep_all=keep_all), notes)
-        for table in tables
-    )
+    clean = [without_outliers(table, unwrapped(table, notes), notes, keep_all=keep_all) for table in tables]
+    body, *rotor = (pieces_of(*values, notes) for values in clean)
     windows = sorted((piece for pieces in rotor for piece in pieces), key=lambda piece: piece.time[0])
     notes += _window_warnings(body, windows)
     sense, warnings = _sense(body, windows)
@@ -271,8 +272,14 @@ def import_case(
         I_casing=I_casing,
         label=label,
         surface=surface,
-        casing=replace(of_casing, window=None, sigma_source=_sigma_source(tables[:1])),
-        rotor=replace(of_rotor, sigma_source=_sigma_source(tables[1:])),
+        casing=replace(
+            of_casing, window=None, sigma_source=_sigma_source(tables[:1]), modes=clean[0][0].modes
+        ),
+        rotor=replace(
+            of_rotor,
+            sigma_source=_sigma_source(tables[1:]),
+            modes=_modes_of([t for t, _ in clean[1:]], of_rotor),
+        ),
         quantity=quantity,
         warnings=tuple(notes + warnings),
         extra=_origins(tables, [*body, *windows], sense),
@@ -283,7 +290,7 @@ def import_case(
 @within_number_range
 def import_body(
     table: Path,
-    inertia: float,
+    inertia: float | Inertia | None = None,
     *,
     label: str = "",
     surface: str = "",
@@ -296,8 +303,8 @@ def import_body(
     ----------
     table : Path
         Angles or speeds of the body, as for `import_case`.
-    inertia : float
-        Moment of inertia [kg m2].
+    inertia : float or Inertia, optional
+        Moment of inertia [kg m2]; without it torques are per unit of inertia.
     label, surface : str
         Name of the case, and the surface on which the body turns.
     options : ReadOptions, optional
@@ -320,14 +327,15 @@ def import_body(
 
 def case_of_body(
     table: MotionTable,
-    inertia: float,
+    inertia: float | Inertia | None = None,
     *,
     label: str = "",
     surface: str = "",
     limits: Limits | None = None,
 ) -> tuple[Case, MotionTable]:
     """Return the case of one body from its table, and the part of the table that is used; see `import_body`."""
-    if not inertia > 0:
+    moment = inertia if isinstance(inertia, Inertia) else Inertia(1.0 if inertia is None else inertia)
+    if not moment.value > 0:
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     limits = limits or Limits()
     driven = any(i.unit != "K" for i in table.inputs)
@@ -345,10 +353,12 @@ def case_of_body(
     if not driven and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
-    body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]))
+    body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]), modes=read.modes)
     case = Case(
-        I_rotor=inertia,
-        I_casing=inertia,
+        I_rotor=moment.value,
+        I_casing=moment.value,
+        I_casing_u=moment.u,
+        per_inertia=int(inertia is None),
         label=label,
         surface=surface,
         casing=body,
@@ -360,6 +370,18 @@ def case_of_body(
         inputs=read.inputs,
     )
     return case, read
+
+
+def _modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]:
+    """Return the error modes of several tables as those of their common series: each is zero at the others' times."""
+    found = []
+    for k, table in enumerate(tables):
+        own = np.searchsorted(table.time, series.time).clip(max=len(table.time) - 1)
+        inside = table.time[own] == series.time
+        for mode in table.modes:
+            basis = np.where(inside[:, None], mode.basis[own], 0.0)
+            found.append(replace(mode, name=f"{mode.name} {k + 1}" if k else mode.name, basis=basis))
+    return tuple(found)
 
 
 def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:

@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.ndimage import median_filter
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._records import Floats, Input, Integers
+from gyrotrack.io._records import ErrorMode, Floats, Input, Integers
 from gyrotrack.io.readers._clock import MIN_SAMPLES, ordered, refuse_slow_clock
 from gyrotrack.io.readers._inputs import InputOption, described
 from gyrotrack.io.readers._plausibility import (
@@ -109,6 +109,7 @@ class MotionTable:
     drivers: tuple[Driver, ...] = ()
     inputs: tuple[Input, ...] = ()  # those that the user records, with their own times
     reading: Reading | None = None  # what each column was taken for
+    modes: tuple[ErrorMode, ...] = ()  # errors that samples share, in the unit of `value`
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
         """Return the selected samples, with further notes."""
@@ -119,6 +120,7 @@ class MotionTable:
             sigma=None if self.sigma is None else self.sigma[keep],
             line=self.line[keep],
             drivers=tuple(replace(i, value=i.value[keep]) for i in self.drivers),
+            modes=tuple(replace(m, basis=m.basis[keep]) for m in self.modes),
             notes=(*self.notes, *notes),
         )
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
-from gyrotrack.io._tables import check_storage, check_tree, load
+from gyrotrack.io._tables import GUARD, check_storage, load
 from gyrotrack.io.readers._point_tables import grouped_points
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
@@ -97,7 +97,7 @@ def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
     """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file, without links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
-            check_tree(file)
+            GUARD.check_tree(file)
             if str(file.attrs.get("format", "")) == "gyrotrack":
                 return _case_body(path, file, body)
             if "position" in file and {"keypoint", "keypoints"} & set(file.keys()):

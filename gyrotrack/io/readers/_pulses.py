@@ -2,7 +2,10 @@
 
 The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks. Its uncertainty is
 omega times that of the time, which follows from the scatter of the times about local cubics in k and from the
-resolution of the clock, q / sqrt(12).
+resolution of the clock, q / sqrt(12). What was subtracted for the marks is stored as an error mode.
+
+Counts that were sampled so often that some rows have the count of the row before are read at their changes, see
+`from_changes`: equal counts have a common error, which is not noise of each of them.
 
 In a sampled signal (the voltage of a photodiode, a Hall sensor or a microphone, the brightness of a window) a pulse is
 where the signal rises through the middle between its local lowest and highest values, after it was in the lower third
@@ -26,7 +29,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._records import Floats, Integers
+from gyrotrack.io._records import ErrorMode, Floats, Integers
 from gyrotrack.io.readers._clock import MIN_SAMPLES, continued_clock
 from gyrotrack.io.readers._motion_table import (
     Columns,
@@ -75,6 +78,15 @@ _STRETCH = 60  # number of pulses between the knots of the spline through the co
 _PART = 3000  # number of intervals in which steps of the counts are found together
 _OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
+# excess of chi2 over its degrees of freedom, in standard deviations of chi2, from which marks are unequal
+_UNEQUAL_MARKS = 4.0
+_MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
+# smallest share of changes between equally spaced rows in which a counter does not count, for counts that are coarser
+# than the rows; then only the changes are used
+_IDLE = 0.05
+_TURNING = 3.0  # length of a time without counts, over the one before, from which on its ends are samples
+# scatter of the angles over their quantisation from which on it is their uncertainty
+_BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
 # smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
 _ALTERNATING = 0.9
@@ -679,7 +691,8 @@ def from_counts(
     raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
     """Return the angle at times with known counts, with the uncertainty that results from that of the times."""
-    angle = TURN * (count - mark_errors(time, count, per_turn, raw, notes)) / per_turn
+    errors, modes = mark_errors(time, count, per_turn, raw, notes)
+    angle = TURN * (count - errors) / per_turn
     clock = _clock_resolution(time)
     timing = np.maximum(scatter(angle * per_turn / TURN, time, 1e-9), clock / np.sqrt(12))
     slope = np.abs(np.gradient(angle, time)) if len(time) > 1 else np.zeros(len(time))
@@ -688,16 +701,22 @@ def from_counts(
         f"{raw.path.name}: {len(time)} pulses, {per_turn:g} per turn; uncertainty of their times "
         f"{1e6 * np.median(timing):.3g} us (median), resolution of the clock {1e6 * clock:.3g} us"
     )
-    return MotionTable(raw.path, raw.sha256, "angle", time, angle, sigma, line, tuple(notes), counted=True)
+    return MotionTable(
+        raw.path, raw.sha256, "angle", time, angle, sigma, line, tuple(notes), counted=True, modes=modes
+    )
 
 
-def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, notes: list[str]) -> Floats:
-    """Return the position error of the mark of each pulse, in pulses: the median over all turns.
+def mark_errors(
+    time: Floats, count: Floats, per_turn: float, raw: RawTable, notes: list[str]
+) -> tuple[Floats, tuple[ErrorMode, ...]]:
+    """Return the position error of the mark of each pulse, in pulses, and the errors that remain, as error modes.
 
-    The expected positions are interpolated between the times of mark 0 by a cubic spline.
+    The error of a mark is its median over all turns from positions that are interpolated between the times of mark 0
+    by a cubic spline. It is subtracted if the marks differ significantly. An unbalance or another torque of the angle
+    displaces the pulses alike, so that the harmonics of the angle remain uncertain by as much as was subtracted.
     """
     marks = round(per_turn)
-    none = np.zeros(len(time))
+    none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
     if marks != per_turn or not 2 <= marks <= _MAX_MARKS:
         return none
     kind = np.round(count).astype(int) % marks
@@ -707,16 +726,40 @@ def mark_errors(time: Floats, count: Floats, per_turn: float, raw: RawTable, not
     inside = (time >= time[zero[0]]) & (time <= time[zero[-1]])
     off = count - CubicSpline(time[zero], count[zero])(time)
     errors = np.array([np.median(off[inside & (kind == k)]) for k in range(marks)])
-    spread = np.array([np.median(np.abs(off[inside & (kind == k)] - errors[k])) for k in range(marks)])
-    errors = np.where(np.abs(errors) > 2 * spread / np.sqrt(len(zero)), errors, 0.0)
-    if not errors.any():
+    spread = np.array([np.median(np.abs(off[inside & (kind == k)] - errors[k])) for k in range(1, marks)])
+    # the variance of a median of n normal values is pi / 2n of theirs
+    u = np.sqrt(np.pi / 2 / len(zero)) * np.maximum(spread, 1e-12) / _NORMAL
+    if np.sum((errors[1:] / u) ** 2) < marks - 1 + _UNEQUAL_MARKS * np.sqrt(2 * (marks - 1)):
         return none
     errors -= errors.mean()
     notes.append(
         f"{raw.path.name}: position errors of the {marks} marks were corrected "
         f"({1e3 * TURN / per_turn * float(np.sqrt(np.mean(errors**2))):.3g} mrad rms)"
     )
-    return np.asarray(errors[kind])
+    return np.asarray(errors[kind]), (_mark_mode(errors * TURN / per_turn, kind),)
+
+
+def _mark_mode(errors: Floats, kind: Integers) -> ErrorMode:
+    """Return the error mode of marks with these errors [rad]: harmonics of the angle, repeated in each turn.
+
+    The variance of a harmonic is that of the errors at it, at least that of independent errors of the marks.
+    """
+    marks = len(errors)
+    harmonics = np.arange(1, min(marks // 2, _MOST_HARMONICS) + 1)
+    phase = TURN / marks * np.outer(np.arange(marks), harmonics)
+    alternating = 2 * harmonics == marks
+    variance = np.maximum(
+        np.abs(np.fft.rfft(errors)[harmonics]) ** 2 * 2 / marks**2, 2 * np.mean(errors**2) / marks
+    )
+    variance[alternating] /= 2
+    basis = np.concatenate([np.cos(phase), np.sin(phase)[:, ~alternating]], axis=1)
+    return ErrorMode(
+        "marks",
+        basis[kind],
+        np.diag(np.concatenate([variance, variance[~alternating]])),
+        origin="repeatable with angle",
+        long_name="position errors of the marks of a wheel, repeated in each turn",
+    )
 
 
 def _clock_resolution(time: Floats) -> float:
@@ -781,6 +824,10 @@ def read_counter(
     if len(at) < MIN_SAMPLES:
         what = f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Check the column.")
+    if counts_coarsely(time, np.cumsum(step)):
+        total = np.concatenate([[0.0], np.cumsum(step)])
+        made = from_changes(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
+        return replace(made, reading=_reading_of_counter(raw, time_column, column, unit, scale, why, options))
     total = np.cumsum(step)[at - 1]
     choices = [(0, at), (1, at - 1)]
     rough = [_roughness(time[rows], total) for _, rows in choices]
@@ -794,18 +841,74 @@ def read_counter(
     time, total, line = _without_false_pulses(time[rows], total, line[rows], notes, raw)
     total = _with_missed_pulses(raw, time, total, line, notes)
     made = from_counts(raw, time, total, line, options.pulses_per_turn or 1.0, notes)
-    clock = unit or _TICK_UNITS.get(scale, "s")
+    return replace(made, reading=_reading_of_counter(raw, time_column, column, unit, scale, why, options))
+
+
+def _reading_of_counter(
+    raw: RawTable, time_column: int, column: int, unit: str, scale: float, why: str, options: ReadOptions
+) -> Reading:
+    """Return what the columns of a counter were taken for; `scale` is the factor of its times to seconds."""
+    by = "the first column" if not raw.headed else "by its name"
     taken = (
-        Taken(
-            column_name(raw, time_column),
-            "time",
-            clock,
-            "the first column" if not raw.headed else "by its name",
-        ),
+        Taken(column_name(raw, time_column), "time", unit or _TICK_UNITS.get(scale, "s"), by),
         Taken(column_name(raw, column), "count", "", f"{why}; {options.pulses_per_turn or 1:g} per turn"),
     )
     others = tuple(column_name(raw, i) for i in range(len(raw.names)) if i not in {time_column, column})
-    return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, others))
+    return Reading(raw.path.name, "", len(raw.line), taken, others)
+
+
+def counts_coarsely(time: Floats, count: Floats) -> bool:
+    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them."""
+    return is_sampled(time) and float(np.mean(np.diff(count) == 0)) > _IDLE
+
+
+def from_changes(
+    raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
+) -> MotionTable:
+    """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
+
+    Rows with the same count have the same error of up to a step of the angle and say nothing more than the first one.
+    Where the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
+    uncertainty of r / sqrt(12) steps; where r > 1, each row is the middle of its count with 1 / sqrt(12) steps. Where
+    the body reverses or rests, the ends of the time without counts are in the middle of its count.
+    """
+    row = float(np.median(np.diff(time)))
+    at = np.flatnonzero(np.diff(count)) + 1
+    if len(at) < MIN_SAMPLES:
+        what = f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed."
+        raise DatasetError(what, "Check the column.")
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
+    first, last = np.maximum(np.arange(len(at)) - 2, 0), np.minimum(np.arange(len(at)) + 2, len(at) - 1)
+    rate = (turned[last] - turned[first]) * row / (time[at[last]] - time[at[first]])
+    slow = rate < 1
+    when = np.where(slow, 0.5 * (time[at] + time[at - 1]), time[at])
+    where = np.where(slow, 0.5 * (count[at] + count[at - 1] + 1), count[at] + 0.5)
+    step = np.minimum(rate, 1.0)
+    idle = np.diff(np.concatenate([[0], at, [len(time)]]))
+    sense = np.sign(count[at] - count[at - 1])
+    turns = np.concatenate([[True], np.diff(sense) != 0, [True]])
+    beside = np.maximum(np.append(idle[1], idle[:-1]), 1)
+    rests = np.flatnonzero(turns & (idle > _TURNING * beside) | (idle > _MAX_MISSED * beside))
+    # the ends of times without counts, half a row away from the counts
+    begin, end = np.concatenate([[0], at])[rests], np.concatenate([at, [len(time)]])[rests] - 1
+    ends = np.unique(np.concatenate([begin, end]))
+    rows = np.concatenate([at, ends])
+    when = np.concatenate([when, time[ends]])
+    where, step = np.concatenate([where, count[ends] + 0.5]), np.concatenate([step, np.ones(len(ends))])
+    order = np.argsort(when, kind="stable")
+    unique = np.append(True, np.diff(when[order]) > 0)
+    rows, when, where, step = (a[order][unique] for a in (rows, when, where, step))
+    angle, quantised = TURN / per_turn * where, TURN / per_turn / np.sqrt(12) * step
+    spread = scatter(when, angle, 1e-9)
+    noisy = float(np.median(spread / quantised)) > _BEYOND_QUANTISATION
+    sigma = np.maximum(spread, quantised) if noisy else quantised
+    notes.append(
+        f"{raw.path.name}: the rows are closer than the counts; the angles are those at the {len(at)} changes of the "
+        f"count, uncertain by {1e3 * float(np.median(sigma)):.3g} mrad (median), half a row or half a step at most"
+    )
+    return MotionTable(
+        raw.path, raw.sha256, "angle", when, angle, sigma, line[rows], tuple(notes), counted=True
+    )
 
 
 def _without_false_pulses(
@@ -876,7 +979,9 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
             what, "Check the columns and the decimal sign, or give the times with more digits."
         )
     angles = _counted_angles(raw, counts, *clock, options)
-    made = interpret(angles, replace(options, names=None, pulses_per_turn=None), counts=True)
+    made = _of_changes(angles, options) or interpret(
+        angles, replace(options, names=None, pulses_per_turn=None), counts=True
+    )
     per_turn = f"{options.pulses_per_turn:g} per turn"
     taken = (
         Taken(
@@ -894,6 +999,19 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
     )
     others = tuple(column_name(raw, i) for i in range(len(raw.names)) if i not in {clock[0], counts})
     return replace(made, reading=Reading(raw.path.name, "", len(raw.line), taken, others))
+
+
+def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
+    """Return the angles at the changes of sampled counts; None if most rows have another count than the one before."""
+    time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
+    step = TURN / (options.pulses_per_turn or 1.0)
+    count, line = np.round(angles.numbers(1) / step), angles.line
+    known = np.isfinite(time) & np.isfinite(count)
+    time, count, line = time[known], count[known], line[known]
+    if not counts_coarsely(time, count) or (np.diff(time) <= 0).any() or not np.diff(count).any():
+        return None
+    notes = list(angles.notes)
+    return from_changes(angles, time + options.start, count, line, options.pulses_per_turn or 1.0, notes)
 
 
 def _counted_angles(

@@ -38,6 +38,13 @@ def test_reversals_separate_hysteresis_from_functions_of_the_speed(plan):
             assert evidence(plan, law, rival)["reversals"] > 100 * plan.width
 
 
+def test_reversals_show_the_second_element(plan):
+    """A body that turns in one sense shows one friction; a run of reversals shows two stiffnesses."""
+    for rival in (DAHL, LUGRE):
+        assert evidence(plan, GMS, rival)["reversals"] > plan.width
+    assert any(x.startswith("A run of 10 reversals") and f"{GMS} from" in x for x in plan.sentences)
+
+
 def test_a_law_contains_its_limits(plan):
     """LuGre without excess is Dahl: no run separates Dahl from it, and reversals separate it from Dahl."""
     for motion in ("recording", "reversals", "ramp"):

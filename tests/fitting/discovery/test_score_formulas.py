@@ -112,9 +112,12 @@ class TestColumns:
 
     def test_other_grids_are_as_declared(self):
         columns = CaseColumns(gyroscope(), 0)
-        for name, factor in (("touchpoint.stribeck", 1.0), ("bearing.heating", SPAN)):
+        speed = gyroscope().problem.layout.records[0].largest_speeds["omega_c"]
+        for name, factor in (("touchpoint.stribeck", speed), ("bearing.heating", SPAN)):
             shape = next(p for p in LIBRARY[name].parameters if p.role == "shape")
-            assert columns._grid(LIBRARY[name], shape) == pytest.approx(factor * np.array(shape.grid))
+            (scaled,) = (p for p in columns._parameters(LIBRARY[name]) if p.role == "shape")
+            assert columns._grid(LIBRARY[name], scaled) == pytest.approx(factor * np.array(shape.grid))
+            assert scaled.upper == pytest.approx(factor * shape.upper)
 
     def test_frequencies_are_as_fine_as_the_record_is_long(self):
         """Phases over the record are 1.5 rad apart, and one radian per cell is the largest phase."""

@@ -24,6 +24,7 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 
 TIME = np.linspace(BEGIN, BEGIN + SPAN, 1500)
+SPEEDS = {"omega_c": 150.0, "omega_r": 900.0}
 
 
 def moved(names=LINEAR, values=None, **options):
@@ -36,7 +37,14 @@ def moved(names=LINEAR, values=None, **options):
 def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None):
     """Return the initial values by name."""
     records = [
-        SimpleNamespace(label=c, span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=())
+        SimpleNamespace(
+            label=c,
+            span=(BEGIN, BEGIN + SPAN),
+            I_rotor=5.5e-5,
+            I_casing=2e-5,
+            inputs=(),
+            largest_speeds=SPEEDS,
+        )
         for c in cases
     ]
     layout = ParameterLayout.of(
@@ -129,7 +137,7 @@ class TestStrengths:
         found = started((*LINEAR, "touchpoint.step", "touchpoint.stribeck"), [moved()])
         grid = next(p.grid for p in LIBRARY["touchpoint.step"].parameters if p.symbol == "t0")
         assert found["touchpoint.step.t0"] == pytest.approx(BEGIN + SPAN * grid[len(grid) // 2])
-        assert found["touchpoint.stribeck.w"] == 5.0
+        assert found["touchpoint.stribeck.w"] == pytest.approx(0.03 * 150.0)
 
     @pytest.mark.parametrize(("ratio", "slope"), [(2.0, 0.0), (-0.5, 0.0)])
     def test_the_ratio_of_a_contact_is_that_of_the_speeds(self, ratio, slope):
@@ -212,7 +220,12 @@ class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
+            label="case",
+            span=(BEGIN, BEGIN + SPAN),
+            I_rotor=5.5e-5,
+            I_casing=2e-5,
+            inputs=(),
+            largest_speeds=SPEEDS,
         )
         return [SimpleNamespace(record=record, initial_speeds=rough, motion=oscillators.stub())]
 
@@ -229,7 +242,12 @@ class TestEquationError:
         t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
         record = SimpleNamespace(
-            label="case", span=(BEGIN, BEGIN + SPAN), I_rotor=5.5e-5, I_casing=2e-5, inputs=()
+            label="case",
+            span=(BEGIN, BEGIN + SPAN),
+            I_rotor=5.5e-5,
+            I_casing=2e-5,
+            inputs=(),
+            largest_speeds=SPEEDS,
         )
         data = [SimpleNamespace(record=record, initial_speeds=rough, motion=oscillators.stub())]
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
@@ -263,7 +281,9 @@ class TestGivenValues:
     def test_values_of_a_model_that_does_not_oscillate_are_discarded(self, monkeypatch, known, kept, zero):
         """A spring: those of a model with a deflection are kept, and new strengths start at zero."""
         names = ("casing.spring.linear", "casing.air.linear")
-        record = SimpleNamespace(label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0)
+        record = SimpleNamespace(
+            label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0, largest_speeds=SPEEDS
+        )
         layout = ParameterLayout.of(Model.of(names), [record])
         problem = SimpleNamespace(
             layout=layout, data=[SimpleNamespace(initial_speeds=([], []), prior=None)], reference=1.0
@@ -281,7 +301,10 @@ class TestGivenValues:
     )
     def test_one_deflection_of_several_runs_is_enough(self, monkeypatch, known):
         given = {f"initial.{k}": 0.5 for k in known} | {"casing.air.linear.b2": 7.0}
-        records = [SimpleNamespace(label=c, span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0) for c in "ab"]
+        records = [
+            SimpleNamespace(label=c, span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0, largest_speeds=SPEEDS)
+            for c in "ab"
+        ]
         layout = ParameterLayout.of(Model.of(("casing.spring.linear", "casing.air.linear")), records)
         data = SimpleNamespace(initial_speeds=([], []), prior=None)
         problem = SimpleNamespace(layout=layout, data=[data] * 2, reference=1.0)
@@ -294,7 +317,9 @@ class TestGivenValues:
 
     @pytest.mark.parametrize(("error", "taken"), [(0.9, "averaged"), (1.1, "periods"), (None, "periods")])
     def test_averaged_equations_are_taken_where_they_follow_the_phase(self, monkeypatch, error, taken):
-        record = SimpleNamespace(label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0)
+        record = SimpleNamespace(
+            label="run", span=(0.0, 1.0), I_rotor=1.0, I_casing=1.0, largest_speeds=SPEEDS
+        )
         layout = ParameterLayout.of(Model.of(("casing.spring.linear",)), [record])
         problem = SimpleNamespace(
             layout=layout, data=[SimpleNamespace(initial_speeds=([], []), prior=None)], reference=1.0
@@ -354,13 +379,15 @@ class TestShapes:
             assert bool(unknown_shapes(layout, None)) is searched
 
     def grid(self, effect):
-        record = SimpleNamespace(span=(2.0, 2.0 + SPAN))
+        record = SimpleNamespace(span=(2.0, 2.0 + SPAN), largest_speeds=SPEEDS)
         data = [SimpleNamespace(initial_speeds=moved())]
         problem = SimpleNamespace(layout=SimpleNamespace(records=[record]), data=data)
         return list(module._grid(problem, effect))
 
     def test_shapes_are_tried_as_declared(self):
-        assert self.grid(LIBRARY["touchpoint.stribeck"]) == [{"w": w} for w in (1.0, 2.0, 5.0, 12.0, 30.0)]
+        assert self.grid(LIBRARY["touchpoint.stribeck"]) == [
+            {"w": pytest.approx(150.0 * w)} for w in (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
+        ]
         times = [c["tau_T"] for c in self.grid(LIBRARY["bearing.heating"])]
         assert times == pytest.approx([SPAN * x for x in (0.05, 0.15, 0.4, 1.2, 4.0)])
         steps = [c["t0"] for c in self.grid(LIBRARY["touchpoint.step"])]

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from fitting import RecordError
+from fitting._hdf5 import CHECKSUM_LENGTH as LENGTH
+from fitting._hdf5 import checksum_line, has_endless_heap
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, read_case, read_recording, write_recording
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.io._tables import LENGTH, checksum_line, has_endless_heap
 
 
 @pytest.fixture
@@ -70,7 +71,7 @@ def test_a_heap_that_runs_in_circles_is_not_entered(file, seal):
 def test_a_heap_is_found_where_blocks_of_the_file_meet(tmp_path, monkeypatch):
     heap = b"GCOL\x01\x00\x00\x00" + (4096).to_bytes(8, "little") + bytes(4080)
     sound = heap[:24] + (4080).to_bytes(8, "little") + heap[32:]
-    monkeypatch.setattr("gyrotrack.io._tables._BLOCK", 64)
+    monkeypatch.setattr("fitting._hdf5._BLOCK", 64)
     for before in range(50, 70):
         (tmp_path / "f").write_bytes(bytes(before) + heap)
         assert has_endless_heap(tmp_path / "f")

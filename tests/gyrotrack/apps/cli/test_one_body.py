@@ -60,12 +60,33 @@ def test_a_wheel(gyrotrack, wheel, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [[], ["--body", "w.csv"], ["--body", "w.csv", "--inertia", "1", "--rotor", "r.csv"]]
+    "words",
+    [
+        [],
+        ["--body", "w.csv", "--inertia", "1", "--rotor", "r.csv"],
+        ["--casing", "w.csv", "--inertia", "1"],
+    ],
 )
 def test_half_of_what_is_needed(gyrotrack, tmp_path, words):
     said = gyrotrack("import", *words, "-o", tmp_path / "c.h5")
     assert said.code == 2
-    assert "--body and --inertia" in said.err
+    assert "or --body" in said.err
+
+
+def test_body_without_inertia(gyrotrack, wheel, tmp_path):
+    """No moment of inertia is invented: torques are per unit of inertia, and say so; with one they are in N m."""
+    case = tmp_path / "w.h5"
+    said = gyrotrack("import", "--body", wheel, "-o", case)
+    assert said.code == 0
+    assert "torques are per unit of inertia, in rad/s2" in said.err
+    assert "unknown; torques are per unit of inertia" in gyrotrack("info", case).out
+    alone = gyrotrack("fit", case, "--json").json["parameters"]["touchpoint.constant.b1"]
+    assert alone["unit"] == "rad/s2"
+    said = gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--force")
+    assert "per unit of inertia" not in said.err
+    known = gyrotrack("fit", case, "--json").json["parameters"]["touchpoint.constant.b1"]
+    assert known["unit"] == "N m"
+    assert alone["value"] == pytest.approx(known["value"] / 2e-3, rel=1e-6)
 
 
 @pytest.mark.slow

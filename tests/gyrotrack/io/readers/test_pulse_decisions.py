@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
 from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _pulses as module
@@ -370,10 +371,16 @@ class TestCounts:
         k = np.arange(400)
         time = (k + error * (k % 4 == 2)) / 4.0
         notes = []
-        found = mark_errors(time, k.astype(float), 4.0, table(time), notes)
+        found, (mode,) = mark_errors(time, k.astype(float), 4.0, table(time), notes)
         displaced = np.where(k % 4 == 2, 0.75 * -error, 0.25 * error)
         assert found == pytest.approx(displaced, abs=1e-3)
+        # an error of the same size remains possible in each turn, with mean zero
+        u = np.sqrt(np.sum((mode.basis @ mode.covariance) * mode.basis, axis=1))
+        assert u == pytest.approx(np.full(400, u[0]))
+        assert u[0] == pytest.approx(TURN / 4 * np.sqrt(np.mean(displaced**2)), rel=0.3)
+        assert np.abs(mode.basis[:4].sum(axis=0)).max() < 1e-12
         made = from_counts(table(time), time, k.astype(float), k, 4.0, [])
+        assert made.modes[0].name == "marks"
         assert made.value - TURN * time == pytest.approx(
             np.full(400, (made.value - TURN * time).mean()), abs=1e-3
         )
@@ -382,14 +389,89 @@ class TestCounts:
     def test_marks_without_enough_turns_have_no_known_errors(self, per_turn, count):
         k = np.arange(count)
         time = (k + 0.2 * (k % 2)) / per_turn
-        assert not mark_errors(time, k.astype(float), per_turn, table(time), []).any()
+        errors, modes = mark_errors(time, k.astype(float), per_turn, table(time), [])
+        assert not errors.any()
+        assert modes == ()
 
-    @pytest.mark.parametrize(("size", "significant"), [(0.0044, True), (0.0036, False)])
+    @pytest.mark.parametrize(("size", "significant"), [(0.0095, True), (0.0085, False)])
     def test_insignificant_errors_stay(self, size, significant):
-        """Of a mark whose deviations are -0.02, 0 and 0.02 about its error in a hundred turns: 2 x 0.02 / 10."""
-        k = np.arange(400)
-        time = (k + (k % 4 == 2) * (size + 0.02 * (k // 4 % 3 - 1))) / 4.0
-        assert mark_errors(time, k.astype(float), 4.0, table(time), []).any() == significant
+        """Of a mark whose deviations have a standard deviation of 0.02 in a hundred turns; three can differ.
+
+        chi2 = (size / u)^2 with u = 0.02 sqrt(pi / 200), over 3 + 4 sqrt(6).
+        """
+        k, rng = np.arange(400), np.random.default_rng(2)
+        scatter = rng.permutation(ndtri((np.arange(100) + 0.5) / 100))[k // 4]
+        time = (k + np.where(k % 4 == 2, size, 0.0) + np.where(k % 4 > 0, 0.02 * scatter, 0.0)) / 4.0
+        errors, modes = mark_errors(time, k.astype(float), 4.0, table(time), [])
+        assert errors.any() == significant
+        assert len(modes) == significant
+
+    @pytest.mark.parametrize("marks", [5, 6, 64, 100])
+    def test_the_mode_of_marks_holds_their_variance(self, marks):
+        """White errors of the marks have their variance in all harmonics, up to 32 of them."""
+        errors = np.random.default_rng(3).standard_normal(marks)
+        mode = module._mark_mode(errors - errors.mean(), np.arange(marks))
+        share = min(1.0, 64 / (marks - 1))
+        variance = np.sum((mode.basis @ mode.covariance) * mode.basis, axis=1).mean()
+        assert share * errors.var() * 0.99 <= variance < 2.2 * share * errors.var()
+        assert mode.basis.shape == (marks, min(marks - 1, 64))
+
+
+class TestSampledCounts:
+    """A counter that is sampled at equal intervals, 10 counts in a turn."""
+
+    STEP = TURN / 10
+
+    def found(self, angle, dt=0.01):
+        time = dt * np.arange(len(angle))
+        count = np.floor(angle / self.STEP)
+        assert module.counts_coarsely(time, count)
+        return module.from_changes(table(time), time, count, np.arange(len(time)), 10.0, [])
+
+    @pytest.mark.parametrize("sense", [1, -1])
+    def test_a_slow_body_passes_the_boundaries_of_the_counts(self, sense):
+        """0.0707 counts in a row: angles at the changes, right within half a row."""
+        turned = sense * 0.0707 * self.STEP * np.arange(3000)
+        made = self.found(turned)
+        off = made.value - np.interp(made.time, 0.01 * np.arange(3000), turned)
+        assert len(made.time) == pytest.approx(212, abs=2)
+        assert np.abs(off).max() < 0.51 * 0.0707 * self.STEP
+        assert np.sqrt(np.mean(off**2)) == pytest.approx(np.median(made.sigma), rel=0.15)
+
+    def test_a_body_that_slows_down_has_both(self):
+        """From 1.9 counts in a row to 0.1: rows at first, changes later; the errors are those that are stated."""
+        k = np.arange(4000)
+        angle = self.STEP * (1.9 * k - 1.8 * k**2 / 8000)
+        made = self.found(angle)
+        z = (made.value - np.interp(made.time, 0.01 * k, angle)) / made.sigma
+        assert np.abs(z).max() < 2.2
+        for part in np.array_split(z, 6):
+            assert np.sqrt(np.mean(part**2)) == pytest.approx(1.0, abs=0.2)
+            assert abs(part.mean()) < 0.2
+
+    def test_a_body_that_reverses_is_in_the_middle_of_its_count(self):
+        k = np.arange(4000)
+        angle = 60.95 * self.STEP * np.sin(TURN * k / 2000)
+        made = self.found(angle)
+        off = made.value - np.interp(made.time, 0.01 * k, angle)
+        assert np.abs(off / made.sigma).max() < 3.0
+        assert made.value.max() == pytest.approx(60.5 * self.STEP)
+        assert made.value.min() == pytest.approx(-60.5 * self.STEP)
+
+    @pytest.mark.parametrize(("rate", "coarse"), [(0.94, True), (0.96, False)])
+    def test_rows_with_the_count_of_the_one_before(self, rate, coarse):
+        count = np.floor(rate * np.arange(2000))
+        assert module.counts_coarsely(0.01 * np.arange(2000), count) == coarse
+        irregular = 0.01 * np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 2000))
+        assert not module.counts_coarsely(irregular, count)
+
+    def test_noise_of_the_encoder_beyond_the_quantisation(self):
+        k, rng = np.arange(4000), np.random.default_rng(5)
+        quiet = self.found(0.3 * self.STEP * k)
+        noisy = self.found(0.3 * self.STEP * k + 0.4 * self.STEP * rng.standard_normal(4000))
+        assert np.median(noisy.sigma) > 1.5 * np.median(quiet.sigma)
+        off = noisy.value - np.interp(noisy.time, 0.01 * k, 0.3 * self.STEP * k)
+        assert np.sqrt(np.mean(off**2)) == pytest.approx(np.median(noisy.sigma), rel=0.4)
 
 
 class TestClock:
