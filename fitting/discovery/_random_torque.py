@@ -14,7 +14,7 @@ if it is significant beside any random torque: D0 - D1 passes BIC, and its p-val
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,8 +27,9 @@ from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import RANK, NullDistribution, Score
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
+from fitting.inference._level_profile import LevelProfile, least_between, scaled_columns
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
-from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, Whitener
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -38,12 +39,6 @@ _TIMES = 8
 time."""
 _LEVELS = 16
 """Trial levels of a random torque [1]. Chosen: fewer pass over the maximum of the likelihood, more cost time."""
-_PRECISION = 0.05
-"""Precision of the logarithms of time and level at the maximum of the likelihood [1]. Chosen: a smaller value costs
-time, a larger one leaves deviance."""
-_EVALUATIONS = 8
-"""Largest number of evaluations of a one-dimensional search of the maximum [1]. Chosen: fewer stop before `_PRECISION`,
-more cost time."""
 _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: with fewer the torque is a trend,
 which absorbs any effect; a larger value leaves slow torques untried."""
@@ -137,20 +132,18 @@ def _most_likely(
     times = np.geomspace(min(criteria.random_torque_shortest, longest), longest, _TIMES)
     levels = np.geomspace(_LOWEST, 1.0, _LEVELS) * ceiling
     response = TorqueResponse(data, prediction.motion)
-    both = np.concatenate([columns, (data.z - prediction.rows)[:, None]], axis=1)
-    size = np.linalg.norm(both[:, :-1], axis=0)
-    both = np.concatenate([both[:, :-1][:, size > 0] / size[size > 0], both[:, -1:]], axis=1)
+    both = scaled_columns(columns, data.z - prediction.rows)
     # the level that the recording shows at its own time is part of every alternative
     own = noise.at(min(noise.level, ceiling))
     if not ceiling > 0:
         return own
-    best = (_Profile(own.whitener, both)(own.level), own)
+    best = (LevelProfile(own.whitener, both)(own.level), own)
 
     def at(log_time: float) -> float:
         nonlocal best
         time = float(np.exp(log_time))
         whitener = response.whitener(TorqueNoise(0.0, time))
-        level, deviance = _Profile(whitener, both).least(levels)
+        level, deviance = LevelProfile(whitener, both).least(levels)
         if deviance < best[0]:
             pure = min(noise.pure, level)
             best = (
@@ -162,45 +155,8 @@ def _most_likely(
     k = int(np.argmin([at(float(np.log(t))) for t in times]))
     bounds = times[max(k - 1, 0)], times[min(k + 1, _TIMES - 1)]
     if bounds[1] > bounds[0]:
-        _least(at, *np.log(bounds))
+        least_between(at, *np.log(bounds))
     return best[1]
-
-
-class _Profile:
-    """The deviance of the last of some columns at a level of random torque, with the other columns free."""
-
-    def __init__(self, whitener: Whitener, both: Array) -> None:
-        self._whitener, self._rotated = whitener, whitener.rotated(both)
-
-    def __call__(self, level: float) -> float:
-        whitener = self._whitener.at(level)
-        rows = self._rotated.copy()
-        n = len(whitener.values)
-        rows[:n] /= np.sqrt(1 + level**2 * whitener.values)[:, None]
-        r = np.abs(np.diag(np.linalg.qr(rows, mode="r")))
-        return whitener.log_determinant + float(r[-1] ** 2)
-
-    def least(self, levels: Array) -> tuple[float, float]:
-        """Return the most likely level up to the last of some levels, and its deviance."""
-        deviances = [self(float(s)) for s in levels]
-        k = int(np.argmin(deviances))
-        bounds = levels[max(k - 1, 0)], levels[min(k + 1, len(levels) - 1)]
-        log_level, deviance = _least(lambda x: self(float(np.exp(x))), *np.log(bounds))
-        return (
-            (float(np.exp(log_level)), deviance)
-            if deviance < deviances[k]
-            else (float(levels[k]), deviances[k])
-        )
-
-
-def _least(f: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """Return where a function is least between two bounds, and its value."""
-    from scipy.optimize import minimize_scalar
-
-    found = minimize_scalar(
-        f, bounds=(low, high), method="bounded", options={"xatol": _PRECISION, "maxiter": _EVALUATIONS}
-    )
-    return float(found.x), float(found.fun)
 
 
 def _deviance(fit: Fit, noises: Sequence[Noise], moving: NDArray[np.bool_]) -> float:

@@ -337,7 +337,7 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
 
 
-_KNOTS = 21
+KNOTS = 21
 """Knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; fewer overlook short
 torques, more lower the power for slow ones."""
 _RANK = 1e-4
@@ -435,7 +435,7 @@ def slow_responses(data: CaseData, prediction: Prediction) -> Array:
     """
     response = TorqueResponse(data, prediction.motion)
     times = response.centres
-    hats = piecewise_linear(times, np.linspace(times[0], times[-1], _KNOTS))
+    hats = piecewise_linear(times, np.linspace(times[0], times[-1], KNOTS))
     columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
     rows = np.zeros((len(data.z), columns.shape[1]))
     rows[: len(columns)] = columns

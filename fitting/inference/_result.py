@@ -57,6 +57,7 @@ from fitting.inference._problem import Problem, Projection, surely_at_bound
 from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
 from fitting.inference._sampled import evaluate, residuals_of
+from fitting.inference._smooth_torque import smooth_torque
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from fitting.inference._ties import chain, find_key, follow
 
@@ -513,6 +514,8 @@ class Fit(FitSummary):
             return "not_converged"
         if self.fails() or self.needs_random_torque() or self.has_torque_of_the_angle():
             return "lack_of_fit"
+        if self.has_smooth_torque():
+            return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
 
     @property
@@ -610,6 +613,26 @@ class Fit(FitSummary):
         """
         criteria = criteria or self.criteria
         return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
+
+    def has_smooth_torque(self, criteria: Criteria | None = None) -> bool:
+        """Return whether a smooth torque describes a case better than the random torque that the model needs.
+
+        Only a random torque that the recording may not have is compared (see `needs_unestablished_torque`).
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `random_torque_evidence`, `evidence` and `lack_of_fit` decide. By default those of the fit.
+        """
+        criteria = criteria or self.criteria
+        moving = ~self.problem.layout.at_bound(self.theta)
+        for data, p, n in zip(self.problem.data, self.predictions, self.noise, strict=True):
+            unestablished = n.raised and n.excess > criteria.random_torque_evidence
+            if unestablished and data.motion.is_smooth and not data.driven:
+                free = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
+                if smooth_torque(data, p, n, free, criteria).is_better(criteria):
+                    return True
+        return False
 
     @property
     def undetermined(self) -> list[str]:

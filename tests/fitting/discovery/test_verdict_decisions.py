@@ -64,6 +64,7 @@ class Found:
     wrong: bool = False
     noisy: bool = False
     needs_random: bool = False
+    smooth: bool = False
     findings: tuple = ()
     noise: tuple = (SimpleNamespace(level=2e-6, pure=1e-6),)
     torque_unit: str = "N m"
@@ -86,6 +87,9 @@ class Found:
 
     def needs_random_torque(self, criteria):
         return self.needs_random
+
+    def has_smooth_torque(self, criteria):
+        return self.smooth
 
 
 def candidate(name=DRAG, *, alike=(), significant=True, fit=Found(), estimates=None, effect=None, score=50.0):
@@ -317,9 +321,10 @@ class TestVerdict(Answer):
         ("raised", "describes", "verdict"),
         [(True, True, "undecided"), (True, False, "unexplained"), (False, True, "unexplained")],
     )
-    def test_a_fit_that_needs_a_random_torque_is_not_adequate(self, raised, describes, verdict):
+    @pytest.mark.parametrize("needed", [Found(needs_random=True), Found(smooth=True)])
+    def test_a_fit_that_needs_more_torque_is_not_adequate(self, needed, raised, describes, verdict):
         random = random_torque(is_raised=raised)
-        found = self.answer(Found(needs_random=True), with_random_torque=random, describes=describes)
+        found = self.answer(needed, with_random_torque=random, describes=describes)
         assert found.verdict == verdict
 
     def test_a_parameter_that_differs_between_recordings_ends_the_search(self):
