@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -517,7 +517,7 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
 
     Lengths are in px, those of points with a scale in m. The table is "motion" (angles and speeds of the bodies),
     "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case, each in its
-    unit), "points" (paths of points) or "errors" (standard uncertainty of each sample of a case by each of the errors
+    unit), "points" (paths of points) or "errors" (standard uncertainty of each sample by each of the errors
     that samples share, in rad or rad s-1). Several bodies, markers, points or clips are concatenated and identified by
     the first columns; NaN where not measured. A UsageError says that the table is unknown or empty.
     """
@@ -527,7 +527,7 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
     if not parts:
         hints = {
             "inputs": "`import --input` records them.",
-            "errors": "A case has them if its source states errors that samples share.",
+            "errors": "A file has them if its source states errors that samples share.",
         }
         hint = hints.get(table, "Only recordings of films contain them.")
         raise UsageError(f"The file contains no {table}.", hint)
@@ -574,20 +574,47 @@ def _inputs(content: Recording | Case) -> list[list[Column]]:
     return made
 
 
+_PERIODIC_ORDERS = 2
+"""Orders of `periodic_sigma` [1]. Derived: once and twice per turn."""
+_HARMONIC_ORDERS = 12
+"""Orders of `harmonic_sigma` [1]. Derived: 1 to 12 periods per turn."""
+
+
 def _errors(content: Recording | Case) -> list[list[Column]]:
-    if isinstance(content, Recording):
-        return []
+    bodies: list[tuple[str, BodyTrack | Series]] = (
+        list(content.bodies.items())
+        if isinstance(content, Recording)
+        else [(content.main_body, content.casing), ("rotor", content.rotor)]
+    )
+    unit = "rad" if isinstance(content, Recording) or content.quantity == "angle" else "rad s-1"
     parts = []
-    unit = "rad" if content.quantity == "angle" else "rad s-1"
-    for name, series in ((content.main_body, content.casing), ("rotor", content.rotor)):
-        for mode in series.modes:
-            words = {"body": name, "mode": mode.name, "group": mode.group, "origin": mode.origin}
-            constant = [
-                Column(key, "", np.full(len(series.time), word, dtype=object)) for key, word in words.items()
-            ]
+    for name, series in bodies:
+        for mode in series.modes if isinstance(series, Series) else ():
             u = np.sqrt(np.maximum(np.sum((mode.basis @ mode.covariance) * mode.basis, axis=1), 0.0))
-            parts.append([*constant, Column("time", "s", series.time), Column("u", unit, u)])
+            parts.append(_error(name, series.time, (mode.name, mode.group, mode.origin), u, unit))
+        for mode_name, u in _stated_errors(series):
+            parts.append(_error(name, series.time, (mode_name, "", "tracking"), u, "rad"))
     return parts
+
+
+def _error(body: str, time: Floats, words: tuple[str, str, str], u: Floats, unit: str) -> list[Column]:
+    named = zip(("body", "mode", "group", "origin"), (body, *words), strict=True)
+    constant = [Column(key, "", np.full(len(time), word, dtype=object)) for key, word in named]
+    return [*constant, Column("time", "s", time), Column("u", unit, u)]
+
+
+def _stated_errors(series: BodyTrack | Series) -> Iterator[tuple[str, Floats]]:
+    """Yield the errors that tracking states with scalars, and the standard uncertainty of each sample [rad].
+
+    Cosine and sine of each order of an error that repeats with the turn have amplitudes of the same variance.
+    """
+    if series.correlated_sigma > 0:
+        profile = np.array(series.correlated_profile or ((0.0, series.correlated_sigma),))
+        yield "zero", np.interp(series.time, *profile.T)
+    for name, orders in (("periodic", _PERIODIC_ORDERS), ("harmonic", _HARMONIC_ORDERS)):
+        amplitude = getattr(series, f"{name}_sigma")
+        if amplitude > 0:
+            yield name, np.full(len(series.time), amplitude * math.sqrt(orders))
 
 
 def _points(content: Recording | Case) -> list[list[Column]]:

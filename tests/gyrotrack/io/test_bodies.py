@@ -249,3 +249,30 @@ def test_the_number_of_modes_is_limited(stated, tmp_path, count, refused):
         assert (
             len(read_case(path).casing.modes) == len(read_record(path).modes) - 4 == 64
         )  # two in two windows
+
+
+def test_errors_that_tracking_states_are_listed(recording, case):
+    """The amplitudes of cosine and sine of n orders add up to sqrt(n) times their standard deviation."""
+    stated = {
+        "correlated_sigma": 1e-4,
+        "correlated_time": 2.0,
+        "correlated_profile": ((0.0, 3e-4), (1.0, 1e-4)),
+        "periodic_sigma": 2e-4,
+        "harmonic_sigma": 1e-5,
+    }
+    listed = {}
+    whole = replace(case, casing=replace(case.casing, **stated))
+    bodies = {"casing": replace(recording.bodies["casing"], **stated)}
+    for content in (whole, replace(recording, bodies=bodies)):
+        table = {c.name: c.values for c in columns(content, "errors")}
+        assert set(table["origin"]) == {"tracking"}
+        listed = {m: table["mode"] == m for m in ("zero", "periodic", "harmonic")}
+        time = table["time"][listed["zero"]]
+        expected = np.interp(time, [0.0, 1.0], [3e-4, 1e-4])
+        assert table["u"][listed["zero"]] == pytest.approx(expected)
+        assert table["u"][listed["periodic"]] == pytest.approx(np.sqrt(2) * 2e-4)
+        assert table["u"][listed["harmonic"]] == pytest.approx(np.sqrt(12) * 1e-5)
+    constant = replace(case, casing=replace(case.casing, correlated_sigma=1e-4, correlated_time=2.0))
+    table = {c.name: c.values for c in columns(constant, "errors")}
+    assert set(table["mode"]) == {"zero"}
+    assert table["u"] == pytest.approx(1e-4)
