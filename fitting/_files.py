@@ -52,10 +52,14 @@ def new_part(path: Path) -> Path:
     return path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
 
 
-def publish(part: Path, path: Path) -> None:
-    """Move a temporary file over its target, both on the disk."""
+def flush(part: Path) -> None:
+    """Write a temporary file to the disk, before the last checks of its target: this may take long, or fail."""
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
+
+
+def publish(part: Path, path: Path) -> None:
+    """Move a temporary file over its target, durably."""
     part.replace(path)
     with suppress(OSError):  # makes the rename durable, if supported
         folder = os.open(path.parent, os.O_RDONLY)
@@ -123,13 +127,13 @@ class Files:
     def _remains(self, own: Path, path: Path) -> list[Path]:
         """Return the temporary file of `path` that is named in its lock file, if there is one."""
         try:
-            stream = self.open_side_file(own)
-        except FileNotFoundError:
+            with self.open_side_file(own) as stream:
+                content = stream.read(LOCK_SIZE)
+        except (FileNotFoundError, PermissionError):
+            # another user's lock has no permissions for a moment, and Windows does not read a locked file
             return []
         except OSError as error:
             raise self.refusal(path, error) from error
-        with stream:
-            content = stream.read(LOCK_SIZE)
         name = os.fsdecode(content.removeprefix(LOCK_LINE))
         if content and not content.startswith(LOCK_LINE):
             raise self.foreign(own)

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from fitting._errors import LedgerError
-from fitting._files import Files, lock_file, new_part, publish
+from fitting._files import Files, flush, lock_file, new_part, publish
 from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
@@ -45,6 +45,7 @@ def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda:
     try:
         with part.open("x", encoding="utf-8") as stream:
             stream.write(text)
+        flush(part)
         if not unchanged():
             raise LedgerError(
                 f"{path} was changed by another program at the same time", "run the command again"

@@ -408,8 +408,11 @@ def _diagnosis(
         verdict, size = "adequate", Grade(None, None, None)
     hint = _undetermined(selection, criteria) if verdict == "missing_effect" else ""
     random = None if hint else _random_alternative(fit, selection, verdict, doubt, criteria)
-    unlikely = fit.needs_random_torque(criteria) or fit.has_smooth_torque(criteria)
-    noisy = verdict == "adequate" and not within_uncertainty and unlikely
+    noisy = (
+        verdict == "adequate"
+        and not within_uncertainty
+        and (fit.needs_random_torque(criteria) or fit.has_smooth_torque(criteria))
+    )
     if noisy:
         random = with_random_torque(fit, criteria)
         # above its ceiling it is not noise

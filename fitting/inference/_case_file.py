@@ -359,7 +359,7 @@ def _profile(path: Path, file: Any, place: str) -> list[tuple[float, float]]:
     if value is None:
         return []
     pairs = np.asarray(value)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind != "f":
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "fiu":
         raise RecordError(f"{path}: correlated_profile of {place} has no pairs of numbers", "remove it")
     return [(float(t), float(u)) for t, u in pairs]
 

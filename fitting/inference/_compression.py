@@ -453,7 +453,7 @@ def _independent(model: Array, responses: Array, higher: Array, skipped: int) ->
     """Return responses and higher polynomials of a block, whose last ones measure the noise, as independent columns.
 
     In a few turns a response is nearly a polynomial: the directions of a QR decomposition would be those of rounding.
-    Such responses are replaced by the first polynomials, whose place in them is largest.
+    Such a response is dropped, and the first `skipped` higher polynomials stand for it.
     """
     columns = np.concatenate([model, responses, higher], axis=1)
     values = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY), compute_uv=False)
@@ -464,7 +464,8 @@ def _independent(model: Array, responses: Array, higher: Array, skipped: int) ->
     u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
     responses = u[:, s > _INDEPENDENT]
     known = np.concatenate([known, responses], axis=1)
-    noise = higher[:, : skipped - 1 if skipped else None : -1]
+    # the highest polynomials are noise with most certainty
+    noise = higher[:, skipped:][:, ::-1]
     noise = noise - known @ (known.T @ noise)
     r = np.abs(np.diag(np.linalg.qr(noise, mode="r")))
     kept = r > _INDEPENDENT * np.linalg.norm(higher[:, : noise.shape[1]], axis=0).max(initial=0.0)

@@ -98,7 +98,8 @@ class Noise:
     time: float  # correlation time of both [s]
     whitener: Whitener = field(repr=False)  # at `level`
     process: ProcessNoise = field(repr=False)  # the process noise as an acceleration
-    excess: float = 0.0  # twice the logarithm of the likelihood ratio of `level` against no random torque
+    # twice the logarithm of the likelihood ratio of the most likely level against no random torque
+    excess: float = 0.0
     # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0

@@ -330,6 +330,14 @@ def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
     return np.eye(len(data.z))[:, np.flatnonzero(np.repeat(rests, k))]
 
 
+def free_columns(data: CaseData, prediction: Prediction, moving: NDArray[np.bool_]) -> Array:
+    """Return what is free beside a random torque: variables that are `moving`, nuisance, harmonics, rows at rest."""
+    own = prediction.columns[:, moving[prediction.places]]
+    return np.concatenate(
+        [own, data.nuisance, data.harmonic_responses, _rows_at_rest(data, prediction)], axis=1
+    )
+
+
 def refine_level(
     problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
@@ -356,10 +364,7 @@ def refine_level(
     moving = ~problem.layout.at_bound(theta) & (not fixed)
     restoring = problem.layout.model.restoring
     for data, p, n in zip(problem.data, problem.predict(theta), noise, strict=True):
-        columns = np.concatenate(
-            [p.columns[:, moving[p.places]], data.nuisance, data.harmonic_responses, _rows_at_rest(data, p)],
-            axis=1,
-        )
+        columns = free_columns(data, p, moving)
         level, excess = remaining_level(n.whitener, data.z - p.rows, columns)
         level = min(level, data.largest_torque or np.inf)
         if restoring and fails_grossly(data, p, n):

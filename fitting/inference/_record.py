@@ -52,6 +52,9 @@ _SPEED_SAMPLES = 5
 more noise, more average over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
 """Quantile of the speeds that is their largest value [1]. Chosen: a higher one is an outlier, a lower one a mean."""
+_MOVES = 3.0
+"""Largest speed over the noise of an average speed from which on a body moves [1]. Derived: the quantile 0.95 of the
+absolute value of noise alone is 2.0."""
 LARGEST = 1e20
 """Largest time, angle or rate [SI units]. Derived: products of several are finite."""
 SMALLEST = 1e-20
@@ -276,18 +279,28 @@ class Record:
     def largest_speeds(self) -> dict[str, float]:
         """Largest speeds omega_c and omega_r [rad/s], that of the fastest body for one that was not measured or rests.
 
-        Outliers and noise are limited: it is the quantile 0.95 of mean speeds over a few samples.
+        Outliers and noise are limited: it is the quantile 0.95 of mean speeds over a few samples. A body rests if this
+        is not more than noise alone would give.
         """
         found = {"omega_c": self._largest_speed((self.casing,)), "omega_r": self._largest_speed(self.rotor)}
         return {k: v or max(found.values()) or 1.0 for k, v in found.items()}
 
     def _largest_speed(self, runs: Sequence[Samples]) -> float:
-        speeds = [np.zeros(1)]
+        speeds, noise = [np.zeros(0)], [np.zeros(0)]
         for run in runs:
             rows = np.arange(0, len(run), min(_SPEED_SAMPLES, max(len(run) - 1, 1)))
-            value = run.value[rows]
-            speeds.append(value if self.quantity == "omega" else np.diff(value) / np.diff(run.time[rows]))
-        return float(np.quantile(np.abs(np.concatenate(speeds)), _LARGEST_SHARE))
+            if self.quantity == "omega":
+                count = np.diff(rows, append=len(run))
+                speeds.append(np.add.reduceat(run.value, rows) / count)
+                noise.append(run.sigma[rows] / np.sqrt(count))
+            else:
+                speeds.append(np.diff(run.value[rows]) / np.diff(run.time[rows]))
+                noise.append(math.sqrt(2.0) * run.sigma[rows[1:]] / np.diff(run.time[rows]))
+        speed = np.abs(np.concatenate(speeds))
+        if not len(speed):
+            return 0.0
+        found = float(np.quantile(speed, _LARGEST_SHARE))
+        return found if found > _MOVES * float(np.median(np.concatenate(noise))) else 0.0
 
 
 # role of the body of the series `casing`, without and with a rotor
@@ -404,7 +417,7 @@ def make_record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         units=(SI, WITHOUT_INERTIA)[per_inertia], correlated=_stated(*correlated),
-        correlated_profile=_profile(correlated_profile),
+        correlated_profile=_profile(correlated_profile, stated=any(_stated(*correlated)[:2])),
         inputs=_covering(inputs, runs[0], windows), name="" if windows else name,
         modes=of_windows(checked_modes(modes), kept),
     )  # fmt: skip
@@ -481,11 +494,17 @@ def _stated(
     return (*slow, max(periodic, 0.0), max(harmonic, 0.0))
 
 
-def _profile(pairs: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+def _profile(pairs: Sequence[tuple[float, float]], *, stated: bool) -> tuple[tuple[float, float], ...]:
     """Return a profile with increasing times and uncertainties that are not negative."""
     found = tuple((float(t), float(u)) for t, u in pairs)
     times = [t for t, _ in found]
-    if not all(math.isfinite(x) for pair in found for x in pair) or any(u < 0 for _, u in found):
+    if found and not stated:
+        raise RecordError(
+            "a profile of an error has no correlation time", "state `correlated`: uncertainty and time"
+        )
+    if not all(math.isfinite(x) for pair in found for x in pair):
+        raise RecordError("a profile of an error has values that are not finite", "leave them out")
+    if any(u < 0 for _, u in found):
         raise RecordError(
             "a profile of an error has a negative uncertainty", "state standard uncertainties [rad]"
         )

@@ -53,7 +53,7 @@ from fitting.inference._noise import Noise, unresolved_level, variance_factor
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._params import LEAST_CORRELATION, Estimate, Names, Params, report, shown_name
 from fitting.inference._prior import Prior
-from fitting.inference._problem import Problem, Projection, surely_at_bound
+from fitting.inference._problem import Problem, Projection, free_columns, surely_at_bound
 from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
 from fitting.inference._sampled import evaluate, residuals_of
@@ -629,7 +629,7 @@ class Fit(FitSummary):
         for data, p, n in zip(self.problem.data, self.predictions, self.noise, strict=True):
             unestablished = n.raised and n.excess > criteria.random_torque_evidence
             if unestablished and data.motion.is_smooth and not data.driven:
-                free = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
+                free = free_columns(data, p, moving)
                 if smooth_torque(data, p, n, free, criteria).is_better(criteria):
                     return True
         return False

@@ -38,6 +38,9 @@ degrees describe more and need more evidence."""
 _TIMES = 5
 """Trial correlation times of the random torque beside that of the recording [1]. Chosen: fewer pass over the maximum of
 the likelihood, more cost time."""
+_FEWEST_TIMES = 6.0
+"""Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
+`fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
 """Trial levels of the random torque over that of the fit [1]. Chosen: lower ones are none, with more freedom none is
 much larger; more cost time."""
@@ -87,15 +90,22 @@ def smooth_torque(
     smooth = np.concatenate([slow[:, :KNOTS] @ shapes, slow[:, KNOTS:] @ shapes], axis=1)
     residual = data.z - prediction.rows
     alone = scaled_columns(free, residual)
-    both = scaled_columns(np.concatenate([free, smooth], axis=1), residual)
+    smooth = scaled_columns(smooth, residual)[:, :-1]
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
-    beside = orthonormal(orthogonal_to(basis, noise.whitener(smooth / np.linalg.norm(smooth, axis=0))), _RANK)
+    # of a single body both torques are the same one, and some are those of the model
+    _, value, directions = np.linalg.svd(orthogonal_to(basis, noise.whitener(smooth)), full_matrices=False)
+    smooth = smooth @ directions[value > _RANK * value.max(initial=0.0)].T
+    if not smooth.shape[1]:
+        return SmoothTorque(0.0, 0, len(data.z))
+    both = scaled_columns(np.concatenate([free, smooth], axis=1), residual)
     response = TorqueResponse(data, prediction.motion)
-    times = np.geomspace(criteria.random_torque_shortest, criteria.random_torque_longest, _TIMES)
+    first, last = data.record.span
+    longest = min(criteria.random_torque_longest, (last - first) / _FEWEST_TIMES)
+    times = np.geomspace(min(criteria.random_torque_shortest, longest), longest, _TIMES)
     deviances = []
     for time in (noise.time, *times):
         whitener = response.whitener(TorqueNoise(0.0, float(time)))
         profiles = [LevelProfile(whitener, columns) for columns in (alone, both)]
         deviances.append([min(p(0.0), p.least(noise.level * _LEVELS)[1]) for p in profiles])
     without, with_smooth = np.min(deviances, axis=0)
-    return SmoothTorque(float(without - with_smooth), beside.shape[1], len(data.z))
+    return SmoothTorque(float(without - with_smooth), smooth.shape[1], len(data.z))

@@ -33,7 +33,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 import numpy.typing as npt
 
-from fitting._files import LOCK_LINE, LOCK_SIZE, LOCK_TIMEOUT, Files, lock_file, new_part, publish
+from fitting._files import LOCK_LINE, LOCK_SIZE, LOCK_TIMEOUT, Files, flush, lock_file, new_part, publish
 from gyrotrack._errors import DatasetError, GyrotrackError, OutputError
 from gyrotrack.io._command_end import marks
 
@@ -111,6 +111,7 @@ def _publish(part: Path, path: Path, own: int, *, force: bool) -> None:
     except FileNotFoundError:
         what = f"{path} cannot be written: its folder or drive was removed."
         raise OutputError(what, "Reconnect the drive and run the command again.") from None
+    flush(part)
     refuse_existing(path, force=force)
     mark_new(path, part)
     publish(part, path)

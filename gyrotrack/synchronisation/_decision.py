@@ -644,6 +644,8 @@ def _on_clock(body: BodyTrack, match: Match) -> BodyTrack:
         angle=body.angle + match.start.angle % TURN,
         omega=body.omega / rate,
         omega_sigma=body.omega_sigma / rate,
+        correlated_time=rate * body.correlated_time,
+        correlated_profile=tuple((match.start.offset + rate * t, u) for t, u in body.correlated_profile),
     )
 
 

@@ -808,8 +808,9 @@ def by_texture(
     periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty.any() else 0.0
     periodic = math.hypot(periodic, change.error)
     slow = float(np.sqrt(np.mean(zeros.uncertainty[new] ** 2))), float(BATCH)
-    first = np.flatnonzero(np.diff(template, prepend=-1))
-    middle = 0.5 * (first + np.append(first[1:], len(template)) - 1)
+    changes = np.ptp(zeros.uncertainty) > 0
+    first = np.flatnonzero(np.diff(template, prepend=-1)) if changes else np.zeros(0, dtype=np.int64)
+    middle = 0.5 * (first + np.append(first[1:], len(template))[: len(first)] - 1)
     parts = np.stack([middle, zeros.uncertainty[first]], axis=1)
     return replace(body, angle=angle, sigma=sigma, slow=slow, slow_parts=parts, periodic=periodic)
 

@@ -133,6 +133,9 @@ def _profile(parts: Floats, time: Floats) -> tuple[tuple[float, float], ...]:
     """Return times [s] and standard uncertainties [rad] of the slowly varying error in parts of a film."""
     kept = parts[:: max(1, -(-len(parts) // _MOST_PARTS))]
     known = np.flatnonzero(np.isfinite(time))
+    if not len(known):
+        return ()
+    kept = kept[(kept[:, 0] >= known[0]) & (kept[:, 0] <= known[-1])]
     at = np.interp(kept[:, 0], known, time[known])
     return tuple((float(t), float(u)) for t, u in zip(at, kept[:, 1], strict=True))
 

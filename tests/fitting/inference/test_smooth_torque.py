@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from fitting._criteria import DEFAULT
 from fitting.inference import _result
+from fitting.inference import _smooth_torque as module
 from fitting.inference._metrics import KNOTS, slow_responses
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, Whitener
 from fitting.inference._result import Fit
@@ -51,6 +52,15 @@ def test_white_noise_contains_no_smooth_torque():
 
 def test_a_random_torque_is_not_smooth():
     assert not any(compared(None, seed).is_better(DEFAULT) for seed in range(5))
+
+
+def test_torques_that_are_the_same_count_once(monkeypatch):
+    """Of a single body the torque on the casing is that of the bearing; each direction of white noise adds 1."""
+    monkeypatch.setattr(module, "slow_responses", lambda *case: np.tile(slow_responses(*case)[:, :KNOTS], 2))
+    found = [compared(np.zeros(KNOTS), seed) for seed in range(30)]
+    assert {x.columns for x in found} <= {1, 2, 3}
+    falls = [x.fall / x.columns for x in found]
+    assert np.mean(falls) == pytest.approx(1.0, abs=0.5)
 
 
 def test_an_alternating_torque_is_not_smooth():
@@ -95,10 +105,8 @@ def test_only_a_random_torque_that_is_not_established_is_compared(
 ):
     process = SimpleNamespace(level=4.0, least=2.0)
     noise = Noise(1.0, 2.0, 1.0, level, 1.0, Whitener(np.zeros((0, 0)), np.zeros(0)), process, excess)
-    data = SimpleNamespace(
-        motion=SimpleNamespace(is_smooth=smooth), driven=driven, nuisance=np.zeros((5, 1)), z=np.zeros(5)
-    )
-    prediction = SimpleNamespace(columns=np.ones((5, 2)), places=np.array([0, 2]))
+    data = SimpleNamespace(motion=SimpleNamespace(is_smooth=smooth), driven=driven)
+    prediction = SimpleNamespace()
     layout = SimpleNamespace(at_bound=lambda theta: np.array([False, False, True]))
     found = SimpleNamespace(
         criteria=DEFAULT,
@@ -110,10 +118,11 @@ def test_only_a_random_torque_that_is_not_established_is_compared(
     compared = []
 
     def compare(*arguments):
-        compared.append(arguments[3].shape)
+        compared.append(arguments[3].tolist())
         return SmoothTorque(1e3, 6, 100)
 
     monkeypatch.setattr(_result, "smooth_torque", compare)
+    monkeypatch.setattr(_result, "free_columns", lambda data, p, moving: moving)
     assert Fit.has_smooth_torque(found) is expected
     # the variable at its bound is not free
-    assert compared == ([(5, 2)] if expected else [])
+    assert compared == ([[True, True, False]] if expected else [])

@@ -155,13 +155,19 @@ def test_a_profile_is_part_of_the_digest_and_of_the_fit():
     ("profile", "message"),
     [
         (((0.0, -1e-4),), "negative uncertainty"),
-        (((0.0, np.nan),), "negative uncertainty"),
+        (((0.0, np.nan),), "not finite"),
         (((1.0, 1e-4), (1.0, 1e-4)), "do not increase"),
+        (((0.0, np.inf),), "not finite"),
     ],
 )
 def test_a_wrong_profile_is_refused(profile, message):
     with pytest.raises(RecordError, match=message):
         film(profile=profile)
+
+
+def test_a_profile_needs_a_correlation_time():
+    with pytest.raises(RecordError, match="no correlation time"):
+        film(stated=(SIGMA, 0.0), profile=PROFILE)
 
 
 def test_a_profile_is_read_from_the_casing_of_a_case(tmp_path):
@@ -171,6 +177,8 @@ def test_a_profile_is_read_from_the_casing_of_a_case(tmp_path):
         assert _profile(path, file, "casing") == []
         group.attrs["correlated_profile"] = np.array(PROFILE)
         assert tuple(_profile(path, file, "casing")) == PROFILE
+        group.attrs["correlated_profile"] = np.array([[0, 1], [2, 3]])
+        assert _profile(path, file, "casing") == [(0.0, 1.0), (2.0, 3.0)]
         group.attrs["correlated_profile"] = np.zeros((2, 3))
         with pytest.raises(RecordError, match="no pairs"):
             _profile(path, file, "casing")

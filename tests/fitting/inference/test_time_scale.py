@@ -96,3 +96,30 @@ def test_a_precession_of_any_rate_is_within_its_bounds(rate):
     """With a limit, a slow rotor gave a chirp of thousands of periods, whose integration took minutes."""
     (m,) = (p for p in LIBRARY["casing.precession"].parameters if p.symbol == "m")
     assert m.lower < rate < m.upper
+
+
+def still(quantity, speed, sigma):
+    """A record of a casing of a constant speed, beside a rotor of 300 rad/s."""
+    rng = np.random.default_rng(3)
+    t, w = np.arange(0.0, 20.0, 0.01), np.arange(2.0, 4.0, 0.001)
+    values = (t, w) if quantity == "angle" else (np.ones_like(t), np.ones_like(w))
+    runs = [
+        (x, rate * v + s * rng.standard_normal(len(x)), np.full(len(x), s))
+        for x, v, rate, s in ((t, values[0], speed, sigma), (w, values[1], 300.0, 1e-3))
+    ]
+    return make_record(casing=runs[0], rotor=runs[1:], I_rotor=1.0, I_casing=1.0, quantity=quantity)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "speed", "sigma", "expected"),
+    [
+        ("angle", 0.0, 1e-3, 300.0),  # at rest: that of the rotor
+        ("angle", 2.0, 1e-3, 2.0),
+        ("omega", 3.0, 2.0, 4.5),  # averages of five samples err by 0.9; their quantile 0.95 is 1.5 higher
+        ("omega", 0.0, 2.0, 300.0),
+    ],
+)
+def test_the_largest_speed_is_not_that_of_noise(quantity, speed, sigma, expected):
+    found = still(quantity, speed, sigma).largest_speeds
+    assert found["omega_c"] == pytest.approx(expected, rel=0.1)
+    assert found["omega_r"] == pytest.approx(300.0, rel=1e-2)

@@ -749,7 +749,10 @@ class TestCase:
     def test_times_and_speeds_follow_the_clock(self):
         t = np.arange(0.0, 2.0, 0.01)
         track = body("rotor", t, 5.0 * t, omega=np.full(200, 5.0))
+        track = replace(track, correlated_time=0.4, correlated_profile=((1.0, 2e-4),))
         found = decision._on_clock(track, self.matched("a", Start(10.0, 0.25, 1.0 + 2 * TURN)))
+        assert found.correlated_time == pytest.approx(0.5)
+        assert found.correlated_profile == ((11.25, 2e-4),)
         assert found.time == pytest.approx(10.0 + 1.25 * t)
         assert found.angle == pytest.approx(5.0 * t + 1.0)
         assert found.omega == pytest.approx(np.full(200, 4.0))

@@ -231,6 +231,10 @@ def test_the_profile_of_an_error_has_the_times_of_its_frames():
     parts = np.array([[2.0, 3e-4], [7.0, 1e-4]])
     assert np.array(_profile(parts, time)) == pytest.approx(np.array([[0.2, 3e-4], [0.7, 1e-4]]))
     assert _profile(np.zeros((0, 2)), time) == ()
+    assert _profile(parts, np.full(10, np.nan)) == ()
+    # parts before the first known time have none
+    time[:4] = np.nan
+    assert np.array(_profile(parts, time)) == pytest.approx(np.array([[0.7, 1e-4]]))
 
 
 @pytest.mark.parametrize(
