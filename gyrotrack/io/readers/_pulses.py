@@ -85,6 +85,8 @@ _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the 
 # than the rows; then only the changes are used
 _IDLE = 0.05
 _TURNING = 3.0  # length of a time without counts, over the one before, from which on its ends are samples
+# number of rows whose speed is continued over an interval, and largest part of a turn in it that is not in doubt
+_ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
 # scatter of the angles over their quantisation from which on it is their uncertainty
 _BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
@@ -1002,16 +1004,34 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 
 
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
-    """Return the angles at the changes of sampled counts; None if most rows have another count than the one before."""
+    """Return the angles at the changes of sampled counts.
+
+    None if at most 5 % of the rows repeat the count before, if the times do not increase, or if a count that restarts
+    at each turn does not show the number of turns between two rows.
+    """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
-    step = TURN / (options.pulses_per_turn or 1.0)
-    count, line = np.round(angles.numbers(1) / step), angles.line
+    per_turn = options.pulses_per_turn or 1.0
+    count, line = np.round(angles.numbers(1) * (per_turn / TURN)), angles.line
     known = np.isfinite(time) & np.isfinite(count)
     time, count, line = time[known], count[known], line[known]
-    if not counts_coarsely(time, count) or (np.diff(time) <= 0).any() or not np.diff(count).any():
+    if (np.diff(time) <= 0).any() or not np.diff(count).any():
         return None
-    notes = list(angles.notes)
-    return from_changes(angles, time + options.start, count, line, options.pulses_per_turn or 1.0, notes)
+    if np.ptp(count) < per_turn:
+        total = np.unwrap(count, period=per_turn)
+        if (total != count).any() and not _turns_are_known(time, total, per_turn):
+            return None
+        count = total
+    if not counts_coarsely(time, count):
+        return None
+    return from_changes(angles, time + options.start, count, line, per_turn, list(angles.notes))
+
+
+def _turns_are_known(time: Floats, total: Floats, per_turn: float) -> bool:
+    """Return whether the speed of the rows before each interval is less than 0.4 turns in it."""
+    here = np.arange(len(time) - 1)
+    before = np.maximum(here - _ROWS_BEFORE, 0)
+    past = np.where(here > before, time[here] - time[before], np.inf)
+    return bool((np.abs(total[here] - total[before]) / past * np.diff(time) < _PART_OF_TURN * per_turn).all())
 
 
 def _counted_angles(

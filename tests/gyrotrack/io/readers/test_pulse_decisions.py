@@ -1,6 +1,7 @@
 """Pulses by hand: which edges, doubles, gaps and counts are taken, on either side of each threshold."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -472,6 +473,37 @@ class TestSampledCounts:
         assert np.median(noisy.sigma) > 1.5 * np.median(quiet.sigma)
         off = noisy.value - np.interp(noisy.time, 0.01 * k, 0.3 * self.STEP * k)
         assert np.sqrt(np.mean(off**2)) == pytest.approx(np.median(noisy.sigma), rel=0.4)
+
+    @pytest.mark.parametrize("sense", [1, -1])
+    def test_an_encoder_may_restart_at_each_turn(self, sense):
+        """0.9 to 0.3 of 60 counts a row: the same angles as those of a count that continues."""
+        k = np.arange(4000)
+        total = np.floor(sense * (0.9 * k - 0.6 * k**2 / 8000))
+        whole, wrapped = (self.read(0.005 * k, count, 60.0) for count in (total, total % 60))
+        assert len(wrapped.time) > 2000
+        assert wrapped.time == pytest.approx(whole.time)
+        turns = (wrapped.value - whole.value) / TURN
+        assert turns == pytest.approx(np.full(len(turns), round(turns[0])))
+        assert wrapped.sigma == pytest.approx(whole.sigma)
+
+    @pytest.mark.parametrize(("gap", "known"), [(78, True), (82, False)])
+    def test_turns_within_a_gap_are_not_lost(self, gap, known):
+        """0.3 of 60 counts a row: 0.4 turns in 80 rows."""
+        k = np.arange(4000)
+        keep = (k < 1000) | (k >= 1000 + gap)
+        time, count = 0.005 * k[keep], np.floor(0.3 * k[keep])
+        assert module._turns_are_known(time, count, 60.0) == known
+        raw = table(time, count % 60 * TURN / 60, names=("t", "angle"))
+        raw = replace(raw, units=("s", "rad"))
+        assert (module._of_changes(raw, ReadOptions(pulses_per_turn=60.0)) is not None) == known
+
+    def read(self, time, count, per_turn):
+        return module.read_sampled_counts(
+            table(time, count, names=("t", "counts")),
+            module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], []),
+            1,
+            ReadOptions(pulses_per_turn=per_turn),
+        )
 
 
 class TestClock:
