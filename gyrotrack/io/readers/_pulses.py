@@ -84,6 +84,8 @@ _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the 
 # smallest share of changes between equally spaced rows in which a counter does not count, for counts that are coarser
 # than the rows; then only the changes are used
 _IDLE = 0.05
+# speed on one side of a change over that on both sides, from which on the body rests on the other side
+_ONE_SIDED = 1.6
 _TURNING = 3.0  # length of a time without counts, over the one before, from which on its ends are samples
 # number of rows whose speed is continued over an interval, and largest part of a turn in it that is not in doubt
 _ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
@@ -871,21 +873,19 @@ def from_changes(
 
     Rows with the same count have the same error of up to a step of the angle and say nothing more than the first one.
     Where the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
-    uncertainty of r / sqrt(12) steps; where r > 1, each row is the middle of its count with 1 / sqrt(12) steps. Where
-    the body reverses or rests, the ends of the time without counts are in the middle of its count.
+    uncertainty of r / sqrt(12) steps; where r > 1, or where it passes several boundaries, as between rows with missing
+    ones in between, each row is the middle of its count with 1 / sqrt(12) steps. Where the body reverses or rests, the
+    ends of the time without counts are in the middle of its count.
     """
-    row = float(np.median(np.diff(time)))
     at = np.flatnonzero(np.diff(count)) + 1
     if len(at) < MIN_SAMPLES:
         what = f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Check the column.")
-    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
-    first, last = np.maximum(np.arange(len(at)) - 2, 0), np.minimum(np.arange(len(at)) + 2, len(at) - 1)
-    rate = (turned[last] - turned[first]) * row / (time[at[last]] - time[at[first]])
-    slow = rate < 1
+    rate = _turned_within(time, count, at)
+    slow = (rate < 1) & (np.abs(count[at] - count[at - 1]) <= 1)
     when = np.where(slow, 0.5 * (time[at] + time[at - 1]), time[at])
     where = np.where(slow, 0.5 * (count[at] + count[at - 1] + 1), count[at] + 0.5)
-    step = np.minimum(rate, 1.0)
+    step = np.where(slow, rate, 1.0)
     idle = np.diff(np.concatenate([[0], at, [len(time)]]))
     sense = np.sign(count[at] - count[at - 1])
     turns = np.concatenate([[True], np.diff(sense) != 0, [True]])
@@ -911,6 +911,24 @@ def from_changes(
     return MotionTable(
         raw.path, raw.sha256, "angle", when, angle, sigma, line[rows], tuple(notes), counted=True
     )
+
+
+def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
+    """Return by how many counts a body turns between the rows before and after each change, (changes,).
+
+    Its speed is that of the two changes before and after; beside a rest, that of the side on which it turns.
+    """
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
+    here = np.arange(len(at))
+    first, last = np.maximum(here - 2, 0), np.minimum(here + 2, len(at) - 1)
+
+    def speed(begin: Integers, end: Integers) -> Floats:
+        return np.asarray((turned[end] - turned[begin]) / np.maximum(time[at[end]] - time[at[begin]], 1e-300))
+
+    both, faster = speed(first, last), np.maximum(speed(first, here), speed(here, last))
+    # counts at a constant speed fall into intervals whose rates differ by less
+    rate = np.where(faster > _ONE_SIDED * both, faster, both)
+    return np.asarray(rate * (time[at] - time[at - 1]))
 
 
 def _without_false_pulses(

@@ -474,6 +474,31 @@ class TestSampledCounts:
         off = noisy.value - np.interp(noisy.time, 0.01 * k, 0.3 * self.STEP * k)
         assert np.sqrt(np.mean(off**2)) == pytest.approx(np.median(noisy.sigma), rel=0.4)
 
+    @pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.77])
+    @pytest.mark.parametrize("rate", [0.0707, 0.3, 0.8])
+    def test_the_uncertainty_beside_a_rest_is_that_of_the_motion(self, rate, phase):
+        """Counts in a row at a constant speed, with a rest from row 1500 to 2500."""
+        k = np.arange(4000)
+        angle = self.STEP * (phase + rate * np.clip(k, 0, 1500) + rate * np.maximum(k - 2500, 0))
+        made = self.found(angle)
+        z = (made.value - np.interp(made.time, 0.01 * k, angle)) / made.sigma
+        assert np.abs(z).max() < 2.5
+
+    @pytest.mark.parametrize("rate", [0.1, 0.3, 0.6])
+    @pytest.mark.parametrize(("gaps", "rows"), [(40, 12), (100, 8), (400, 1)])
+    def test_an_interval_with_missing_rows_has_its_own_uncertainty(self, gaps, rows, rate):
+        """Of counts in a row at a constant speed, at most 12 rows in succession are missing."""
+        k, rng = np.arange(4000), np.random.default_rng(0)
+        keep = np.ones(4000, dtype=bool)
+        for first in rng.integers(50, 3900, gaps):
+            keep[first : first + rows] = False
+        angle = self.STEP * (0.013 + 1.0001 * rate * k)
+        time, count = 0.01 * k[keep], np.floor(angle[keep] / self.STEP)
+        made = module.from_changes(table(time), time, count, k[keep], 10.0, [])
+        z = (made.value - np.interp(made.time, 0.01 * k, angle)) / made.sigma
+        assert np.abs(z).max() < 2.5
+        assert np.sqrt(np.mean(z**2)) < 1.3
+
     @pytest.mark.parametrize("sense", [1, -1])
     def test_an_encoder_may_restart_at_each_turn(self, sense):
         """0.9 to 0.3 of 60 counts a row: the same angles as those of a count that continues."""
