@@ -81,8 +81,8 @@ _MAX_MARKS = 512
 # excess of chi2 over its degrees of freedom, in standard deviations of chi2, from which marks are unequal
 _UNEQUAL_MARKS = 4.0
 _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
-# smallest share of changes between equally spaced rows in which a counter does not count, for counts that are coarser
-# than the rows; then only the changes are used
+# smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
+# counts that are coarser than the rows; then only the changes are used
 _IDLE = 0.05
 # speed on one side of a change over that on both sides, from which on the body rests on the other side
 _ONE_SIDED = 1.6
@@ -862,8 +862,15 @@ def _reading_of_counter(
 
 
 def counts_coarsely(time: Floats, count: Floats) -> bool:
-    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them."""
-    return is_sampled(time) and float(np.mean(np.diff(count) == 0)) > _IDLE
+    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them.
+
+    Rows before the first change and after the last one, and other long times without counts, are those of a rest.
+    """
+    rows = np.diff(np.flatnonzero(np.diff(count)))
+    if not len(rows) or not is_sampled(time):
+        return False
+    moving = rows[rows <= _MAX_MISSED * np.median(rows)]
+    return 1 - len(moving) / float(moving.sum()) > _IDLE
 
 
 def from_changes(
@@ -1024,8 +1031,8 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     """Return the angles at the changes of sampled counts.
 
-    None if at most 5 % of the rows repeat the count before, if the times do not increase, or if a count that restarts
-    at each turn does not show the number of turns between two rows.
+    None if at most 5 % of the rows repeat the count before while the body turns, if the times do not increase, or if a
+    count that restarts at each turn does not show the number of turns between two rows.
     """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
     per_turn = options.pulses_per_turn or 1.0

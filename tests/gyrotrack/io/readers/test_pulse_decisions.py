@@ -466,6 +466,26 @@ class TestSampledCounts:
         irregular = 0.01 * np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 2000))
         assert not module.counts_coarsely(irregular, count)
 
+    @pytest.mark.parametrize(("rate", "coarse"), [(0.07, True), (0.94, True), (0.96, False), (10.0, False)])
+    @pytest.mark.parametrize("rest", [(0, 0), (0, 700), (1000, 1700), (1300, 2000)])
+    def test_rows_at_rest_do_not_show_the_resolution(self, rest, rate, coarse):
+        k = np.arange(2000)
+        turned = np.clip(k, 0, rest[0]) + np.maximum(k - rest[1], 0)
+        assert module.counts_coarsely(0.01 * k, np.floor(rate * turned)) == coarse
+
+    def test_a_counter_without_a_step_is_not_coarse(self):
+        assert not module.counts_coarsely(0.01 * np.arange(100), np.zeros(100))
+        assert not module.counts_coarsely(0.01 * np.arange(100), np.repeat([0.0, 1.0], 50))
+
+    def test_a_fine_encoder_keeps_its_rows_and_its_rest(self):
+        """From 14 counts in a row to rest within 3000 rows of 4000."""
+        k = np.arange(4000)
+        left = np.maximum(3000 - k, 0)
+        made = self.read(0.005 * k, np.floor(1e4 - 14 * left**2 / 6000), 2000.0)
+        assert len(made.time) == 4000
+        made = self.read(0.005 * k, np.floor(1e3 - 0.6 * left**2 / 6000), 60.0)
+        assert len(made.time) < 1000
+
     def test_noise_of_the_encoder_beyond_the_quantisation(self):
         k, rng = np.arange(4000), np.random.default_rng(5)
         quiet = self.found(0.3 * self.STEP * k)
