@@ -78,8 +78,9 @@ _STRETCH = 60  # number of pulses between the knots of the spline through the co
 _PART = 3000  # number of intervals in which steps of the counts are found together
 _OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
-# excess of chi2 over its degrees of freedom, in standard deviations of chi2, from which marks are unequal
-_UNEQUAL_MARKS = 4.0
+_UNEQUAL_MARKS = (
+    3.0  # excess of the cube root of chi2, in its standard deviations, from which marks are unequal
+)
 _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
 # smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
 # counts that are coarser than the rows; then only the changes are used
@@ -716,8 +717,9 @@ def mark_errors(
     """Return the position error of the mark of each pulse, in pulses, and the errors that remain, as error modes.
 
     The error of a mark is its median over all turns from positions that are interpolated between the times of mark 0
-    by a cubic spline. It is subtracted if the marks differ significantly. An unbalance or another torque of the angle
-    displaces the pulses alike, so that the harmonics of the angle remain uncertain by as much as was subtracted.
+    by a cubic spline, less their mean in each turn. It is subtracted if the marks differ significantly. An unbalance or
+    another torque of the angle displaces the pulses alike, so that the harmonics of the angle remain uncertain by as
+    much as was subtracted.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
@@ -727,15 +729,26 @@ def mark_errors(
     zero = np.flatnonzero(kind == 0)
     if len(zero) < 9 or (np.bincount(kind, minlength=marks) < 8).any():
         return none
-    inside = (time >= time[zero[0]]) & (time <= time[zero[-1]])
-    off = count - CubicSpline(time[zero], count[zero])(time)
-    errors = np.array([np.median(off[inside & (kind == k)]) for k in range(marks)])
-    spread = np.array([np.median(np.abs(off[inside & (kind == k)] - errors[k])) for k in range(1, marks)])
-    # the variance of a median of n normal values is pi / 2n of theirs
-    u = np.sqrt(np.pi / 2 / len(zero)) * np.maximum(spread, 1e-12) / _NORMAL
-    if np.sum((errors[1:] / u) ** 2) < marks - 1 + _UNEQUAL_MARKS * np.sqrt(2 * (marks - 1)):
-        return none
+    inside = np.arange(zero[0], zero[-1])
+    off = count[inside] - CubicSpline(time[zero], count[zero])(time[inside])
+    number = np.bincount(kind[inside], minlength=marks)
+    of_mark = np.split(np.argsort(kind[inside], kind="stable"), np.cumsum(number)[:-1])
+    # the position of mark 0 at both ends of a turn displaces all marks of the turn alike
+    apart = off.copy()
+    for pulses in of_mark:
+        apart[pulses] -= np.median(off[pulses])
+    turn = np.unique(np.round(count[inside]) // marks, return_inverse=True)[1]
+    off -= (np.bincount(turn, apart) / np.bincount(turn))[turn]
+    errors = np.array([np.median(off[pulses]) for pulses in of_mark])
     errors -= errors.mean()
+    # the variance of a median of n normal values is pi / 2n of theirs; (n - 3) / (n - 1): 1 / the mean of Student's t^2
+    u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
+    t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
+    # marks with mean zero have marks - 1 degrees of freedom, and the cube root of chi2 / dof is nearly normal
+    # (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
+    variance = 2 / (9 * (marks - 1))
+    if np.cbrt(t2.mean()) < 1 - variance + _UNEQUAL_MARKS * np.sqrt(variance):
+        return none
     notes.append(
         f"{raw.path.name}: position errors of the {marks} marks were corrected "
         f"({1e3 * TURN / per_turn * float(np.sqrt(np.mean(errors**2))):.3g} mrad rms)"
