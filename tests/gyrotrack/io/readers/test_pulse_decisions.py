@@ -564,6 +564,47 @@ class TestSampledCounts:
             ReadOptions(pulses_per_turn=per_turn),
         )
 
+    @pytest.mark.parametrize(
+        ("after", "idle", "ends"), [(-1, 15, 0), (-1, 16, 2), (1, 16, 0), (1, 100, 0), (1, 101, 2)]
+    )
+    def test_the_ends_of_a_long_time_without_counts_are_samples(self, after, idle, ends):
+        """A count in five rows, then none for `idle` rows, then counts in the same or in the opposite sense."""
+        at = np.cumsum([5] * 40 + [idle] + [5] * 40)
+        count = np.zeros(at[-1] + 5)
+        np.add.at(count, at, [1.0] * 40 + [after] * 41)
+        time = 0.01 * np.arange(len(count))
+        made = module.from_changes(table(time), time, np.cumsum(count), np.arange(len(time)), 10.0, [])
+        assert len(made.time) == 81 + ends
+        if ends:
+            first, last = 200, 200 + idle - 1
+            value = dict(zip(np.round(made.time / 0.005).astype(int).tolist(), made.value, strict=True))
+            assert value[2 * first] == value[2 * last] == pytest.approx(40.5 * self.STEP)
+
+    @pytest.mark.parametrize(("longer", "beside_a_rest"), [(21, False), (23, True)])
+    def test_a_rest_is_on_one_side_of_a_change(self, longer, beside_a_rest):
+        """Changes 10 rows apart, then `longer` ones: the speed before over that of both sides is 1.6 at 22."""
+        at = np.cumsum([10] * 5 + [longer] * 4)
+        count = np.zeros(at[-1] + 1)
+        count[at] = 1.0
+        found = module._turned_within(np.arange(len(count)), np.cumsum(count), at)[4]
+        assert found == pytest.approx(0.1 if beside_a_rest else 2 / (10 + longer))
+
+    @pytest.mark.parametrize(("idle", "coarse"), [(20, True), (21, False)])
+    def test_a_rest_is_longer_than_twenty_times_between_counts(self, idle, coarse):
+        """Of 320 rows 19 or 20 are idle, in succession."""
+        count = np.cumsum(np.concatenate([np.ones(150), np.zeros(idle - 1), np.ones(150)]))
+        assert module.counts_coarsely(0.01 * np.arange(len(count)), count) == coarse
+
+    @pytest.mark.parametrize(("ratio", "noisy"), [(1.29, False), (1.31, True)])
+    def test_scatter_beyond_the_quantisation_is_the_uncertainty(self, ratio, noisy, monkeypatch):
+        """A count in four rows: a quarter of a step over sqrt(12)."""
+        quantised = 0.25 * self.STEP / math.sqrt(12)
+        monkeypatch.setattr(module, "scatter", lambda time, *_: np.full(len(time), ratio * quantised))
+        made = self.found(self.STEP * (0.1 + 0.25 * np.arange(2000)))
+        assert made.sigma[5:-5] == pytest.approx(
+            np.full(len(made.sigma) - 10, (ratio if noisy else 1) * quantised)
+        )
+
 
 class TestClock:
     @pytest.mark.parametrize(
