@@ -78,9 +78,8 @@ _STRETCH = 60  # number of pulses between the knots of the spline through the co
 _PART = 3000  # number of intervals in which steps of the counts are found together
 _OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
-_UNEQUAL_MARKS = (
-    3.0  # excess of the cube root of chi2, in its standard deviations, from which marks are unequal
-)
+# excess of the cube root of chi2, in its standard deviations, from which marks are unequal
+_UNEQUAL_MARKS = 3.0
 _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
 # smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
 # counts that are coarser than the rows; then only the changes are used
