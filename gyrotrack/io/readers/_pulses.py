@@ -78,13 +78,17 @@ _STRETCH = 60  # number of pulses between the knots of the spline through the co
 _PART = 3000  # number of intervals in which steps of the counts are found together
 _OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
-# excess of chi2 over its degrees of freedom, in standard deviations of chi2, from which marks are unequal
-_UNEQUAL_MARKS = 4.0
+# excess of the cube root of chi2, in its standard deviations, from which marks are unequal
+_UNEQUAL_MARKS = 3.0
 _MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
-# smallest share of changes between equally spaced rows in which a counter does not count, for counts that are coarser
-# than the rows; then only the changes are used
+# smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
+# counts that are coarser than the rows; then only the changes are used
 _IDLE = 0.05
+# speed on one side of a change over that on both sides, from which on the body rests on the other side
+_ONE_SIDED = 1.6
 _TURNING = 3.0  # length of a time without counts, over the one before, from which on its ends are samples
+# number of rows whose speed is continued over an interval, and largest part of a turn in it that is not in doubt
+_ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
 # scatter of the angles over their quantisation from which on it is their uncertainty
 _BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
@@ -712,8 +716,9 @@ def mark_errors(
     """Return the position error of the mark of each pulse, in pulses, and the errors that remain, as error modes.
 
     The error of a mark is its median over all turns from positions that are interpolated between the times of mark 0
-    by a cubic spline. It is subtracted if the marks differ significantly. An unbalance or another torque of the angle
-    displaces the pulses alike, so that the harmonics of the angle remain uncertain by as much as was subtracted.
+    by a cubic spline, less their mean in each turn. It is subtracted if the marks differ significantly. An unbalance or
+    another torque of the angle displaces the pulses alike, so that the harmonics of the angle remain uncertain by as
+    much as was subtracted.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
@@ -723,15 +728,26 @@ def mark_errors(
     zero = np.flatnonzero(kind == 0)
     if len(zero) < 9 or (np.bincount(kind, minlength=marks) < 8).any():
         return none
-    inside = (time >= time[zero[0]]) & (time <= time[zero[-1]])
-    off = count - CubicSpline(time[zero], count[zero])(time)
-    errors = np.array([np.median(off[inside & (kind == k)]) for k in range(marks)])
-    spread = np.array([np.median(np.abs(off[inside & (kind == k)] - errors[k])) for k in range(1, marks)])
-    # the variance of a median of n normal values is pi / 2n of theirs
-    u = np.sqrt(np.pi / 2 / len(zero)) * np.maximum(spread, 1e-12) / _NORMAL
-    if np.sum((errors[1:] / u) ** 2) < marks - 1 + _UNEQUAL_MARKS * np.sqrt(2 * (marks - 1)):
-        return none
+    inside = np.arange(zero[0], zero[-1])
+    off = count[inside] - CubicSpline(time[zero], count[zero])(time[inside])
+    number = np.bincount(kind[inside], minlength=marks)
+    of_mark = np.split(np.argsort(kind[inside], kind="stable"), np.cumsum(number)[:-1])
+    # the position of mark 0 at both ends of a turn displaces all marks of the turn alike
+    apart = off.copy()
+    for pulses in of_mark:
+        apart[pulses] -= np.median(off[pulses])
+    turn = np.unique(np.round(count[inside]) // marks, return_inverse=True)[1]
+    off -= (np.bincount(turn, apart) / np.bincount(turn))[turn]
+    errors = np.array([np.median(off[pulses]) for pulses in of_mark])
     errors -= errors.mean()
+    # the variance of a median of n normal values is pi / 2n of theirs; (n - 3) / (n - 1): 1 / the mean of Student's t^2
+    u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
+    t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
+    # marks with mean zero have marks - 1 degrees of freedom, and the cube root of chi2 / dof is nearly normal
+    # (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
+    variance = 2 / (9 * (marks - 1))
+    if np.cbrt(t2.mean()) < 1 - variance + _UNEQUAL_MARKS * np.sqrt(variance):
+        return none
     notes.append(
         f"{raw.path.name}: position errors of the {marks} marks were corrected "
         f"({1e3 * TURN / per_turn * float(np.sqrt(np.mean(errors**2))):.3g} mrad rms)"
@@ -858,8 +874,15 @@ def _reading_of_counter(
 
 
 def counts_coarsely(time: Floats, count: Floats) -> bool:
-    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them."""
-    return is_sampled(time) and float(np.mean(np.diff(count) == 0)) > _IDLE
+    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them.
+
+    Rows before the first change and after the last one, and other long times without counts, are those of a rest.
+    """
+    rows = np.diff(np.flatnonzero(np.diff(count)))
+    if not len(rows) or not is_sampled(time):
+        return False
+    moving = rows[rows <= _MAX_MISSED * np.median(rows)]
+    return 1 - len(moving) / float(moving.sum()) > _IDLE
 
 
 def from_changes(
@@ -869,21 +892,19 @@ def from_changes(
 
     Rows with the same count have the same error of up to a step of the angle and say nothing more than the first one.
     Where the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
-    uncertainty of r / sqrt(12) steps; where r > 1, each row is the middle of its count with 1 / sqrt(12) steps. Where
-    the body reverses or rests, the ends of the time without counts are in the middle of its count.
+    uncertainty of r / sqrt(12) steps; where r > 1, or where it passes several boundaries, as between rows with missing
+    ones in between, each row is the middle of its count with 1 / sqrt(12) steps. Where the body reverses or rests, the
+    ends of the time without counts are in the middle of its count.
     """
-    row = float(np.median(np.diff(time)))
     at = np.flatnonzero(np.diff(count)) + 1
     if len(at) < MIN_SAMPLES:
         what = f"{raw.path}: the counter has {len(at)} steps; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Check the column.")
-    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
-    first, last = np.maximum(np.arange(len(at)) - 2, 0), np.minimum(np.arange(len(at)) + 2, len(at) - 1)
-    rate = (turned[last] - turned[first]) * row / (time[at[last]] - time[at[first]])
-    slow = rate < 1
+    rate = _turned_within(time, count, at)
+    slow = (rate < 1) & (np.abs(count[at] - count[at - 1]) <= 1)
     when = np.where(slow, 0.5 * (time[at] + time[at - 1]), time[at])
     where = np.where(slow, 0.5 * (count[at] + count[at - 1] + 1), count[at] + 0.5)
-    step = np.minimum(rate, 1.0)
+    step = np.where(slow, rate, 1.0)
     idle = np.diff(np.concatenate([[0], at, [len(time)]]))
     sense = np.sign(count[at] - count[at - 1])
     turns = np.concatenate([[True], np.diff(sense) != 0, [True]])
@@ -909,6 +930,24 @@ def from_changes(
     return MotionTable(
         raw.path, raw.sha256, "angle", when, angle, sigma, line[rows], tuple(notes), counted=True
     )
+
+
+def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
+    """Return by how many counts a body turns between the rows before and after each change, (changes,).
+
+    Its speed is that of the two changes before and after; beside a rest, that of the side on which it turns.
+    """
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
+    here = np.arange(len(at))
+    first, last = np.maximum(here - 2, 0), np.minimum(here + 2, len(at) - 1)
+
+    def speed(begin: Integers, end: Integers) -> Floats:
+        return np.asarray((turned[end] - turned[begin]) / np.maximum(time[at[end]] - time[at[begin]], 1e-300))
+
+    both, faster = speed(first, last), np.maximum(speed(first, here), speed(here, last))
+    # counts at a constant speed fall into intervals whose rates differ by less
+    rate = np.where(faster > _ONE_SIDED * both, faster, both)
+    return np.asarray(rate * (time[at] - time[at - 1]))
 
 
 def _without_false_pulses(
@@ -1002,16 +1041,34 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 
 
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
-    """Return the angles at the changes of sampled counts; None if most rows have another count than the one before."""
+    """Return the angles at the changes of sampled counts.
+
+    None if at most 5 % of the rows repeat the count before while the body turns, if the times do not increase, or if a
+    count that restarts at each turn does not show the number of turns between two rows.
+    """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
-    step = TURN / (options.pulses_per_turn or 1.0)
-    count, line = np.round(angles.numbers(1) / step), angles.line
+    per_turn = options.pulses_per_turn or 1.0
+    count, line = np.round(angles.numbers(1) * (per_turn / TURN)), angles.line
     known = np.isfinite(time) & np.isfinite(count)
     time, count, line = time[known], count[known], line[known]
-    if not counts_coarsely(time, count) or (np.diff(time) <= 0).any() or not np.diff(count).any():
+    if (np.diff(time) <= 0).any() or not np.diff(count).any():
         return None
-    notes = list(angles.notes)
-    return from_changes(angles, time + options.start, count, line, options.pulses_per_turn or 1.0, notes)
+    if np.ptp(count) < per_turn:
+        total = np.unwrap(count, period=per_turn)
+        if (total != count).any() and not _turns_are_known(time, total, per_turn):
+            return None
+        count = total
+    if not counts_coarsely(time, count):
+        return None
+    return from_changes(angles, time + options.start, count, line, per_turn, list(angles.notes))
+
+
+def _turns_are_known(time: Floats, total: Floats, per_turn: float) -> bool:
+    """Return whether the speed of the rows before each interval is less than 0.4 turns in it."""
+    here = np.arange(len(time) - 1)
+    before = np.maximum(here - _ROWS_BEFORE, 0)
+    past = np.where(here > before, time[here] - time[before], np.inf)
+    return bool((np.abs(total[here] - total[before]) / past * np.diff(time) < _PART_OF_TURN * per_turn).all())
 
 
 def _counted_angles(

@@ -1,11 +1,11 @@
 """Pulses by hand: which edges, doubles, gaps and counts are taken, on either side of each threshold."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.special import ndtri
 
 from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _pulses as module
@@ -393,18 +393,33 @@ class TestCounts:
         assert not errors.any()
         assert modes == ()
 
-    @pytest.mark.parametrize(("size", "significant"), [(0.0095, True), (0.0085, False)])
-    def test_insignificant_errors_stay(self, size, significant):
-        """Of a mark whose deviations have a standard deviation of 0.02 in a hundred turns; three can differ.
+    @pytest.mark.parametrize(("size", "least", "most"), [(0.006, 0.0, 0.25), (0.016, 0.9, 1.0)])
+    def test_insignificant_errors_stay(self, size, least, most):
+        """Of one of four marks in a hundred turns whose times scatter by 0.02 of an interval.
 
-        chi2 = (size / u)^2 with u = 0.02 sqrt(pi / 200), over 3 + 4 sqrt(6).
+        chi2 / dof = 1 + (3 / 16) (size / u)^2 with u = 0.02 sqrt(3 pi / 800), 5 for a size of 0.01; 5.3 is significant.
         """
-        k, rng = np.arange(400), np.random.default_rng(2)
-        scatter = rng.permutation(ndtri((np.arange(100) + 0.5) / 100))[k // 4]
-        time = (k + np.where(k % 4 == 2, size, 0.0) + np.where(k % 4 > 0, 0.02 * scatter, 0.0)) / 4.0
-        errors, modes = mark_errors(time, k.astype(float), 4.0, table(time), [])
-        assert errors.any() == significant
-        assert len(modes) == significant
+        k = np.arange(400)
+        found = 0
+        for seed in range(40):
+            jitter = 0.02 * np.random.default_rng(seed).standard_normal(400)
+            time = (k + np.where(k % 4 == 2, size, 0.0) + jitter) / 4.0
+            errors, modes = mark_errors(time, k.astype(float), 4.0, table(time), [])
+            assert errors.any() == bool(modes)
+            found += len(modes)
+        assert least * 40 <= found <= most * 40
+
+    @pytest.mark.parametrize("lost", [0.0, 0.02])
+    @pytest.mark.parametrize(("marks", "turns"), [(2, 60), (4, 40), (20, 40), (60, 40), (60, 100)])
+    def test_equal_marks_are_not_corrected(self, marks, turns, lost):
+        """Times that scatter by 0.02 of an interval, also of mark 0: 0.1 % are significant by chance."""
+        found = 0
+        for seed in range(60):
+            rng = np.random.default_rng(seed)
+            k = np.flatnonzero(rng.random(marks * turns) >= lost)
+            time = (k + 0.02 * rng.standard_normal(len(k))) / marks
+            found += len(mark_errors(time, k.astype(float), float(marks), table(time), [])[1])
+        assert found <= 1
 
     @pytest.mark.parametrize("marks", [5, 6, 64, 100])
     def test_the_mode_of_marks_holds_their_variance(self, marks):
@@ -465,6 +480,26 @@ class TestSampledCounts:
         irregular = 0.01 * np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 2000))
         assert not module.counts_coarsely(irregular, count)
 
+    @pytest.mark.parametrize(("rate", "coarse"), [(0.07, True), (0.94, True), (0.96, False), (10.0, False)])
+    @pytest.mark.parametrize("rest", [(0, 0), (0, 700), (1000, 1700), (1300, 2000)])
+    def test_rows_at_rest_do_not_show_the_resolution(self, rest, rate, coarse):
+        k = np.arange(2000)
+        turned = np.clip(k, 0, rest[0]) + np.maximum(k - rest[1], 0)
+        assert module.counts_coarsely(0.01 * k, np.floor(rate * turned)) == coarse
+
+    def test_a_counter_without_a_step_is_not_coarse(self):
+        assert not module.counts_coarsely(0.01 * np.arange(100), np.zeros(100))
+        assert not module.counts_coarsely(0.01 * np.arange(100), np.repeat([0.0, 1.0], 50))
+
+    def test_a_fine_encoder_keeps_its_rows_and_its_rest(self):
+        """From 14 counts in a row to rest within 3000 rows of 4000."""
+        k = np.arange(4000)
+        left = np.maximum(3000 - k, 0)
+        made = self.read(0.005 * k, np.floor(1e4 - 14 * left**2 / 6000), 2000.0)
+        assert len(made.time) == 4000
+        made = self.read(0.005 * k, np.floor(1e3 - 0.6 * left**2 / 6000), 60.0)
+        assert len(made.time) < 1000
+
     def test_noise_of_the_encoder_beyond_the_quantisation(self):
         k, rng = np.arange(4000), np.random.default_rng(5)
         quiet = self.found(0.3 * self.STEP * k)
@@ -472,6 +507,103 @@ class TestSampledCounts:
         assert np.median(noisy.sigma) > 1.5 * np.median(quiet.sigma)
         off = noisy.value - np.interp(noisy.time, 0.01 * k, 0.3 * self.STEP * k)
         assert np.sqrt(np.mean(off**2)) == pytest.approx(np.median(noisy.sigma), rel=0.4)
+
+    @pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.77])
+    @pytest.mark.parametrize("rate", [0.0707, 0.3, 0.8])
+    def test_the_uncertainty_beside_a_rest_is_that_of_the_motion(self, rate, phase):
+        """Counts in a row at a constant speed, with a rest from row 1500 to 2500."""
+        k = np.arange(4000)
+        angle = self.STEP * (phase + rate * np.clip(k, 0, 1500) + rate * np.maximum(k - 2500, 0))
+        made = self.found(angle)
+        z = (made.value - np.interp(made.time, 0.01 * k, angle)) / made.sigma
+        assert np.abs(z).max() < 2.5
+
+    @pytest.mark.parametrize("rate", [0.1, 0.3, 0.6])
+    @pytest.mark.parametrize(("gaps", "rows"), [(40, 12), (100, 8), (400, 1)])
+    def test_an_interval_with_missing_rows_has_its_own_uncertainty(self, gaps, rows, rate):
+        """Of counts in a row at a constant speed, at most 12 rows in succession are missing."""
+        k, rng = np.arange(4000), np.random.default_rng(0)
+        keep = np.ones(4000, dtype=bool)
+        for first in rng.integers(50, 3900, gaps):
+            keep[first : first + rows] = False
+        angle = self.STEP * (0.013 + 1.0001 * rate * k)
+        time, count = 0.01 * k[keep], np.floor(angle[keep] / self.STEP)
+        made = module.from_changes(table(time), time, count, k[keep], 10.0, [])
+        z = (made.value - np.interp(made.time, 0.01 * k, angle)) / made.sigma
+        assert np.abs(z).max() < 2.5
+        assert np.sqrt(np.mean(z**2)) < 1.3
+
+    @pytest.mark.parametrize("sense", [1, -1])
+    def test_an_encoder_may_restart_at_each_turn(self, sense):
+        """0.9 to 0.3 of 60 counts a row: the same angles as those of a count that continues."""
+        k = np.arange(4000)
+        total = np.floor(sense * (0.9 * k - 0.6 * k**2 / 8000))
+        whole, wrapped = (self.read(0.005 * k, count, 60.0) for count in (total, total % 60))
+        assert len(wrapped.time) > 2000
+        assert wrapped.time == pytest.approx(whole.time)
+        turns = (wrapped.value - whole.value) / TURN
+        assert turns == pytest.approx(np.full(len(turns), round(turns[0])))
+        assert wrapped.sigma == pytest.approx(whole.sigma)
+
+    @pytest.mark.parametrize(("gap", "known"), [(78, True), (82, False)])
+    def test_turns_within_a_gap_are_not_lost(self, gap, known):
+        """0.3 of 60 counts a row: 0.4 turns in 80 rows."""
+        k = np.arange(4000)
+        keep = (k < 1000) | (k >= 1000 + gap)
+        time, count = 0.005 * k[keep], np.floor(0.3 * k[keep])
+        assert module._turns_are_known(time, count, 60.0) == known
+        raw = table(time, count % 60 * TURN / 60, names=("t", "angle"))
+        raw = replace(raw, units=("s", "rad"))
+        assert (module._of_changes(raw, ReadOptions(pulses_per_turn=60.0)) is not None) == known
+
+    def read(self, time, count, per_turn):
+        return module.read_sampled_counts(
+            table(time, count, names=("t", "counts")),
+            module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], []),
+            1,
+            ReadOptions(pulses_per_turn=per_turn),
+        )
+
+    @pytest.mark.parametrize(
+        ("after", "idle", "ends"), [(-1, 15, 0), (-1, 16, 2), (1, 16, 0), (1, 100, 0), (1, 101, 2)]
+    )
+    def test_the_ends_of_a_long_time_without_counts_are_samples(self, after, idle, ends):
+        """A count in five rows, then none for `idle` rows, then counts in the same or in the opposite sense."""
+        at = np.cumsum([5] * 40 + [idle] + [5] * 40)
+        count = np.zeros(at[-1] + 5)
+        np.add.at(count, at, [1.0] * 40 + [after] * 41)
+        time = 0.01 * np.arange(len(count))
+        made = module.from_changes(table(time), time, np.cumsum(count), np.arange(len(time)), 10.0, [])
+        assert len(made.time) == 81 + ends
+        if ends:
+            first, last = 200, 200 + idle - 1
+            value = dict(zip(np.round(made.time / 0.005).astype(int).tolist(), made.value, strict=True))
+            assert value[2 * first] == value[2 * last] == pytest.approx(40.5 * self.STEP)
+
+    @pytest.mark.parametrize(("longer", "beside_a_rest"), [(21, False), (23, True)])
+    def test_a_rest_is_on_one_side_of_a_change(self, longer, beside_a_rest):
+        """Changes 10 rows apart, then `longer` ones: the speed before over that of both sides is 1.6 at 22."""
+        at = np.cumsum([10] * 5 + [longer] * 4)
+        count = np.zeros(at[-1] + 1)
+        count[at] = 1.0
+        found = module._turned_within(np.arange(len(count)), np.cumsum(count), at)[4]
+        assert found == pytest.approx(0.1 if beside_a_rest else 2 / (10 + longer))
+
+    @pytest.mark.parametrize(("idle", "coarse"), [(20, True), (21, False)])
+    def test_a_rest_is_longer_than_twenty_times_between_counts(self, idle, coarse):
+        """Of 320 rows 19 or 20 are idle, in succession."""
+        count = np.cumsum(np.concatenate([np.ones(150), np.zeros(idle - 1), np.ones(150)]))
+        assert module.counts_coarsely(0.01 * np.arange(len(count)), count) == coarse
+
+    @pytest.mark.parametrize(("ratio", "noisy"), [(1.29, False), (1.31, True)])
+    def test_scatter_beyond_the_quantisation_is_the_uncertainty(self, ratio, noisy, monkeypatch):
+        """A count in four rows: a quarter of a step over sqrt(12)."""
+        quantised = 0.25 * self.STEP / math.sqrt(12)
+        monkeypatch.setattr(module, "scatter", lambda time, *_: np.full(len(time), ratio * quantised))
+        made = self.found(self.STEP * (0.1 + 0.25 * np.arange(2000)))
+        assert made.sigma[5:-5] == pytest.approx(
+            np.full(len(made.sigma) - 10, (ratio if noisy else 1) * quantised)
+        )
 
 
 class TestClock:
