@@ -275,7 +275,8 @@ def merit_lines(fit: FitSummary) -> list[str]:
         pure = ", ".join(rounded(n.pure, n.pure_u, unit) for n in noises)
         text = f"process noise {pure} rms; with this model {_levels(noises)} {unit}"
         lines += wrap(text, 79, subsequent_indent="  ")
-        if isinstance(fit, Fit) and fit.needs_unestablished_torque():
+        unestablished = isinstance(fit, Fit) and fit.needs_unestablished_torque()
+        if unestablished and fit.verdict == "no_lack_of_fit":
             text = "the recording does not establish this random torque without the model: "
             text += "`gyrotrack diagnose` tests whether an effect describes it better"
             lines += wrap(text, 79, initial_indent="  ", subsequent_indent="  ")
