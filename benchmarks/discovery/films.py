@@ -196,8 +196,10 @@ def _chain(rig: Rig, films: list[Path]) -> dict[str, Any]:
         line["named"] = [first["effect"], *first.get("indistinguishable_from", [])]
         line["parameters"] = first.get("parameters")
         _, said = _gyrotrack("improve", case, "--json")
-        steps = json.loads(said)["ladder"]
-        line["added"] = [r["added"] for r in steps if r["added"]]
+        improved = json.loads(said)
+        if "error" in improved:
+            raise RuntimeError(improved["error"]["message"])
+        line["added"] = [r["added"].lstrip("+") for r in improved["ladder"] if r["added"]]
     return line
 
 
