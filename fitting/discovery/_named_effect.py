@@ -120,7 +120,8 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
-    rows = [FewRows.of(*case) for case in known]
+    # a deviation raises the level of the model, at which it is tested, to that of the recording at most
+    rows = [FewRows.of(*case, level=case[2].pure) for case in known]
     free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
     tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
     response = _orthogonal(np.concatenate([t[0] for t in tested]), free)

@@ -372,9 +372,9 @@ class FewRows(NamedTuple):
     share: float  # share of the process noise in the variance of the tested columns
 
     @classmethod
-    def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array) -> Self:
-        """Return the rows of a case, whitened at its level of tests, nuisance parameters projected out."""
-        project = Projection(data, n.whitener.at(n.tested))
+    def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array, level: float | None = None) -> Self:
+        """Return the rows of a case, whitened at a level [N m] or that of its tests, nuisance projected out."""
+        project = Projection(data, n.whitener.at(n.tested if level is None else level))
         white = project(np.concatenate([tested, p.columns, (data.z - p.rows)[:, None]], axis=1))
         share = project.whitener.share(orthonormal(white[:, : tested.shape[1]], _RANK))
         few, own, residual = np.split(r_factor(white), [tested.shape[1], -1], axis=1)

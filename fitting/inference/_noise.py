@@ -103,6 +103,8 @@ class Noise:
     # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0
+    # whether `level` is limited, and says nothing about what the model needs
+    limited: bool = False
     # whether all cases of a joint fit have the same level, because the model describes each of them alone
     common: bool = False
     # variables of the motion about which the response of the rows is linearised, by their names in the fit
@@ -123,7 +125,7 @@ class Noise:
 
         The recording alone may not exclude a random torque that would hide a lack of fit of the model.
         """
-        return min(self.pure, self.level)
+        return self.pure if self.limited else min(self.pure, self.level)
 
     @property
     def least(self) -> float:

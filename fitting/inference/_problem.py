@@ -371,7 +371,7 @@ def refine_level(
             level = n.pure
         elif data.driven:
             level = min(level, n.least)
-        found.append(replace(n.at(level), excess=excess))
+        found.append(replace(n.at(level), excess=excess, limited=bool(data.driven)))
     return common_level(found) if any(n.common for n in found) else tuple(found)
 
 

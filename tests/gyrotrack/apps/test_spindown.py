@@ -634,9 +634,10 @@ def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_law
     """A dry friction that begins halfway is no law of the list; 12 periods are searched for it."""
     monkeypatch.chdir(tmp_path)
     t = np.arange(0, periods * 2 * np.pi / 5, 0.05)
+    size = 0.06 if searched else 0.02
     later = 0.5 * t[-1]
     run = solve_ivp(
-        lambda t, y: [y[1], -25 * y[0] - 0.6 / t_end * y[1] - 0.02 * (t > later) * np.tanh(y[1] / 1e-3)],
+        lambda t, y: [y[1], -25 * y[0] - 0.6 / t_end * y[1] - size * (t > later) * np.tanh(y[1] / 1e-3)],
         (0, t_end := float(t[-1])), [1.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.05, method="LSODA",
     )  # fmt: skip
     angle = noisy(t, run.y[0], 2e-3, 5)[0]

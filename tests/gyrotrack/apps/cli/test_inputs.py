@@ -256,7 +256,7 @@ def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late)
     a, path = np.exp(-0.01 / TAU), tmp_path / "motor.csv"
     acting = np.concatenate([np.full(late, VOLTAGE[0]), VOLTAGE[: len(VOLTAGE) - late]])
     speed = np.asarray(lfilter([0.0, 1 - a], [1.0, -a], GAIN * acting))
-    speed = speed + NOISE * np.random.default_rng(4).standard_normal(len(TIME))
+    speed = speed + NOISE * np.random.default_rng(6).standard_normal(len(TIME))
     rows = np.stack([TIME, speed, VOLTAGE], axis=1)
     np.savetxt(path, rows, delimiter=",", header="t [s],omega [rad/s],voltage [V]", comments="", fmt="%.9g")
     words = ["spindown", path, "--input", "voltage=3", "-o", tmp_path / "motor.h5"]
