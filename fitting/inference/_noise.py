@@ -10,7 +10,7 @@ and chi-square and cross-validation errors of every fit of the recording use it.
 the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack of fit, and smaller
 if the model needs less random torque than the recording alone can exclude. Parameters and rival models are estimated at
 this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its worst
-interval. Tests of a fit use the smaller one of both.
+interval. Tests of a fit use the smaller of the two.
 """
 
 from __future__ import annotations
@@ -224,8 +224,8 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
     The likelihood is restricted: `free` (rows, columns), derivatives by the parameters and nuisance, is integrated
-    out. A level that white noise alone shows in 5 % of the recordings is zero: it would double the standard errors of
-    parameters that a slow torque resembles.
+    out. The level is set to zero if white noise alone would show as much evidence in one recording of twenty, because
+    it would double the standard errors of parameters whose effect resembles a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -239,7 +239,7 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
 
 
 def _trial_levels(responses: Array) -> Array:
-    """Return no random torque and levels from what the most responsive row hardly notices to far above any misfit."""
+    """Return zero, and levels from one that hardly changes the most responsive row to one far above any misfit."""
     first, last = _LEAST_SHARE / np.sqrt(responses.max()), _LARGEST_SHARE / np.sqrt(np.median(responses))
     count = int(np.ceil(_PER_DECADE * np.log10(last / first))) + 1
     return np.concatenate([[0.0], np.geomspace(first, last, count)])

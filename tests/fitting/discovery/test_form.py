@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import twobody
+from linearised import gyroscope
 
 from fitting import LIBRARY, REDUCED, Experiment, Model, diagnose, make_record, simulate
 from fitting._criteria import DEFAULT
@@ -52,6 +53,21 @@ def test_a_significant_active_bound_is_reported():
     assert "casing.air.linear.b2" in found.bounds
     assert found.bounds_p < 1e-6
     assert not found.is_strong(DEFAULT)
+
+
+def test_the_limit_is_that_at_the_level_of_the_recording():
+    """A deviation raises the level of the model to that of the recording, at which it is tested, and not beyond."""
+    names = ("rotor.air.quadratic", "touchpoint.constant", "bearing.linear", DRAG.name)
+    strength = {f"{DRAG.name}.k": 2e-7}
+
+    def limit(level, pure):
+        base = gyroscope(names, strength, level=level)
+        base.noise[0].pure, base.noise[0].tested = pure, min(level, pure)
+        base.estimates = {}
+        return form_test(base, DRAG, DEFAULT).limit
+
+    assert limit(1e-9, 1e-6) == pytest.approx(limit(1e-6, 1e-6))
+    assert limit(1e-9, 1e-6) > 1.2 * limit(1e-9, 1e-9)
 
 
 def test_a_weak_test_or_an_active_bound_is_not_strong():

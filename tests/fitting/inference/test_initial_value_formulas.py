@@ -219,6 +219,9 @@ class TestSamples:
 class TestEquationError:
     def data(self, names, values):
         rough = moved(names, values)
+        return self.with_speeds(rough)
+
+    def with_speeds(self, rough):
         record = SimpleNamespace(
             label="case",
             span=(BEGIN, BEGIN + SPAN),
@@ -241,15 +244,7 @@ class TestEquationError:
         """A strength of zero leaves all of the change of the speeds."""
         t = np.linspace(BEGIN, BEGIN + SPAN, 300)
         rough = (t, np.column_stack([100.0 + t, np.full(300, 0.0) + t]))
-        record = SimpleNamespace(
-            label="case",
-            span=(BEGIN, BEGIN + SPAN),
-            I_rotor=5.5e-5,
-            I_casing=2e-5,
-            inputs=(),
-            largest_speeds=SPEEDS,
-        )
-        data = [SimpleNamespace(record=record, initial_speeds=rough, motion=oscillators.stub())]
+        data = self.with_speeds(rough)
         assert equation_error(Model.of(["casing.air.linear"]), data) == pytest.approx(1.0)
 
 

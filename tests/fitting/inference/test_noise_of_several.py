@@ -39,20 +39,24 @@ def test_a_recording_that_excludes_process_noise_has_a_low_level(quiet_camera):
     assert found.noise[1].pure < 0.3 * LEVEL
 
 
-@pytest.mark.parametrize("common", [True, False])
-def test_recordings_with_a_common_level_keep_it(monkeypatch, common):
+@pytest.mark.parametrize(("common", "driven"), [(True, False), (False, False), (False, True)])
+def test_recordings_with_a_common_level_keep_it(monkeypatch, common, driven):
+    """Of a driven body the level is at most the lowest one that the recording allows, which limits it."""
+
     class Level(SimpleNamespace):
         def at(self, level):
             return Level(**(vars(self) | {"level": level}))
 
-    noise = [Level(pure=1e-9, level=0.0, whitener=None, excess=0.0, common=common) for _ in range(2)]
+    noise = [
+        Level(pure=1e-9, level=0.0, least=2e-8, whitener=None, excess=0.0, common=common) for _ in range(2)
+    ]
     levels = iter([(3e-8, 5.0), (1e-8, 6.0)])
     monkeypatch.setattr(_problem, "remaining_level", lambda *_: next(levels))
     monkeypatch.setattr(_problem, "_rows_at_rest", lambda *_: np.zeros((3, 0)))
     monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
     none = np.zeros((3, 0))
     data = SimpleNamespace(
-        nuisance=none, harmonic_responses=none, z=np.zeros(3), largest_torque=1.0, driven=False
+        nuisance=none, harmonic_responses=none, z=np.zeros(3), largest_torque=1.0, driven=driven
     )
     prediction = SimpleNamespace(columns=none, places=np.zeros(0, dtype=int), rows=np.zeros(3))
     layout = SimpleNamespace(
@@ -60,7 +64,8 @@ def test_recordings_with_a_common_level_keep_it(monkeypatch, common):
     )
     problem = SimpleNamespace(data=[data] * 2, layout=layout, predict=lambda _: [prediction] * 2)
     found = _problem.refine_level(problem, np.zeros(0), noise)
-    assert [n.level for n in found] == [3e-8, 3e-8 if common else 1e-8]
+    assert [n.level for n in found] == [2e-8 if driven else 3e-8, 3e-8 if common else 1e-8]
+    assert [n.limited for n in found] == [driven] * 2
     assert [n.excess for n in found] == [5.0, 6.0]
     assert [n.common for n in found] == [common] * 2
 
