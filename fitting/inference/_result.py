@@ -57,7 +57,7 @@ from fitting.inference._problem import Problem, Projection, free_columns, surely
 from fitting.inference._process_noise import CONSISTENT
 from fitting.inference._record import speeds
 from fitting.inference._sampled import evaluate, residuals_of
-from fitting.inference._smooth_torque import smooth_torque
+from fitting.inference._smooth_torque import smooth_torques
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from fitting.inference._ties import chain, find_key, follow
 
@@ -616,14 +616,14 @@ class Fit(FitSummary):
         return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
 
     def has_smooth_torque(self, criteria: Criteria | None = None) -> bool:
-        """Return whether a smooth torque describes a case better than the random torque that the model needs.
+        """Return whether a smooth or periodic torque describes a case better than the random torque of the model.
 
         Only a random torque that the recording may not have is compared (see `needs_unestablished_torque`).
 
         Parameters
         ----------
         criteria : Criteria
-            Its `random_torque_evidence`, `evidence` and `lack_of_fit` decide. By default those of the fit.
+            Its `random_torque_evidence` and `lack_of_fit` decide. By default those of the fit.
         """
         criteria = criteria or self.criteria
         moving = ~self.problem.layout.at_bound(self.theta)
@@ -631,7 +631,7 @@ class Fit(FitSummary):
             unestablished = n.raised and n.excess > criteria.random_torque_evidence
             if unestablished and data.motion.is_smooth and not data.driven:
                 free = free_columns(data, p, moving)
-                if smooth_torque(data, p, n, free, criteria).is_better(criteria):
+                if any(t.is_better(criteria) for t in smooth_torques(data, p, n, free, criteria)):
                     return True
         return False
 

@@ -14,15 +14,15 @@ from fitting.inference import _smooth_torque as module
 from fitting.inference._metrics import KNOTS, slow_responses
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, Whitener
 from fitting.inference._result import Fit
-from fitting.inference._smooth_torque import SmoothTorque, smooth_torque
+from fitting.inference._smooth_torque import SmoothTorque, smooth_torques
 
 LEVEL, TIME = 2e-7, 0.5
 
 
-def compared(torque=None, seed=0):
+def compared(torque=None, seed=0, which=0):
     """Compare the descriptions of white noise, and the response to a torque at the knots or to a random one [N m].
 
-    The rows are those of a gyroscope of 12 s whose model has dry and quadratic friction.
+    `which` is 0 for the parabola, 1 for the sinusoid. The rows are those of a gyroscope of 12 s whose model has dry and quadratic friction.
     """
     base = gyroscope(level=LEVEL)
     data, prediction = base.problem.data[0], base.predictions[0]
@@ -30,11 +30,14 @@ def compared(torque=None, seed=0):
     noise = Noise(1.0, LEVEL, LEVEL, LEVEL, TIME, whitener, None)
     white = np.random.default_rng(seed).standard_normal(len(data.z))
     rows = whitener.coloured(white) if torque is None else white
-    if torque is not None:
+    if callable(torque):
+        response = TorqueResponse(data, prediction.motion)
+        rows[: len(response.casing)] += response.casing @ torque(response.centres / response.centres[-1])
+    elif torque is not None:
         rows = rows + slow_responses(data, prediction)[:, :KNOTS] @ torque
     seen = gyroscope(level=LEVEL, residual=[rows])
     free = np.concatenate([prediction.columns, data.nuisance], axis=1)
-    return smooth_torque(seen.problem.data[0], prediction, noise, free, DEFAULT)
+    return smooth_torques(seen.problem.data[0], prediction, noise, free, DEFAULT)[which]
 
 
 def test_a_parabola_is_a_smooth_torque():
@@ -68,8 +71,42 @@ def test_an_alternating_torque_is_not_smooth():
 
 
 @pytest.mark.parametrize(
+    ("periods", "chirp", "better"),
+    [(5.0, 0.0, True), (8.1, 0.0, True), (8.0, 0.3, True), (8.0, -0.3, True), (2.5, 0.0, False)],
+)
+def test_a_sinusoid_of_several_periods_is_a_periodic_torque(periods, chirp, better):
+    """Its frequency may change; fewer periods are those of a random torque."""
+
+    def torque(x):
+        return 1e-8 * periods**2 * np.cos(2 * np.pi * periods * (x + chirp * x * (x - 1)) + 0.7)
+
+    found = compared(torque, which=1)
+    assert (found.columns, found.searched) == (2, 2)
+    assert found.is_better(DEFAULT) is better
+    assert not compared(torque).is_better(DEFAULT)
+
+
+def test_a_random_torque_is_not_periodic():
+    assert not any(compared(None, seed, which=1).is_better(DEFAULT) for seed in range(5))
+
+
+def test_parameters_that_are_searched_for_require_a_larger_fall():
+    fall = 2 * math.log(1e4) + DEFAULT.random_torque_evidence + 5
+    assert SmoothTorque(fall, 2, 10_000).is_better(DEFAULT)
+    assert not SmoothTorque(fall, 2, 10_000, searched=1).is_better(DEFAULT)
+
+
+def test_the_p_value_is_that_of_the_best_of_independent_trials():
+    fall = chdtri(2, 1e-7)
+    assert SmoothTorque(fall, 2, 5, trials=50).p_value == pytest.approx(5e-6)
+    assert SmoothTorque(fall, 2, 5, trials=50).is_better(DEFAULT)
+    assert not SmoothTorque(fall, 2, 5, trials=200).is_better(DEFAULT)
+    assert SmoothTorque(1.0, 2, 5, trials=50).p_value == 1.0
+
+
+@pytest.mark.parametrize(
     ("more", "better"),
-    [(DEFAULT.evidence + 0.1, True), (DEFAULT.evidence - 0.1, False)],
+    [(DEFAULT.random_torque_evidence + 0.1, True), (DEFAULT.random_torque_evidence - 0.1, False)],
 )
 def test_bic_requires_evidence(more, better):
     found = SmoothTorque(6 * math.log(1e4) + more, 6, 10_000)
@@ -81,7 +118,7 @@ def test_the_fall_is_improbable_for_its_number_of_columns(factor, better):
     """Of few rows BIC requires little, and the p-value decides."""
     fall = factor * chdtri(6, DEFAULT.lack_of_fit)
     found = SmoothTorque(fall, 6, 20)
-    assert found.fall > 6 * math.log(20) + DEFAULT.evidence
+    assert found.fall > 6 * math.log(20) + DEFAULT.random_torque_evidence
     assert found.is_better(DEFAULT) is better
     assert (found.p_value < DEFAULT.lack_of_fit) is better
 
@@ -119,9 +156,9 @@ def test_only_a_random_torque_that_is_not_established_is_compared(
 
     def compare(*arguments):
         compared.append(arguments[3].tolist())
-        return SmoothTorque(1e3, 6, 100)
+        return SmoothTorque(0.0, 6, 100), SmoothTorque(1e3, 2, 100)
 
-    monkeypatch.setattr(_result, "smooth_torque", compare)
+    monkeypatch.setattr(_result, "smooth_torques", compare)
     monkeypatch.setattr(_result, "free_columns", lambda data, p, moving: moving)
     assert Fit.has_smooth_torque(found) is expected
     # the variable at its bound is not free
