@@ -58,9 +58,9 @@ _RANK = 1e-4
 
 
 _FEWEST_PERIODS = 4.0
-"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the angle's response to a random torque falls
-as the fourth power of the frequency or faster, so one realisation resembles a sinusoid of the lowest frequency that the
-parameters do not absorb; fewer periods take it for one, more miss a slow precession."""
+"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the response of the angle to a random torque
+falls as the fourth power of the frequency or faster, so one realisation resembles a sinusoid of the lowest frequency
+that the parameters do not absorb; fewer periods take it for one, more miss a slow precession."""
 _MOST_PERIODS = 12.0
 """Largest number of periods of a periodic torque in a record [1]. Chosen: faster ones are lines of the residuals, which
 the periodogram tests; more periods make more trials."""

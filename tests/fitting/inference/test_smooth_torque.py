@@ -22,7 +22,8 @@ LEVEL, TIME = 2e-7, 0.5
 def compared(torque=None, seed=0, which=0):
     """Compare the descriptions of white noise, and the response to a torque at the knots or to a random one [N m].
 
-    `which` is 0 for the parabola, 1 for the sinusoid. The rows are those of a gyroscope of 12 s whose model has dry and quadratic friction.
+    `which` is 0 for the parabola, 1 for the sinusoid. The rows are those of a gyroscope of 12 s whose model has dry and
+    quadratic friction.
     """
     base = gyroscope(level=LEVEL)
     data, prediction = base.problem.data[0], base.predictions[0]
