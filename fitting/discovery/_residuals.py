@@ -25,6 +25,7 @@ from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums,
 from fitting.inference._problem import Projection
 from fitting.inference._record import speeds
 from fitting.inference._result import Fit
+from fitting.inference._speed_residuals import modelled_speed
 
 Array = NDArray[np.float64]
 
@@ -331,14 +332,14 @@ def _place(curve: ResidualTorque, a: int, b: int) -> str:
 def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
     """Return the 5 % or 95 % quantile of the speed residuals in an interval that is farther from zero [rad/s]."""
     index = fit.labels.index(curve.label)
-    record, path = fit.problem.data[index].record, fit.predictions[index].path
+    record = fit.problem.data[index].record
     runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
     worst = 0.0
     for samples in runs:
         time, omega = speeds(samples, record.quantity, fit.problem.data[index].smoothing_width)
         inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
         if inside.any():
-            residual = omega[inside] - Sampler(path.mesh, time[inside]).value(path.y[..., state])
+            residual = omega[inside] - modelled_speed(fit, index, state, time[inside])[0]
             low, high = np.percentile(residual, [5, 95])
             worst = max((worst, float(low), float(high)), key=abs)
     return worst

@@ -54,6 +54,9 @@ class AngleRows(NamedTuple):
     columns: Array  # (rows, 2), derivatives by the two strengths
     strength: Array  # the present strengths
     value: Array  # (rows,), response at these strengths
+    # response of speed and angle of rotor and casing at the samples of the casing at these strengths, (2, 2, samples);
+    # of an error of the measurement none
+    motion: Array | None = None
 
 
 def angle_dependent_rows(
@@ -118,6 +121,7 @@ def angle_dependent_rows(
             break
         own = search.next(own, found)
     value = _observed(data, speed, angle) @ strength
+    moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
         # the part of the response that is not in the smoothed deviation changes the argument
         stiffness = torques(Tape([derivative(effect.expression, "psi_c")])) @ strength
@@ -133,7 +137,7 @@ def angle_dependent_rows(
                     break
                 response = search.next(response, found)
             speed[..., j], angle[..., j] = w[..., 0], a[..., 0]
-    return AngleRows(_observed(data, speed, angle), strength, value)
+    return AngleRows(_observed(data, speed, angle), strength, value, moved)
 
 
 _DIVERGED = 1e100
@@ -379,6 +383,21 @@ class CaseModel:
             own = [self._own[int(k)] for k in places]
             columns[first : first + len(names), own] = inverse
         return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
+
+    def response_to_angles(self, prediction: Prediction, theta: Array) -> Array | None:
+        """Return the response to all laws of an angle, which the path does not contain; None if there are none.
+
+        Returns
+        -------
+        ndarray, shape (2, 2, samples), or None
+            Speed [rad/s] and angle [rad] of rotor and casing at the samples of the casing.
+        """
+        numbers = self.layout.numbers(theta, self.case)
+        found = [
+            self._rows_of(effect, prediction.path, prediction.sensitivity, numbers).motion
+            for effect in self.layout.model.angle_dependent
+        ]
+        return np.sum([f for f in found if f is not None], axis=0) if found else None
 
     def forget_columns(self) -> None:
         """Discard the responses to laws of an angle, which the next prediction then computes again."""

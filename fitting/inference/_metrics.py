@@ -52,7 +52,7 @@ from fitting.inference._linear_algebra import (
 )
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Problem, Projection
-from fitting.inference._record import Record, Samples, median_width, speeds
+from fitting.inference._record import Record, Samples, hermite, median_width, speeds
 
 Array = NDArray[np.float64]
 
@@ -231,7 +231,7 @@ _SPEED = {"casing": "omega_c", "rotor": "omega_r"}
 class BodyMetrics:
     """Figures of merit of one body."""
 
-    # of the angular velocity smoothed as in the paper [1, rad/s]
+    # of the measured angular velocity minus the modelled one, both smoothed as in the paper [1, rad/s]
     r2: float
     rmse: float
     reduced_chi2: float  # chi-square of what was fitted over the effective number of samples
@@ -284,7 +284,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         if body not in data.speeds:
             bodies[body] = BodyMetrics(*[float("nan")] * 4)
             continue
-        r2, rmse = _speed_quality(data, prediction.path, body)
+        r2, rmse = _speed_quality(case, prediction, theta, body)
         total, count = quality[body]
         reduced = total / max(1.0, count)
         if body == "rotor" and data.record.generated:  # no noise to measure against
@@ -299,11 +299,39 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     )
 
 
-def _speed_quality(data: CaseData, path: Path, body: str) -> tuple[float, float]:
-    t, y = data.speeds[body]
-    error = y - Sampler(path.mesh, t).value(path.y[..., path.states.index(_SPEED[body])])
+def _speed_quality(case: CaseModel, prediction: Prediction, theta: Array, body: str) -> tuple[float, float]:
+    _, y = case.data.speeds[body]
+    error = y - _smoothed_model(case, prediction, theta, body)
     spread = float(np.sum((y - y.mean()) ** 2))
     return 1 - float(error @ error) / spread if spread > 0 else 0.0, float(np.sqrt(np.mean(error**2)))
+
+
+def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body: str) -> Array:
+    """Return the modelled angular velocity of a body, smoothed as the measured one is.
+
+    Smoothing removes the response to a torque that repeats with the turn, and must do so from both.
+    """
+    record, path = case.data.record, prediction.path
+    runs = (record.casing,) if body == "casing" else record.rotor
+    response = case.response_to_angles(prediction, theta)
+    found = []
+    for run in runs:
+        values = _model_at(case.data, path, body, run.time)
+        if response is not None:
+            speed, angle = response[:, path.states.index(_SPEED[body])]
+            at = np.clip(run.time, record.casing.time[0], record.casing.time[-1])
+            values = values + hermite(record.casing.time, angle, speed, at, slopes=not case.data.is_angle)
+        model = Samples(run.time, values, run.sigma)
+        found.append(speeds(model, record.quantity, case.data.smoothing_width)[1])
+    return np.concatenate(found)
+
+
+def _model_at(data: CaseData, path: Path, body: str, times: Array) -> Array:
+    """Return the smooth part of the modelled angle [rad], or angular velocity [rad/s], at the times of samples."""
+    sampler = Sampler(path.mesh, times)
+    if data.is_angle:
+        return np.asarray(sampler.integral(*path.angle(_SPEED[body])))
+    return np.asarray(sampler.value(path.y[..., path.states.index(_SPEED[body])]))
 
 
 _SEED = 1
@@ -317,24 +345,22 @@ _THIRD_DIFFERENCE = 20.0
 
 
 def smoothing_noise(data: CaseData, path: Path) -> float:
-    """Return the rms error of the casing's smoothed speed by noise and smoothing alone [rad/s].
+    """Return the rms error of the casing's smoothed speed by noise alone [rad/s].
 
-    The smoothing of the paper has an error that does not depend on the model: that of the modelled angle with added
-    noise after the same smoothing. The noise is white, the samples' sigma times a factor from the third differences
+    It is the difference of the modelled angle with added noise from that without, after the smoothing of the paper. The
+    noise is white, the samples' sigma times a factor from the third differences
     of the residuals, whose rms is sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do
     irregular times (pulses, of which the time is what is measured).
     """
-    record = data.record
-    measured = record.casing
-    sampler = Sampler(path.mesh, measured.time)
-    omega = sampler.value(path.y[..., path.states.index("omega_c")])
-    exact = sampler.integral(*path.angle("omega_c")) if record.quantity == "angle" else omega
+    measured = data.record.casing
+    exact = _model_at(data, path, "casing", measured.time)
     third = np.abs(np.diff(measured.value - exact, 3)) / measured.sigma[1:-2]
     noise = measured.sigma * float(np.median(third)) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
     # a fixed seed, so that a report is the same in every run
     noisy = exact + noise * np.random.default_rng(_SEED).standard_normal(len(exact))
-    time, smoothed = speeds(Samples(measured.time, noisy, measured.sigma), record.quantity)
-    return float(np.sqrt(np.mean((smoothed - np.interp(time, measured.time, omega)) ** 2)))
+    runs = (Samples(measured.time, value, measured.sigma) for value in (noisy, exact))
+    smoothed, of_model = (speeds(run, data.record.quantity, data.smoothing_width)[1] for run in runs)
+    return float(np.sqrt(np.mean((smoothed - of_model) ** 2)))
 
 
 KNOTS = 21

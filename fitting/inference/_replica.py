@@ -12,32 +12,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
-from fitting.dynamics._collocation import Path, Sampler, rule
-from fitting.dynamics._inputs import values_at
-from fitting.effects._effect import Effect
-from fitting.effects._expression import Tape
 from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise, profile_at
 from fitting.inference._case_data import CaseData
-from fitting.inference._case_model import CaseModel, Prediction
+from fitting.inference._case_model import CaseModel
 from fitting.inference._record import Record, Samples, hermite
 from fitting.inference._result import Fit
-from fitting.inference._sampled import predicted_samples
+from fitting.inference._sampled import Motion
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-_GAUSS = 3
-"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
-time."""
-_PASSES = 8
-"""Iterations of a law of an angle that changes its own argument [1]. Chosen: the response is small compared with a
-radian; fewer leave an error, more cost time."""
 _CELLS_PER_TIME = 5
 """Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer make it a sequence of steps, more
 cost time."""
@@ -77,7 +67,7 @@ def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
                 f"{data.record.label}: only measured values can be simulated, not curves made from them",
                 "fit the case as it was measured, without --data and --rotor",
             )
-    return [_recording(_Motion(fit, case, data), random) for case, data in enumerate(fit.problem.data)]
+    return [_recording(Motion(fit, case, data), random) for case, data in enumerate(fit.problem.data)]
 
 
 def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> tuple[Array, Array]:
@@ -96,101 +86,18 @@ def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> t
     """
     random = np.random.default_rng(seed)
     known = fit.problem.data[case]
-    first = _Motion(fit, case, known)
+    first = Motion(fit, case, known)
     zero = float(np.median(known.record.casing.value - first.expected(known.record.casing.time, rotor=False)))
     angles = [first.expected(times, rotor=False) + zero, first.expected(times, rotor=True)]
     runs = [Samples(times, angle, np.ones(len(times))) for angle in angles]
-    motion = _Motion(
-        fit, case, replace(known, record=replace(known.record, casing=runs[0], rotor=(runs[1],)))
-    )
+    motion = Motion(fit, case, replace(known, record=replace(known.record, casing=runs[0], rotor=(runs[1],))))
     changes = [_other_inertias(motion, random), _random_torque(motion, random)]
     changes += [motion.angle_response(effect, zero) for effect in fit.model.angle_dependent]
     casing, rotor = (a + np.sum([c[i] for c in changes], axis=0) for i, a in enumerate(angles))
     return casing, rotor
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """The fitted motion of one case."""
-
-    fit: Fit
-    case: int
-    data: CaseData
-
-    @property
-    def prediction(self) -> Prediction:
-        return self.fit.predictions[self.case]
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        return self.fit.problem.layout.numbers(self.fit.theta, self.case)
-
-    def expected(self, times: Array, path: Path | None = None, *, rotor: bool) -> Array:
-        """Return angles, up to a constant, or speeds of the smooth motion."""
-        path = path or self.prediction.path
-        sampler, state = Sampler(path.mesh, times), int(not rotor)
-        if self.data.is_angle:
-            return sampler.integral(*path.angle(path.states[state]))
-        return sampler.value(path.y[..., state])
-
-    def values(self) -> list[Array]:
-        """Return the expected values at the samples of the casing and of each window."""
-        values = [np.array(v) for v in predicted_samples(self.data, self.case, self.fit)]
-        runs = (self.data.record.casing, *self.data.record.rotor)
-        zero = float(np.median(values[0] - self.expected(runs[0].time, rotor=False)))
-        for effect in self.fit.model.angle_dependent:
-            for value, change in zip(values, self.angle_response(effect, zero), strict=True):
-                value += change
-        for effect in self.fit.model.measurement:
-            for i, run in enumerate(runs):
-                if (effect.camera == "casing") == (i == 0):
-                    values[i] += self._camera_error(effect, run, values[i], rotor=i > 0)
-        return values
-
-    def _law(self, effect: Effect) -> dict[str, float]:
-        numbers = self.numbers
-        return {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
-
-    def _camera_error(self, effect: Effect, run: Samples, value: Array, *, rotor: bool) -> Array:
-        """Return the error of the camera's angle at the samples of a run; of speeds, its derivative."""
-        path = self.prediction.path
-        sampler, state = Sampler(path.mesh, run.time), int(not rotor)
-        psi = value if self.data.is_angle else sampler.integral(*path.angle(path.states[state]))
-        known = {"t": run.time - (run.time[0] if rotor else 0.0), "psi": psi}
-        known["omega"] = sampler.value(path.y[..., state])
-        error = np.asarray(Tape([effect.expression])(self._law(effect) | known)[0]) * np.ones(len(run))
-        return error if self.data.is_angle else np.gradient(error, run.time)
-
-    def angle_response(self, effect: Effect, zero: float) -> list[Array]:
-        """Return the response of the casing and of each window to a law of the angle, whose initial value is `zero`."""
-        record, path, motion = self.data.record, self.prediction.path, self.prediction.motion
-        t = record.casing.time
-        half = 0.5 * np.diff(t)
-        inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
-        sampler = Sampler(path.mesh, inner)
-        known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
-        known |= {"delta": known["omega_r"] - known["omega_c"], "t": inner}
-        known |= values_at(record.inputs, inner)
-        known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-        psi = sampler.integral(*path.angle("omega_c")) + (zero if self.data.is_angle else 0.0)
-        on_rotor, on_casing = {"rotor": (1, 0), "casing": (0, 1), "bearing": (-1, 1)}[effect.joint]
-        direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
-        respond = motion.driven(t, _GAUSS, direction)
-        tape, law = Tape([effect.expression]), self._law(effect)
-        between = np.repeat(np.arange(len(half)), _GAUSS)
-        own = np.zeros(len(inner))
-        for _ in range(_PASSES):
-            torque = np.asarray(tape(law | known | {"psi_c": psi + own})[0]) * np.ones(len(inner))
-            speed, angle = (x[..., 0] for x in respond(torque.reshape(len(half), _GAUSS, 1)))
-            own = hermite(t, angle[1], speed[1], inner, interval=between)
-        found = [angle[1] if self.data.is_angle else speed[1]]
-        for run in record.rotor:
-            at = np.clip(run.time, t[0], t[-1])
-            found.append(hermite(t, angle[0], speed[0], at, slopes=not self.data.is_angle))
-        return found
-
-
-def _recording(motion: _Motion, random: Random) -> Record:
+def _recording(motion: Motion, random: Random) -> Record:
     data, record = motion.data, motion.data.record
     runs = (record.casing, *record.rotor)
     values = motion.values()
@@ -214,7 +121,7 @@ def _recording(motion: _Motion, random: Random) -> Record:
     return replace(record, casing=casing, rotor=tuple(rotor), digest="")
 
 
-def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
+def _other_inertias(motion: Motion, random: Random) -> list[Array]:
     """Return the change of the values by moments of inertia that differ from the stated ones, which the record keeps.
 
     The torques are those of the fit.
@@ -237,7 +144,7 @@ def _other_inertias(motion: _Motion, random: Random) -> list[Array]:
     ]
 
 
-def _random_torque(motion: _Motion, random: Random) -> list[Array]:
+def _random_torque(motion: Motion, random: Random) -> list[Array]:
     """Return the change of the values by random torques on the casing and between the bodies.
 
     Their level is the one that the uncertainties of the fit include.

@@ -22,6 +22,7 @@ from fitting.inference._case_model import Prediction
 from fitting.inference._compression import Compressed
 from fitting.inference._noise import Noise, Whitener
 from fitting.inference._problem import Problem
+from fitting.inference._record import median_width, running_median
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,10 @@ class Fitted(Protocol):
 
 
 def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
-    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) by the sensitivities s [rad/s]."""
+    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) by the sensitivities s [rad/s].
+
+    The response to laws of an angle is smoothed as the measured speeds are.
+    """
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
     places = fit.problem.layout.places(case, (*model.dynamics.parameters, *fit.problem.layout.starts))
@@ -56,7 +60,16 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
     # a parameter without influence has no finite variance, but zero sensitivity
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     variance = np.einsum("tp,pq,tq->t", slope, covariance, slope)
-    return sampler.value(prediction.path.y[..., body]), np.sqrt(np.maximum(variance, 0.0))
+    value, response = (
+        sampler.value(prediction.path.y[..., body]),
+        model.response_to_angles(prediction, fit.theta),
+    )
+    if response is not None:
+        width = median_width(response.shape[-1], model.data.smoothing_width)
+        value = value + np.interp(
+            time, model.data.record.casing.time, running_median(response[0, body], width)
+        )
+    return value, np.sqrt(np.maximum(variance, 0.0))
 
 
 _PARTS = {"casing": 2, "rotor": 5}

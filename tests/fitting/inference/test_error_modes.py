@@ -12,7 +12,8 @@ from fitting.inference._case_data import CaseData, _beyond_noise
 from fitting.inference._case_file import read_record
 from fitting.inference._error_modes import MOST_AMPLITUDES, mode_columns
 from fitting.inference._record import Samples, make_record
-from fitting.inference._replica import _Motion, _recording
+from fitting.inference._replica import _recording
+from fitting.inference._sampled import Motion
 
 T = np.linspace(0.0, 20.0, 401)
 U = 0.01
@@ -212,7 +213,7 @@ class TestReplicas:
         shape = np.sin(T)
         case = wheel(modes={"sway": {"basis": shape, "covariance": 0.5**2}})
         found = fit("support.constant", case)
-        motion = _Motion(found, 0, found.problem.data[0])
+        motion = Motion(found, 0, found.problem.data[0])
         random = np.random.default_rng(3)
         left = _recording(motion, random).casing.value - motion.values()[0]
         left -= shape * (shape @ left) / (shape @ shape)

@@ -14,12 +14,14 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples
 from fitting.inference._replica import replica
+from fitting.inference._sampled import Motion
 
 BASE = Model.of(REDUCED).of_bodies({"casing"})
 
 
 def motion(found):
-    return _replica._Motion(found, 0, found.problem.data[0])
+    """Return what a fit expects at the samples of its first case."""
+    return Motion(found, 0, found.problem.data[0])
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +168,7 @@ def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscop
     for u in (2e-3, 0.0, np.nan):
         stated = replace(data, record=replace(data.record, start_sigma=(u,) * 3))
         found = replace(gyroscope, noise=(replace(gyroscope.noise[0].at(0.0), unresolved=0.0),))
-        moved = _replica._Motion(found, 0, stated)
+        moved = Motion(found, 0, stated)
         known = moved.values()[1]
         shifts.append(
             [
@@ -242,3 +244,29 @@ def test_curves_made_from_data_are_refused(speeds):
     curve = replace(speeds, problem=replace(speeds.problem, data=(made,)))
     with pytest.raises(EstimationError, match="only measured values"):
         replica(curve, 0)
+
+
+def test_residuals_contain_neither_laws_of_an_angle_nor_errors_of_the_camera(gyroscope):
+    """Without them the residuals of a window would be 1 rad, by the clock of the rotor's camera."""
+    count = len(gyroscope.problem.data[0].record.casing)
+    own, rotor = np.split(gyroscope.residual, [count])
+    assert np.sqrt(np.mean(own**2)) == pytest.approx(1.0, abs=0.05)
+    assert np.sqrt(np.mean(rotor**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_modelled_speeds_contain_laws_of_an_angle(gyroscope):
+    """The initial speed of the fit is that with the law: the smooth path alone misses its mean effect."""
+    case, (prediction,) = gyroscope.problem.cases[0], gyroscope.predictions
+    response = case.response_to_angles(prediction, gyroscope.theta)
+    assert response.shape == (2, 2, len(case.data.record.casing))
+    assert gyroscope.cases[0].casing.rmse < 1.05 * gyroscope.rmse_noise
+    t = case.data.record.casing.time
+    path = motion(gyroscope).expected(t, rotor=False)
+    speed, _ = gyroscope.modelled_speed(0, 1, t)
+    evaluated = gyroscope.eval(quantity="omega")
+    np.testing.assert_allclose(np.gradient(path + response[1, 1], t)[1:-1], evaluated[1:-1], atol=2e-3)
+    assert np.abs(np.gradient(path, t)[1:-1] - evaluated[1:-1]).max() > 0.02
+    # its running median has no part that repeats with the turn while the casing is fast
+    fast = evaluated > 0.8 * evaluated.max()
+    shown, whole = (np.diff((v - evaluated + response[0, 1])[fast]) for v in (speed, evaluated))
+    assert np.std(shown) < 0.1 * np.std(whole)
