@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,7 @@ from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.io.readers._reading import units_of_file
 from gyrotrack.plotting import _case_charts as charts
 from gyrotrack.plotting import _charts as widgets
-from gyrotrack.plotting._charts import AFTER, Dashboard, Picture, chart_picture, themed
+from gyrotrack.plotting._charts import AFTER, Chart, Dashboard, Picture, chart_picture, themed
 from gyrotrack.plotting._discovery import (
     candidates_picture,
     correlation_picture,
@@ -169,11 +169,13 @@ def _section(
     steps = [s.words for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
     intervals = [i for i in v.intervals if i.body == "casing"]
+    of_angle = _torque_of_the_angle(view, v)
     overview = (
         (charts.speed_chart(v, "casing"), _WIDE),
         (charts.normalised_chart(v), _WIDE),
-        (charts.torque_law_chart(v, alternatives=not view.improved), _TALL),
+        (of_angle[0] if of_angle else charts.torque_law_chart(v, alternatives=not view.improved), _TALL),
     )
+    dashboard = charts.case_dashboard(v, tracks, steps)
     return Section(
         heading=v.label if len(view.cases) > 1 else "",
         surface=v.surface,
@@ -184,7 +186,7 @@ def _section(
         windows=charts.windows_picture(v, f"windows{index}") if v.rotor else None,
         details=_details(v, index, steps, tracks) if static else (),
         sync=sync_picture(tracks, f"sync{index}") if tracks is not None else None,
-        dashboard=charts.case_dashboard(v, tracks, steps),
+        dashboard=replace(dashboard, charts=(*dashboard.charts[:3], *of_angle, *dashboard.charts[3:])),
         sheets=tuple(contact_sheets(case, films, [(f.t_start, f.t_stop) for f in v.failures]))
         if case is not None and films
         else (),
@@ -192,6 +194,15 @@ def _section(
         if case is not None
         else (),
     )
+
+
+def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
+    """Return the chart of the unmodelled torque in the angle of a case, if one repeats with the turn."""
+    if not any(f.kind == "ripple" for f in v.failures):
+        return []
+    fits = (view.base, view.final) if view.improved else (view.base,)
+    harmonics = [[h for h in f.angle_harmonics if h.label == v.label] for f in fits]
+    return charts.torque_angle_charts(harmonics, charts.NAMES, v.body, view.base.torque_unit)
 
 
 def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:

@@ -82,7 +82,8 @@ def test_a_sinusoid_of_several_periods_is_a_periodic_torque(periods, chirp, bett
         return 1e-8 * periods**2 * np.cos(2 * np.pi * periods * (x + chirp * x * (x - 1)) + 0.7)
 
     found = compared(torque, which=1)
-    assert (found.columns, found.searched) == (2, 2)
+    # frequency and its change are searched for: 8 more periods, at 2 per period, with 4 changes
+    assert (found.columns, found.searched, found.trials) == (2, 2, 64)
     assert found.is_better(DEFAULT) is better
     assert not compared(torque).is_better(DEFAULT)
 
