@@ -30,7 +30,7 @@ def test_each_case_shows_its_own_torque_before_and_after(label, sizes):
     assert chart.name == "torque-angle"
     assert [t.label for t in chart.traces] == ["base model", "final model"]
     for trace, size in zip(chart.traces, sizes, strict=True):
-        assert np.abs(trace.y).max() == pytest.approx(size, rel=0.01)
+        assert np.abs(trace.value).max() == pytest.approx(size, rel=0.01)
 
 
 def test_without_an_added_effect_the_base_model_is_shown_alone():
