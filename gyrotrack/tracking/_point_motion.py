@@ -436,8 +436,8 @@ def _of_path(
         )
     if path.keeps and np.ptp(found.angle) > _WIDE:
         warnings.append(
-            "The picture of the body does not turn with its direction from the pivot, as that of a cabin of a Ferris "
-            "wheel or of a ball in the light of a lamp: the angle is that of its place, not of its orientation."
+            "The picture of the body keeps its orientation while it moves about the pivot (a cabin of a Ferris wheel, "
+            "a ball in the light of a lamp): the angle is the direction of its place, not its orientation."
         )
     if start is None:
         _check_unselected(found, film.path.name)

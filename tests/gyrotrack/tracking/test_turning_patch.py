@@ -258,7 +258,7 @@ def test_a_body_that_keeps_its_orientation_is_reported_beyond_half_a_turn(keeps,
     )
     film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"), tilt=None, warnings=())
     found = _point_motion._of_path(film, path, (250.0, 160.0), None)
-    assert any("not of its orientation" in w for w in found.warnings) == said
+    assert any("not its orientation" in w for w in found.warnings) == said
 
 
 def test_the_angles_of_a_joint_contain_the_error_by_rods_in_its_patch(monkeypatch):
