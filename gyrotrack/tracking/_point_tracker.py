@@ -187,6 +187,8 @@ class PointPath:
         Whether the patch turns with its direction from the hub.
     picture : ndarray
         The learnt picture of the patch, in grey levels.
+    keeps : bool
+        Whether the picture certainly does not turn with the direction of the patch from the hub.
     """
 
     frame: Frames
@@ -196,6 +198,7 @@ class PointPath:
     searched: int
     turns: bool
     picture: Picture
+    keeps: bool = False
 
 
 Turn = Callable[[Frames, Floats], Floats | None]
@@ -362,6 +365,7 @@ def _tracked(
         other = learnt(rough[found], followed, _TURN_SEEN)
         best = other if other.residual < _TURNS_WITH * best.residual else best
     # the rotation of the patch follows from its path, and its path from the rotation
+    keeps = False
     for _ in range(_TURN_ROUNDS):
         about = turn_of(frame, best.place)
         if about is None:
@@ -369,9 +373,10 @@ def _tracked(
         other = learnt(best.place, about)
         # a followed rotation has noise of its own
         if other.residual > best.residual * (_TURNS_WITH if best.turn is None else 1.0 / _TURNS_WITH):
+            keeps = best.turn is None and best.residual < _TURNS_WITH * other.residual
             break
         best = other
-    return _measured(film, frame, best, len(usable), progress)
+    return replace(_measured(film, frame, best, len(usable), progress), keeps=keeps)
 
 
 def _retraced(place: Floats, name: str) -> None:

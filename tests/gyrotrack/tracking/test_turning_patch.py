@@ -12,6 +12,7 @@ from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _
 from gyrotrack.tracking._silhouettes import Foreground, Spot
 
 TIME = np.arange(40) / 40.0
+TURNS = np.linspace(0.0, 7.0, 60)
 FULL = np.full((120, 160), 90.0, np.float32)
 
 
@@ -169,6 +170,7 @@ def test_a_click_is_compared_with_the_joint_in_the_first_frame_alone(monkeypatch
     monkeypatch.setattr(_point_motion, "fresh_frames", lambda _: np.arange(9))
     monkeypatch.setattr(_point_motion, "second_link", lambda *args: seen.append(args[-1]))
     monkeypatch.setattr(_point_motion, "_on_second_link", lambda *_: None)
+    monkeypatch.setattr(_point_motion, "_with_error", lambda *_: None)
     _point_motion.follow_links(SimpleNamespace(path=SimpleNamespace(name="film.mp4")), ((0, 0), (9, 9)))
     assert seen == [pytest.approx(off)]
 
@@ -219,3 +221,72 @@ def test_the_edge_of_a_round_patch_does_not_show_its_rotation(long, whole):
     v, u = np.mgrid[-12:13, -12:13]
     mask = (np.hypot(u, v / long) <= 12).astype(np.float32)
     assert (_point_tracker._interior(mask).sum() == mask.sum()) == whole
+
+
+@pytest.mark.parametrize(("turned", "keeps"), [(1.0, False), (1.04, False), (1.07, True)])
+def test_a_patch_certainly_keeps_its_orientation_if_it_fits_worse_when_turned(monkeypatch, turned, keeps):
+    """A round bob of one shade fits alike; the limit is a residual of 0.95 times that of the turned patch."""
+    place = 30.0 * np.stack([np.cos(TURNS), np.sin(TURNS)], axis=1)
+    count = len(place)
+    follow = place, np.zeros(count), np.ones(count, dtype=bool)
+    monkeypatch.setattr(_point_tracker, "_follow", lambda *_: follow)
+
+    def learnt(film, frame, place, turn, *_):
+        return SimpleNamespace(place=place, turn=turn, residual=1.0 if turn is None else turned)
+
+    def measured(film, frame, best, *_):
+        return PointPath(frame, best.place, np.tile(np.eye(2), (count, 1, 1)), 9.0, count, False, FULL)
+
+    monkeypatch.setattr(_point_tracker, "_learnt", learnt)
+    monkeypatch.setattr(_point_tracker, "_measured", measured)
+    film, spot = SimpleNamespace(path=SimpleNamespace(name="film.mp4")), SimpleNamespace(radius=9.0)
+    path = _point_tracker._tracked(
+        film, np.arange(count), spot, FULL, 1.0, lambda *_: TURNS, None, where=(0, 0), unselected=False
+    )
+    assert path.keeps == keeps
+
+
+@pytest.mark.parametrize(
+    ("keeps", "range_", "said"), [(True, 3.3, True), (True, 3.0, False), (False, 3.3, False)]
+)
+def test_a_body_that_keeps_its_orientation_is_reported_beyond_half_a_turn(keeps, range_, said):
+    theta = np.linspace(0.0, range_, 200)
+    place = 160.0 + 90.0 * np.stack([np.cos(theta), -np.sin(theta)], axis=1)
+    place += np.random.default_rng(0).normal(0, 0.03, place.shape)
+    path = PointPath(
+        np.arange(200), place, np.tile(0.03**2 * np.eye(2), (200, 1, 1)), 9.0, 200, False, FULL, keeps
+    )
+    film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"), tilt=None, warnings=())
+    found = _point_motion._of_path(film, path, (250.0, 160.0), None)
+    assert any("not its orientation" in w for w in found.warnings) == said
+
+
+def test_the_angles_of_a_joint_contain_the_error_by_rods_in_its_patch(monkeypatch):
+    """0.05 px across a link of 50 px, beside 1 mrad."""
+    place = 50.0 * np.stack([np.cos(TURNS), -np.sin(TURNS)], axis=1)
+    count = len(place)
+    none = np.zeros((count, 2, 2))
+    path = PointPath(np.arange(count), place, none, 9.0, count, True, FULL)
+    joint = TrackedPoint(
+        np.arange(count),
+        place,
+        np.zeros((count, 2)),
+        TURNS,
+        np.full(count, 1e-3),
+        np.zeros(2),
+        np.zeros((2, 2)),
+        0.0,
+        "",
+        path,
+        None,
+        (),
+    )
+    monkeypatch.setattr(_point_motion, "follow_point", lambda *_: joint)
+    monkeypatch.setattr(_point_motion, "track_point", lambda *_: path)
+    monkeypatch.setattr(_point_motion, "fresh_frames", lambda _: np.arange(count))
+    monkeypatch.setattr(_point_motion, "second_link", lambda *_: None)
+    monkeypatch.setattr(_point_motion, "_on_second_link", lambda *_: None)
+    found, _ = _point_motion.follow_links(
+        SimpleNamespace(path=SimpleNamespace(name="film.mp4")), ((0, 0), (9, 9))
+    )
+    assert found.sigma == pytest.approx(np.full(count, np.hypot(1e-3, 0.05 / 50)))
