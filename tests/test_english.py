@@ -60,6 +60,7 @@ PATTERNS = {
 INVERTED = re.compile(
     rf"(?:^|[.;:!?] )(?:Of|From|About) {_ONE} [^.,;:]{{3,60}} (?:is|are|has|have|was|were|needs?|counts?|gives?) "
 )
+DEFINED = re.compile(r"\s*(?:async def|def|class) ([Tt]est\w*)")
 PATTERN = re.compile(rf"\b(?:{'|'.join(PATTERNS)})\b", re.IGNORECASE)
 
 # file: {text: reason}
@@ -97,12 +98,8 @@ def texts_of(path):
 
 def names_of(path):
     """Return (line, words) of the tests of a file, functions and classes."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    names = (
-        (n.lineno, n.name)
-        for n in ast.walk(tree)
-        if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name.lower().startswith("test")
-    )
+    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+    names = ((line, m[1]) for line, text in lines if (m := DEFINED.match(text)))
     return [(line, re.sub(r"_|(?<=[a-z])(?=[A-Z])", " ", name)) for line, name in names]
 
 

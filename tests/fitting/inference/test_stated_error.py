@@ -118,7 +118,7 @@ def test_a_profile_is_linear_between_its_times_and_constant_beyond():
 
 
 def test_the_rows_of_a_profile_have_the_covariance_of_the_scaled_process():
-    t = np.arange(0.0, 60.0, 0.02)
+    t = np.arange(0.0, 60.0, 0.04)
     run = compress(Samples(t, 0.1 * t, np.full(len(t), 1e-3)), degree=7, blocks=20)
     scaled = stated_error_rows(run, SIGMA, TIME, profile=PROFILE)
     constant = stated_error_rows(run, SIGMA, TIME)
