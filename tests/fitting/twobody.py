@@ -150,6 +150,11 @@ class Cameras:
     centre: tuple[float, float] = (0.0, 0.0)  # amplitude [rad] and phase of an offset centre
 
 
+# the information of the paper's films in a fifth of their samples, and half of the rows of a fit: standard errors
+# agree within 5 %. Less than a frame per turn of the casing: not for laws of its angle
+FEWER_FRAMES = Cameras(casing_rate=10.0, rotor_rate=300.0, sigma=3e-4)
+
+
 def film(motion, seed=0, cameras=None, **more):
     """Return the measured arrays as keywords of `fitting.inference._record.make_record`."""
     cameras = cameras or Cameras()

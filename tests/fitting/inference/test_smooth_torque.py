@@ -8,12 +8,12 @@ import pytest
 from linearised import gyroscope
 from scipy.special import chdtri
 
+from fitting import Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _result
 from fitting.inference import _smooth_torque as module
 from fitting.inference._metrics import KNOTS, slow_responses
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, Whitener
-from fitting.inference._result import Fit
 from fitting.inference._smooth_torque import SmoothTorque, smooth_torque
 
 LEVEL, TIME = 2e-7, 0.5

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting import Model, fit, make_record
-from fitting._errors import RecordError
+from fitting import Model, RecordError, fit, make_record
 from fitting.inference._angle_noise import AngleNoise, profile_at, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated, _profile
