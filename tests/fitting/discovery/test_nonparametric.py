@@ -31,7 +31,8 @@ HIDDEN = {
 @cache
 def base(name):
     motion = twobody.simulate(hidden=HIDDEN[name], ou=1e-7, seed=5)
-    cameras = twobody.FEWER_FRAMES if name in {"resonance", "step"} else None  # changes in time need short blocks
+    # changes in time need short blocks
+    cameras = twobody.FEWER_FRAMES if name in {"resonance", "step"} else None
     return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 5, cameras)))])
 
 
