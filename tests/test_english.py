@@ -5,10 +5,8 @@ right are in `EXCEPTIONS`, each with its reason. `python tests/test_english.py [
 """
 
 import ast
-import io
 import re
 import sys
-import tokenize
 from pathlib import Path
 
 import pytest
@@ -60,6 +58,8 @@ PATTERNS = {
 INVERTED = re.compile(
     rf"(?:^|[.;:!?] )(?:Of|From|About) {_ONE} [^.,;:]{{3,60}} (?:is|are|has|have|was|were|needs?|counts?|gives?) "
 )
+COMMENT = re.compile(r"(?:^ *|  )#+(.*)")  # the formatter puts two spaces before a comment beside code
+DEFINED = re.compile(r"\s*(?:async def|def|class) ([Tt]est\w*)")
 PATTERN = re.compile(rf"\b(?:{'|'.join(PATTERNS)})\b", re.IGNORECASE)
 
 # file: {text: reason}
@@ -83,11 +83,11 @@ def texts_of(path):
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     ]
-    lines, last = source.splitlines(), 0
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            line, text = token.start[0], token.string.lstrip("#: ")
-            if last and line == last + 1 and lines[line - 1].lstrip().startswith("#"):
+    last = 0
+    for line, code in enumerate(source.splitlines(), 1):
+        if comment := COMMENT.search(code):
+            text = comment[1].lstrip(": ")
+            if last and line == last + 1 and code.lstrip().startswith("#"):
                 found[-1] = (found[-1][0], f"{found[-1][1]} {text}")
             else:
                 found.append((line, text))
@@ -97,12 +97,8 @@ def texts_of(path):
 
 def names_of(path):
     """Return (line, words) of the tests of a file, functions and classes."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    names = (
-        (n.lineno, n.name)
-        for n in ast.walk(tree)
-        if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name.lower().startswith("test")
-    )
+    lines = enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+    names = ((line, m[1]) for line, text in lines if (m := DEFINED.match(text)))
     return [(line, re.sub(r"_|(?<=[a-z])(?=[A-Z])", " ", name)) for line, name in names]
 
 

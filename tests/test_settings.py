@@ -6,6 +6,7 @@ import importlib.util
 import json
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,10 @@ from fitting._settings import ORIGINS, fitting_settings, settings_of
 from gyrotrack._tracking_settings import PACKAGES, tracking_settings
 
 ROOT = Path(__file__).parents[1]
+fitting_settings, tracking_settings = (
+    cache(fitting_settings),
+    cache(tracking_settings),
+)  # they parse all modules
 COLLECTED = {
     "tracking": (tracking_settings, PACKAGES, 500),
     "fitting": (fitting_settings, ("fitting",), 500),

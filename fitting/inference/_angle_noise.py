@@ -423,11 +423,18 @@ def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
 def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
     """Return P R P' of the rows for R = cos(psi - psi') exp(-|t - t'| / T), for each T [s]."""
     operators = run.operators_of_bins(max(_FEWEST_BINS, _ALL_BINS // len(run.lift)))
-    rows = block_diagonal([p for _, p in operators])
     t = np.concatenate([t for t, _ in operators])
     psi = np.interp(t, run.samples.time, run.samples.value)
     lag, cosine = np.abs(t[:, None] - t), np.cos(psi[:, None] - psi)
-    return [np.asarray(rows @ (cosine * np.exp(-lag / time)) @ rows.T) for time in times]
+    ends = np.cumsum([0, *(p.shape[1] for _, p in operators)])
+    parts = [(slice(i, j), p) for i, j, (_, p) in zip(ends[:-1], ends[1:], operators, strict=True)]
+
+    def projected(kernel: Array) -> Array:
+        # P is zero between different blocks
+        half = np.concatenate([p @ kernel[own] for own, p in parts])
+        return np.concatenate([half[:, own] @ p.T for own, p in parts], axis=1)
+
+    return [projected(cosine * np.exp(-lag / time)) for time in times]
 
 
 def _row_covariance(run: Compressed, time: float, size: Callable[[Array], Array] = np.ones_like) -> Array:

@@ -86,7 +86,8 @@ def pulls(result, true):
     return {k: (e.value - true[k]) / e.stderr for k, e in result.estimates.items() if k in true}
 
 
-def case(par, seed, label, start=(900.0, 5.0), hidden=None, ou=0.0):
+def case(par, seed, label, start=(900.0, 5.0), hidden=None, ou=0.0, cameras=twobody.FEWER_FRAMES):
     """Return a case with the paper's parameters but those of `par`, and what is hidden in it."""
     motion = twobody.simulate({**twobody.PAPER, **par}, start=start, seed=seed, hidden=hidden, ou=ou)
-    return CaseData.of(make_record(**twobody.film(motion, seed=seed, label=label)))
+    film = twobody.film(motion, seed=seed, label=label, cameras=cameras)
+    return CaseData.of(make_record(**film))

@@ -209,8 +209,9 @@ def test_results_of_a_diagnosis_print_within_a_screen():
 
 
 def test_a_plan_and_a_scan_print_within_a_screen():
+    from fitting import Scan
     from fitting.discovery._plan import Plan
-    from fitting.study._scan import ModelFits, Scan
+    from fitting.study._scan import ModelFits
 
     found = fitted(seed=0)
     scan = Scan(("case1",), ((),), ((),), (ModelFits("reduced", (found,) * 30, found, (), ()),))

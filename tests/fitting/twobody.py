@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -105,7 +106,12 @@ def simulate(
     par=PAPER, start=(900.0, 5.0), span=200.0, hidden=None, ou=0.0, ou_time=1.0, seed=0, step=0.02
 ) -> Motion:
     """Return the motion; `ou` is the rms of a random torque on the casing and of one in the bearing."""
-    hidden = hidden or Hidden()
+    return _simulated(tuple(par.items()), start, span, hidden or Hidden(), ou, ou_time, seed, step)
+
+
+@lru_cache(maxsize=16)
+def _simulated(par, start, span, hidden, ou, ou_time, seed, step):
+    par = dict(par)
     rng = np.random.default_rng(seed)
     n = round(span / step) + 2
     casing, bearing = (ornstein_uhlenbeck(rng, n, step, ou, ou_time).tolist() for _ in range(2))
@@ -142,6 +148,11 @@ class Cameras:
     sigma: float = 1e-3
     quantity: str = "angle"
     centre: tuple[float, float] = (0.0, 0.0)  # amplitude [rad] and phase of an offset centre
+
+
+# the information of the paper's films in a fifth of their samples, and half of the rows of a fit: standard errors
+# agree within 5 %. Less than a frame per turn of the casing: not for laws of its angle
+FEWER_FRAMES = Cameras(casing_rate=10.0, rotor_rate=300.0, sigma=3e-4)
 
 
 def film(motion, seed=0, cameras=None, **more):

@@ -37,7 +37,10 @@ TWINS = {"casing.windage": {"casing.windage", "bearing.load"}}
 @cache
 def base(name="", seed=0, ou=0.0, centre=0.0, inertia=1.0):
     motion = twobody.simulate(hidden=HIDDEN.get(name), seed=seed, ou=ou)
-    arrays = twobody.film(motion, seed, twobody.Cameras(centre=(centre, 0.7)))
+    # a friction at low speed and one that changes in time need short blocks
+    few = not centre and name not in {"touchpoint.stribeck", "bearing.heating"}
+    cameras = twobody.FEWER_FRAMES if few else twobody.Cameras(centre=(centre, 0.7))
+    arrays = twobody.film(motion, seed, cameras)
     record = make_record(**{**arrays, "I_casing": arrays["I_casing"] / inertia})
     return fit(Model.of(REDUCED), [CaseData.of(record)])
 
@@ -129,7 +132,7 @@ def test_forward_selection_ends_at_the_noise():
 def test_a_user_law_outside_the_library_is_found_if_given():
     law = resolve("casing: -k*exp(-((omega_c - 110)/12)**2)")
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * math.exp(-(((wc - 110) / 12) ** 2)))
-    record = make_record(**twobody.film(twobody.simulate(hidden=hidden), 0))
+    record = make_record(**twobody.film(twobody.simulate(hidden=hidden), 0, twobody.FEWER_FRAMES))
     start = fit(Model.of(REDUCED), [CaseData.of(record)])
     offered = diagnose(start, [law])
     assert offered.verdict == "missing_effect"

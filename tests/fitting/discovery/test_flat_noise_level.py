@@ -19,7 +19,8 @@ def constant_torque(seed):
 
 
 def test_the_deviance_at_the_noise_of_another_fit_is_the_lower_one():
-    base = next(b for b in map(constant_torque, range(60)) if b.noise[0].level > 0)
+    base = constant_torque(26)  # the first seed with a random torque in its fit
+    assert base.noise[0].level > 0
     without = base.problem.with_noise([n.at(0.0) for n in base.noise])
     other = type("Other", (), {"noise": tuple(n.at(0.0) for n in base.noise)})()
     found = deviance_at_noise_of(base, other)

@@ -23,7 +23,7 @@ DRAG = LIBRARY["casing.air.quadratic"]
 @cache
 def drag(torque):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -torque * (wc / 160) ** 2)
-    film = twobody.film(twobody.simulate(hidden=hidden, seed=6), 6)
+    film = twobody.film(twobody.simulate(hidden=hidden, seed=6), 6, twobody.FEWER_FRAMES)
     return fit(Model.of(REDUCED).with_effect(DRAG), [CaseData.of(make_record(**film))])
 
 
@@ -116,7 +116,8 @@ def test_nine_in_ten_deviations_of_the_limit_are_detected():
             share = np.interp(wc, np.linspace(0, 170, 4), h)
             return -2e-6 * (wc / 160) ** 2 * (1 + share)
 
-        film = twobody.film(twobody.simulate(hidden=twobody.Hidden(casing=law), seed=seed), seed)
+        motion = twobody.simulate(hidden=twobody.Hidden(casing=law), seed=seed)
+        film = twobody.film(motion, seed, twobody.FEWER_FRAMES)
         deviating = fit(Model.of(REDUCED).with_effect(DRAG), [CaseData.of(make_record(**film))])
         hits += smooth_test(deviating).p_value < DEFAULT.doubt_named
     assert hits >= 4

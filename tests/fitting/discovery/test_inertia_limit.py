@@ -64,7 +64,7 @@ def test_without_an_uncertainty_or_for_another_effect_nothing_is_allowed():
 @pytest.mark.slow
 @pytest.mark.parametrize(("u", "verdict"), [(0.01, "adequate"), (0.001, "missing_effect")])
 def test_a_casing_one_percent_too_light(u, verdict):
-    film = twobody.film(twobody.simulate(seed=2), 2)
+    film = twobody.film(twobody.simulate(seed=2), 2, twobody.FEWER_FRAMES)
     record = make_record(**film)
     stated = record.I_casing / 1.01
     base = fit(Model.of(REDUCED), [replace(record, I_casing=stated, I_casing_u=u * stated)])

@@ -37,7 +37,10 @@ SATURATING = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -K * math.tanh(wc /
 
 @lru_cache(maxsize=1)
 def saturating():
-    data = [case({}, 0, "a", hidden=SATURATING), case({"b1": 2e-5}, 1, "b", (740.0, 12.0), SATURATING)]
+    data = [
+        case({}, 0, "a", hidden=SATURATING, cameras=None),
+        case({"b1": 2e-5}, 1, "b", (740.0, 12.0), SATURATING, cameras=None),
+    ]
     base = fit(Model.of(REDUCED), data)
     return base, laws(base)
 

@@ -31,7 +31,9 @@ HIDDEN = {
 @cache
 def base(name):
     motion = twobody.simulate(hidden=HIDDEN[name], ou=1e-7, seed=5)
-    return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 5)))])
+    # changes in time need short blocks
+    cameras = twobody.FEWER_FRAMES if name in {"resonance", "step"} else None
+    return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 5, cameras)))])
 
 
 @cache

@@ -50,7 +50,8 @@ HIDDEN = {
 @cache
 def base(name):
     motion = twobody.simulate(hidden=HIDDEN.get(name), seed=4)
-    cameras = twobody.Cameras(centre=(2e-3, 0.7)) if name == "centre" else twobody.Cameras()
+    of_angle = {"centre": twobody.Cameras(centre=(2e-3, 0.7)), "unbalance": twobody.Cameras()}
+    cameras = of_angle.get(name, twobody.FEWER_FRAMES)
     return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 4, cameras)))])
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting import LIBRARY, Model
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._expression import Tape
-from fitting.effects._library import FRICTION, LIBRARY, find
+from fitting.effects._library import FRICTION, find
 
 K, S = 2e-3, 0.05
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from fitting import EffectName, effect, effect_name
+from fitting import LIBRARY, EffectName, effect, effect_name
 from fitting._numbers import SI, WITHOUT_INERTIA
-from fitting.effects._library import LIBRARY, SLIP, START, find, shortened
+from fitting.effects._library import SLIP, START, find, shortened
 from fitting.effects._words import change_name, of_body, symbol_meanings
 
 EFFECTS = [*LIBRARY.values(), START, SLIP]

@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from fitting import LIBRARY, RecordError, make_record
+from fitting import LIBRARY, Model, RecordError, make_record
 from fitting._numbers import SI, WITHOUT_INERTIA, Units, scaled
-from fitting.dynamics._model import Model
 from fitting.effects._effect import bodies_of
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _windows

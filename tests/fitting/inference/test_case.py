@@ -11,8 +11,7 @@ from cases import data
 from scipy.optimize import curve_fit
 
 import fitting
-from fitting import Case, Input, Params, fit
-from fitting._errors import EffectError, EstimationError, FittingError, RecordError
+from fitting import Case, EffectError, EstimationError, FittingError, Input, Params, RecordError, fit
 from fitting.inference._case import inward, outward
 
 A, B, W0, U = 0.4, 0.05, 20.0, 0.05

@@ -265,7 +265,7 @@ QUADRATIC = 0.042
 def quadratic():
     """One step, dw/dt = k u - c w - q w^2 with the closed form w = a tanh(...): a score about 40 % too much drag."""
     k, c, q, u, noise = 60.0, 14.0, QUADRATIC, 24.0, 2e-3
-    time, half = np.arange(0.0, 7.0, 0.004), c / (2 * q)
+    time, half = np.arange(0.0, 7.0, 0.008), c / (2 * q)
     rate = np.sqrt((0.5 * c) ** 2 + k * u * q)
     phase = rate * np.maximum(time - 0.7, 0.0) + np.arctanh(half * q / rate)
     # the integral of (rate / q) tanh(phase) - half, from the step on

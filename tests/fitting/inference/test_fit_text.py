@@ -14,7 +14,7 @@ TOLD = "the recording does not establish this random torque"
 @pytest.fixture(scope="module")
 def found():
     t = np.arange(0.0, 20.0, 0.01)
-    angle = 30.0 * t - 0.5 * t**2 + 1e-3 * np.random.default_rng(2).standard_normal(len(t))
+    angle = 120.0 * t - 0.5 * t**2 + 1e-3 * np.random.default_rng(2).standard_normal(len(t))
     run = t, angle, np.full(len(t), 1e-3)
     return fit(
         Model.of(["touchpoint.constant"]), [make_record(casing=run, rotor=[], I_rotor=1.0, I_casing=1.0)]

@@ -8,6 +8,7 @@ import pytest
 from linearised import gyroscope
 from scipy.optimize import brentq
 
+from fitting import Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _angle_noise as angle
 from fitting.inference import _process_noise as process
@@ -22,7 +23,6 @@ from fitting.inference._noise import (
 )
 from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
 from fitting.inference._record import Samples
-from fitting.inference._result import Fit
 
 RNG = np.random.default_rng(0)
 

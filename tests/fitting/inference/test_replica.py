@@ -88,7 +88,7 @@ def test_white_noise_has_the_level_of_the_recording(speeds):
 
 def test_an_analysis_of_replicas_returns_the_values_of_the_fit(speeds):
     pulls = []
-    for seed in range(12):
+    for seed in range(9):
         again = fit(BASE, replica(speeds, seed))
         pulls += [(again.estimates[k].value - e.value) / again.estimates[k].stderr
                   for k, e in speeds.estimates.items() if again.estimates[k].stderr > 0]  # fmt: skip

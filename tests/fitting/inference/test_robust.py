@@ -56,7 +56,9 @@ def test_the_robust_minimum_agrees_with_scipy(loss, tuning):
             tau = d * (y[0] - y[1])
             return [(-tau - a2 * y[0] ** 2) / twobody.I_ROTOR, (tau - b1 - b2 * y[1]) / twobody.I_CASING]
 
-        path = solve_ivp(rates, (0, 30), [start_r, start_c], rtol=1e-9, atol=1e-9, dense_output=True).sol
+        path = solve_ivp(
+            rates, (0, 30), [start_r, start_c], "DOP853", rtol=1e-9, atol=1e-9, dense_output=True
+        ).sol
         return [(path(t)[body] - value) / sigma for t, value, sigma, body in runs]
 
     # the scale of each run is measured about the fit

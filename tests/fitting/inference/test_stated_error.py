@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting import Model, fit, make_record
-from fitting._errors import RecordError
+from fitting import Model, RecordError, fit, make_record
 from fitting.inference._angle_noise import AngleNoise, profile_at, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import _correlated, _profile
@@ -118,7 +117,7 @@ def test_a_profile_is_linear_between_its_times_and_constant_beyond():
 
 
 def test_the_rows_of_a_profile_have_the_covariance_of_the_scaled_process():
-    t = np.arange(0.0, 60.0, 0.02)
+    t = np.arange(0.0, 60.0, 0.04)
     run = compress(Samples(t, 0.1 * t, np.full(len(t), 1e-3)), degree=7, blocks=20)
     scaled = stated_error_rows(run, SIGMA, TIME, profile=PROFILE)
     constant = stated_error_rows(run, SIGMA, TIME)

@@ -1,5 +1,6 @@
 """The same record with another unit of time or of inertia has the same numbers in these units."""
 
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +10,11 @@ from fitting import LIBRARY, Model, fit, make_record
 from fitting.discovery._select import rank
 from fitting.inference._problem import reference_speed
 
-TIME = np.linspace(0.0, 20.0, 801)
+TIME = np.linspace(0.0, 20.0, 401)
 NOISE = 2e-3 * np.random.default_rng(4).standard_normal(len(TIME))
 
 
+@lru_cache
 def fitted(scale=1.0, inertia=1.0):
     """Return the fit of a wheel with dry friction and air drag whose times are multiplied by `scale`."""
     turned = np.log(1 + 20.0 * 0.02 * TIME) / 0.02
@@ -30,6 +32,7 @@ def test_a_fit_does_not_depend_on_the_units(scale, inertia):
     assert there.deviance == pytest.approx(here.deviance, rel=1e-6)
 
 
+@lru_cache
 def scores(quantity, scale=1.0):
     """Return the scores of all candidates for a wheel with an undescribed drag, with times multiplied by `scale`."""
     speed = 20.0 / (1 + 20.0 * 0.02 * TIME)
@@ -42,7 +45,7 @@ def scores(quantity, scale=1.0):
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])
-@pytest.mark.parametrize("scale", [1 / 60, 60.0, 1000.0])
+@pytest.mark.parametrize("scale", [1 / 60, 1000.0])
 def test_scores_do_not_depend_on_the_unit_of_time(quantity, scale):
     """Trial speeds and times are those of the record; no direction of the noise is that of rounding."""
     here, there = scores(quantity), scores(quantity, scale)

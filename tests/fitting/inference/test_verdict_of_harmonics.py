@@ -1,5 +1,6 @@
 """The verdict of a fit on a torque that repeats with the angle, on either side of its criterion."""
 
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,18 +10,19 @@ from fitting import Case, fit
 from fitting._criteria import DEFAULT
 from fitting.inference._angle_harmonics import AngleHarmonics
 
-T = np.linspace(0.0, 20.0, 4001)
+T, SPEED, AMPLITUDE = np.linspace(0.0, 20.0, 4001), 80.0, 4.0
 
 
+@lru_cache
 def fitted(amplitude):
     """A wheel of 1 kg m2 with a torque once a turn: angles by their analytic response to first order."""
-    phase = 60.0 * T - 0.5 * T**2
-    change = -amplitude * np.sin(phase) / (60.0 - T) ** 2
+    phase = SPEED * T - 0.5 * T**2
+    change = -amplitude * np.sin(phase) / (SPEED - T) ** 2
     angle = phase + change + 1e-4 * np.random.default_rng(1).standard_normal(len(T))
     return fit("support.constant", Case.from_arrays(wheel={"t": T, "angle": angle, "u": 1e-4}))
 
 
-@pytest.mark.parametrize(("amplitude", "verdict"), [(0.0, "no_lack_of_fit"), (3.0, "lack_of_fit")])
+@pytest.mark.parametrize(("amplitude", "verdict"), [(0.0, "no_lack_of_fit"), (AMPLITUDE, "lack_of_fit")])
 def test_a_torque_once_a_turn_is_a_lack_of_fit(amplitude, verdict):
     found = fitted(amplitude)
     assert found.verdict == verdict
@@ -56,15 +58,15 @@ def test_a_response_that_is_not_determined_has_no_size():
 
 def test_the_turns_are_those_of_the_record():
     (found,) = fitted(0.0).angle_harmonics
-    assert found.turns == pytest.approx((60.0 * 20 - 200.0) / (2 * np.pi), rel=1e-4)
+    assert found.turns == pytest.approx((SPEED * 20 - 200.0) / (2 * np.pi), rel=1e-4)
 
 
 def test_a_torque_in_the_model_is_not_a_lack_of_fit():
     """What the free strength and phase leave of the response is rounding, whose covariance is singular."""
-    phase = 60.0 * T - 0.5 * T**2
+    phase = SPEED * T - 0.5 * T**2
     angle = (
         phase
-        - 3.0 * np.sin(phase) / (60.0 - T) ** 2
+        - AMPLITUDE * np.sin(phase) / (SPEED - T) ** 2
         + 1e-4 * np.random.default_rng(1).standard_normal(len(T))
     )
     case = Case.from_arrays(wheel={"t": T, "angle": angle, "u": 1e-4})

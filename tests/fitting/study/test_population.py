@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fitting._errors import EstimationError
-from fitting.dynamics._model import Model
-from fitting.inference._params import Estimate
+from fitting import Estimate, EstimationError, Model
 from fitting.study._comparison import compare
 from fitting.study._population import (
     FEWEST,

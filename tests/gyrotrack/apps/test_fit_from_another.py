@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from fitting import EstimationError
-from gyrotrack.apps._study import FitRequest
+from gyrotrack import FitRequest
 
 START = {"casing.air.linear.b2": 12.0}
 

@@ -173,7 +173,7 @@ def test_command_on_a_table(tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    t = np.arange(400) / 40
+    t = np.arange(200) / 20
     angle = 20 * t - 0.3 * t**2 + 0.002 * t**3 + np.random.default_rng(0).normal(0, 1e-3, len(t))
     np.savetxt("wheel.csv", np.stack([t, angle], axis=1), delimiter=",", header="t,angle", comments="")
     for inertia, unit, foreign in (([], "rad/s2", "N m"), (["--inertia", "1"], "N m", "rad/s2 rms")):

@@ -8,8 +8,7 @@ import pytest
 
 from fitting import RecordError
 from fitting.inference._case_file import read_record
-from gyrotrack import DatasetError, ErrorMode, read_case, write_case
-from gyrotrack._errors import UsageError
+from gyrotrack import DatasetError, ErrorMode, UsageError, read_case, write_case
 from gyrotrack.io._records import Input, columns, no_series
 
 COVARIANCE = np.array([[4e-6, 1e-6], [1e-6, 9e-6]])

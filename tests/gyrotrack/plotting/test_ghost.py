@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gyrotrack._errors import OutputError, UsageError
+from gyrotrack import Ghost, OutputError, UsageError, ghosts
 from gyrotrack.plotting._ghost import (
-    Ghost,
     Stretch,
     animation,
     check_ghost_film,
     ghost_document,
-    ghosts,
     outline,
     turned,
     write_ghost_film,

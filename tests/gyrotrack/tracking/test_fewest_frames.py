@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, TrackingError
+from gyrotrack import DatasetError, TrackingError
 from gyrotrack.apps._motion import motion_of
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film

@@ -298,7 +298,7 @@ class TestSlowBody:
         assert np.isfinite(found.angle).all()
         assert ((found.own_view > 0.0) == known).all()
 
-    @pytest.mark.parametrize("turns", [0.5, 0.8, 1.2])
+    @pytest.mark.parametrize("turns", [0.5, pytest.param(0.8, marks=pytest.mark.slow), 1.2])
     @pytest.mark.parametrize("across", [False, True])
     def test_shading_does_not_turn_the_ring(self, turns, across):
         rng = np.random.default_rng(5)
@@ -311,8 +311,10 @@ class TestSlowBody:
         plain, own = (f.levelled(f.centre, 0.0, 0.0) - angle for f in found)
         assert (own - own.mean()).std() < min(0.4e-3, 0.7 * (plain - plain.mean()).std())
 
-    @pytest.mark.parametrize("turns", [0.8, 1.5])
-    @pytest.mark.parametrize("arms", [1, 2])
+    @pytest.mark.parametrize(
+        ("arms", "turns"),
+        [(1, 0.8), (2, 1.5), *(pytest.param(*p, marks=pytest.mark.slow) for p in ((1, 1.5), (2, 0.8)))],
+    )
     def test_an_ellipse_is_found_and_does_not_turn_the_ring(self, monkeypatch, turns, arms):
         """Edges are narrower than the distance of the rows, and those of the rim are circles."""
         views, learn = [], texture._OwnView.learn

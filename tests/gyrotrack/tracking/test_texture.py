@@ -1,5 +1,8 @@
 """The angle of a body from the texture of its ring, on pictures drawn with a known rotation."""
 
+import math
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import pytest
@@ -13,23 +16,34 @@ TURN = 2.0 * np.pi
 SHIFT = 0.3  # px
 
 
-def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=2):
-    """Return a disc with a bar and screws, turned counter-clockwise by `angle`, in grey levels."""
+def soft(distance):
+    """Return an edge, as of a lens: the logistic function."""
+    return 0.5 + 0.5 * np.tanh(distance / np.float32(1.6))
+
+
+@lru_cache(maxsize=32)
+def still(hub, stretch):
+    """Return what does not depend on the angle: places in the plane of the disc, their direction, and the circles."""
     x, y = np.meshgrid(np.arange(SIZE[0]) - hub[0], hub[1] - np.arange(SIZE[1]))
     p, q = stretch
-    u, v = (np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])).astype(np.float32)
-    along = (np.cos(angle) * u + np.sin(angle) * v).reshape(x.shape)
-    across = (np.cos(angle) * v - np.sin(angle) * u).reshape(x.shape)
-    r, theta = np.hypot(along, across), np.arctan2(across, along)
-    soft = lambda d: 1.0 / (1.0 + np.exp(-d / 0.8))  # noqa: E731 - an edge, as of a lens
-    light = 60.0 + (0.0 if below is None else 40.0 * np.cos(3.0 * (theta + angle - below)))
-    bar = soft(9.0 - np.abs(across)) * (1.0 if arms == 2 else soft(along))
-    paper = soft(6.0 - np.abs(across)) * soft(along - 30.0) * soft(66.0 - along)
-    rim = soft(r - 74.0) * soft(90.0 - r)
+    u, v = np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])
+    u, v = (w.reshape(x.shape).astype(np.float32) for w in (u, v))
+    r, theta = np.hypot(u, v), np.arctan2(v, u)
+    return u, v, theta, soft(r - 74.0) * soft(90.0 - r), soft(r - 92.0)
+
+
+def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=2):
+    """Return a disc with a bar and screws, turned counter-clockwise by `angle`, in grey levels."""
+    angle = float(angle)
+    u, v, theta, rim, outside = still(tuple(hub), tuple(stretch))
+    c, s = math.cos(angle), math.sin(angle)
+    along, across = c * u + s * v, np.abs(c * v - s * u)
+    light = 60.0 if below is None else 60.0 + 40.0 * np.cos(3.0 * (theta - float(below)))
+    bar = soft(9.0 - across) if arms == 2 else soft(9.0 - across) * soft(along)
     light = light + bar * (170.0 - light)
-    light = light - 90.0 * paper
-    light = light + rim * (150.0 + 40.0 * np.cos(5.0 * theta) - light)
-    light = light + soft(r - 92.0) * (90.0 - light)
+    light = light - 90.0 * soft(6.0 - across) * soft(along - 30.0) * soft(66.0 - along)
+    light = light + rim * (150.0 + 40.0 * np.cos(5.0 * (theta - angle)) - light)
+    light = light + outside * (90.0 - light)
     return light if grain is None else light + grain.standard_normal(light.shape, np.float32) * 2.0
 
 

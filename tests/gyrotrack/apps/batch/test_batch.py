@@ -69,9 +69,9 @@ def test_a_batch_from_films_to_fit_and_again(batch, tmp_path, capsys):
     rows = {r["label"]: r for r in said["cases"]}
     assert {label for label, r in rows.items() if r["state"] != "done"} == {"cut", "missing", "\x1b[31mred"}
     assert "no file" in rows["missing"]["problem"]
-    assert rows["wheel 1"]["frames"] == 130
+    assert rows["wheel 1"]["frames"] == 100
     assert rows["old"]["fit"]
-    assert read_recording(tmp_path / "out" / "wheel_2" / "wheel_2.h5").frames_decoded == 130
+    assert read_recording(tmp_path / "out" / "wheel_2" / "wheel_2.h5").frames_decoded == 100
     with (tmp_path / "out" / "summary.csv").open(newline="") as stream:
         assert [r["label"] for r in csv.DictReader(stream)] == list(rows)
 
@@ -120,7 +120,7 @@ def test_a_cluster_whose_worker_is_killed(batch, films, tmp_path):
     assert code == 0
     assert said["steps"] == {"done": 3, "kept": 0, "failed": 0, "blocked": 0}
     for i in range(3):
-        assert read_recording(tmp_path / "out" / f"wheel_{i}" / f"wheel_{i}.h5").frames_decoded == 130
+        assert read_recording(tmp_path / "out" / f"wheel_{i}" / f"wheel_{i}.h5").frames_decoded == 100
     assert not list((tmp_path / "out").rglob("*.part"))
 
 

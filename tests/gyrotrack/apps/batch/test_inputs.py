@@ -1,5 +1,6 @@
 """What a manifest or a folder says, and what it says wrong."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -176,8 +177,7 @@ def test_an_empty_folder(tmp_path):
 @given(st.text(max_size=100))
 def test_no_label_leads_out_of_the_results(label):
     name = folder_name(label)
-    root = Path("/results")
-    assert (root / name).resolve().parent == root
+    assert os.path.dirname(os.path.normpath(f"/results/{name}")) == "/results"  # noqa: PTH120 - without the disk
     assert not {"/", "\\", "\0", ":", "\x1b"} & set(name)
     assert name.partition(".")[0].casefold() not in {"con", "nul", "prn", "aux", "com1", "lpt9"}
 

@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.dynamics._model import Model
-from fitting.inference._params import Estimate
-from gyrotrack._errors import DatasetError
+from fitting import Estimate, Model
+from gyrotrack import DatasetError
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _compare as module
 

@@ -129,9 +129,10 @@ def test_numbers_of_fitting(gyrotrack, here):
     assert said.code == 0
     assert "fitting.inference._metrics\n" in said.out
     assert "  FOLDS = 6 [1]\n    Folds of the cross-validation\n    chosen: " in said.out
-    rows = {r["name"]: r for r in gyrotrack("config", "--fitting", "--json").json["fitting"]}
+    both = gyrotrack("config", "--fitting", "--tracking", "--json").json
+    rows = {r["name"]: r for r in both["fitting"]}
     assert (rows["Criteria.start_u"]["value"], rows["Criteria.start_u"]["unit"]) == (0.003, "s")
-    assert gyrotrack("config", "--fitting", "--tracking", "--json").json.keys() == {"tracking", "fitting"}
+    assert both.keys() == {"tracking", "fitting"}
     said = gyrotrack("config", "--fitting", "--all")
     assert said.code == 2
     assert "--fitting shows no options of commands." in said.err

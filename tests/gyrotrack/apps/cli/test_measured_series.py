@@ -59,7 +59,7 @@ SERIES = {
     "pulses, some lost, some double": lambda rng: pulses(rng, 20, lost=0.01, extra=5),
     "gate": lambda rng: gate(rng, 4),
     "counts, about one in a row": lambda rng: counts(rng, 20, 0.01),
-    "counts, fewer than rows": lambda rng: counts(rng, 60, 0.004, 0.02),
+    "counts, fewer than rows": lambda rng: counts(rng, 30, 0.008, 0.04),
     "counts, more than rows": lambda rng: counts(rng, 2000, 0.01, 1e-3),
     "speeds": lambda rng: speeds(rng, 0.02, 0.05),
 }

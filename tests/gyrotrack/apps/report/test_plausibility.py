@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting import Model, make_record
+from fitting import REDUCED, Model, make_record
+from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit as fit_model
 from gyrotrack.apps.report._tables import CONSERVATIVE, UNPHYSICAL, plausibility_rows
 
@@ -22,17 +23,21 @@ def _number(text):
     return float(value) * factor, float(sigma or "nan") * factor
 
 
-def test_all_dissipation_is_the_loss_of_kinetic_energy(story):
-    fit = story.rungs[-1].fit
-    path, record = fit.predictions[0].path, story.record
+@pytest.fixture(scope="module")
+def fit(record_of):
+    """The fit of the true model."""
+    return fit_model(Model.of([*REDUCED, ADDED]), [CaseData.of(record_of(1))])
+
+
+def test_all_dissipation_is_the_loss_of_kinetic_energy(fit):
+    path, record = fit.predictions[0].path, fit.problem.data[0].record
     inertia = np.array([record.I_rotor, record.I_casing])
     kinetic = [0.5 * float(np.sum(inertia * y[:2] ** 2)) for y in (path.y[0, 0], path.y[-1, -1])]
     total = sum(_number(row.energy)[0] for row in plausibility_rows(fit))
     assert total == pytest.approx(kinetic[0] - kinetic[1], rel=1e-2)
 
 
-def test_the_uncertainty_is_that_of_the_amplitude(story):
-    fit = story.rungs[-1].fit
+def test_the_uncertainty_is_that_of_the_amplitude(fit):
     (row,) = [r for r in plausibility_rows(fit) if r.key == ADDED]
     energy, sigma = _number(row.energy)
     k = fit.estimates[f"{ADDED}.k"]
@@ -40,8 +45,7 @@ def test_the_uncertainty_is_that_of_the_amplitude(story):
     assert row.judgement == "dissipates"
 
 
-def test_a_negative_friction_is_called_unphysical(story):
-    fit = story.rungs[-1].fit
+def test_a_negative_friction_is_called_unphysical(fit):
     theta = fit.theta.copy()
     at = fit.problem.layout.names.index(f"{ADDED}.k")
     theta[at] = -theta[at]

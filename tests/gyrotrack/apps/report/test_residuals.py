@@ -19,8 +19,8 @@ def _mean_difference(path, other, state, misfit):
     return np.array(values)
 
 
-def test_misfit_of_the_base_is_the_true_speed_minus_the_models(story, true_path):
-    base = story.rungs[0].fit
+def test_misfit_of_the_base_is_the_true_speed_minus_the_models(record_of, true_path):
+    base = fit(Model.of(REDUCED), [record_of(1)])
     casing, rotor = speed_residuals(base, 0)
     model = base.predictions[0].path
     for state, found in ((1, casing), (0, rotor[0]), (0, rotor[2])):

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.apps.workbench._history import History, apply, difference
 from gyrotrack.apps.workbench._project import STATE_FILE, Project, State
 
