@@ -32,9 +32,6 @@ _ANGLE_POINTS = 73
 _RANK = 1e-6
 """Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
 projects out rounding, a larger one leaves a part of the free columns."""
-_ABSORBED = 1e-4
-"""Relative size of a response beside the free directions below which it is one of the model [1]. Chosen: as in
-`fitting.inference._metrics`; a smaller value tests rounding, a larger one omits torques that are nearly absorbed."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -117,7 +114,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
         # what is left of a torque that is in the model is rounding
-        response[:, np.linalg.norm(response, axis=0) < _ABSORBED * size] = 0.0
+        response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)
         gamma = covariance @ (response.T @ residual)

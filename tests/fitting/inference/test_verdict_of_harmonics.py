@@ -62,14 +62,11 @@ def test_the_turns_are_those_of_the_record():
 
 
 def test_a_torque_in_the_model_is_not_a_lack_of_fit():
-    """What the free strength and phase leave of the response is rounding, whose covariance is singular.
-
-    At this amplitude 2e-6 of one response is left, a torque of 1e6 N m if it counts.
-    """
+    """What the free strength and phase leave of the response is rounding, whose covariance is singular."""
     phase = SPEED * T - 0.5 * T**2
     angle = (
         phase
-        - 5.5 * np.sin(phase) / (SPEED - T) ** 2
+        - AMPLITUDE * np.sin(phase) / (SPEED - T) ** 2
         + 1e-4 * np.random.default_rng(1).standard_normal(len(T))
     )
     case = Case.from_arrays(wheel={"t": T, "angle": angle, "u": 1e-4})
