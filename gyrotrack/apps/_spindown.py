@@ -254,8 +254,8 @@ def _film(
     """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
 
     The paper's markers are first where one of their bodies is selected. A point is followed where one is selected,
-    where no body is found that turns, and where the hub is outside the picture: a ball on a thread shows its path
-    better than its rotation.
+    where no body is found that turns, where the hub is outside the picture, and where a compact body alone moves on an
+    arc: a ball on a thread shows its path better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -317,13 +317,13 @@ def _by_silhouette(
 ) -> tuple[Recording, TrackedPoint] | None:
     """Track a ball on a string or a long body about a tilted axis, as the silhouettes of a few frames show it.
 
-    None for any other film. A ball whose pivot is inside the picture is left to the tracker of textures.
+    None for any other film.
     """
     if look.long is not None and options.tilt is None:
         with suppress(TrackingError):
             found = follow_long_body(film, look.long)
             return _recording_of(film, options, found), found
-    if look.pendulum(options.hub):
+    if look.pendulum:
         with suppress(TrackingError):
             return point_recording(film, options, progress, look.seen)
     return None

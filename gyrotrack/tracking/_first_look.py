@@ -37,17 +37,10 @@ class FirstLook:
     long: LongBody | None = None
     seen: Foreground | None = None
 
-    def pendulum(self, hub: tuple[float, float] | None = None) -> bool:
-        """Return whether a compact body alone moves on an open arc about a pivot outside the picture.
-
-        `hub` is the pivot (x, y) if it is given [px].
-        """
-        pivot = None if self.compact is None else self.compact.pivot
-        if pivot is None:
-            return False
-        x, y = pivot if hub is None else hub
-        height, width = self.shape
-        return not (0 <= x < width and 0 <= y < height)
+    @property
+    def pendulum(self) -> bool:
+        """Whether a compact body alone moves on an open arc: a bob."""
+        return self.compact is not None and self.compact.pivot is not None
 
 
 def first_look(film: Film) -> FirstLook:

@@ -63,9 +63,14 @@ def test_a_ball_on_a_string_is_a_compact_body_on_an_open_arc():
     assert body.alone > 0.8
     look = FirstLook(SHAPE, body)
     assert body.pivot == pytest.approx((80.0, -120.0), abs=15.0)
-    assert look.pendulum()
-    assert look.pendulum((80.0, -100.0))
-    assert not look.pendulum((80.0, 10.0))
+    assert look.pendulum
+    assert not FirstLook(SHAPE).pendulum
+
+
+def test_the_pivot_may_be_in_the_picture():
+    look = FirstLook(SHAPE, _body(_arc((80.0, 20.0), 60.0, 0.7)))
+    assert look.compact.pivot == pytest.approx((80.0, 20.0), abs=3.0)
+    assert look.pendulum
 
 
 def _body(place, radius=8.0, alone=0.9):
@@ -94,7 +99,7 @@ def test_a_straight_path_has_its_pivot_at_infinity():
     place += np.random.default_rng(0).normal(0, 0.3, place.shape)
     look = FirstLook(SHAPE, _body(place))
     assert np.isinf(look.compact.pivot).all()
-    assert look.pendulum()
+    assert look.pendulum
 
 
 def test_a_scattered_path_is_not_an_arc():
@@ -105,7 +110,7 @@ def test_a_scattered_path_is_not_an_arc():
 def test_a_dot_that_turns_about_a_hub_in_the_picture_is_left_to_the_texture():
     a = np.linspace(0, 20, 30)
     frames = _discs(np.array((80.0, 60.0)) + 40.0 * np.stack([np.cos(a), np.sin(a)], axis=1))
-    assert not FirstLook(SHAPE, compact_body(frames, median_picture(frames), 1.0)).pendulum()
+    assert not FirstLook(SHAPE, compact_body(frames, median_picture(frames), 1.0)).pendulum
 
 
 def test_a_film_in_which_a_body_is_seen_in_some_frames_only_has_no_compact_body():
