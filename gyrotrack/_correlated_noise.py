@@ -30,11 +30,16 @@ _MIN_BINS_PER_TURN = 8
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of a linear model, their covariance, and the Bayesian information criterion of the model."""
+    """Coefficients of a linear model, their covariance, and two information criteria of the model.
+
+    With k coefficients and n bins, the penalties are k ln(n) in the Bayesian `criterion`, which looks for the true
+    model, and 2 k ln(ln(n)) in that of Hannan and Quinn (J. R. Stat. Soc. B 41, 190 (1979)).
+    """
 
     value: Floats
     covariance: Floats
     criterion: float
+    hannan_quinn: float
 
     def of(self, combination: Floats) -> tuple[float, float]:
         """Return a linear combination of the coefficients and its standard uncertainty."""
@@ -111,8 +116,11 @@ def correlated_least_squares(
         covariance = (
             np.tensordot(weights, covariances, axes=1) / np.outer(scale[model], scale[model]) + spread
         )
-        criterion = -2 * float(likelihood.max()) + len(model) * math.log(n)
-        estimates.append(Estimate(value, covariance, criterion))
+        deviance = -2 * float(likelihood.max())
+        bayesian, hannan_quinn = (
+            deviance + len(model) * each for each in (math.log(n), 2 * math.log(math.log(n)))
+        )
+        estimates.append(Estimate(value, covariance, bayesian, hannan_quinn))
     return estimates
 
 

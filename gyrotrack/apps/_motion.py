@@ -97,7 +97,7 @@ class BodyMotion:
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 10 samples.
 
-    A rotation is fitted by a polynomial in time (of degree 2 to 16, by the Bayesian information criterion) and three
+    A rotation is fitted by a polynomial in time (of degree 2 to 16, by the criterion of Hannan and Quinn) and three
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
     uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
@@ -209,8 +209,8 @@ def _ends(first: Value, last: Value) -> tuple[dict[str, float], dict[str, float]
 def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) -> BodyMotion:
     """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
 
-    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 15, by the Bayesian information
-    criterion). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
+    The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 15, by the criterion of Hannan and
+    Quinn). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
     of an oscillation.
     """
     step = np.append(np.diff(time), time[-1] - time[-2])
@@ -314,7 +314,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
 
     ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
-    best = min(fits, key=lambda fit: fit.criterion)
+    best = min(fits, key=lambda fit: fit.hannan_quinn)
     smoothed = angle
     # over fewer turns harmonics are not separable from the motion
     if np.ptp(angle) > _FLUCTUATING_TURNS * TURN:
@@ -345,12 +345,13 @@ def _derivatives(most: int, order: int, place: float) -> Floats:
 
 
 def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
-    """Return a combination of coefficients, averaged over models with weights exp(-BIC / 2).
+    """Return a combination of coefficients, averaged over models with weights exp(-HQ / 2).
 
-    Its variance is the mean variance plus that of the values: the degree of a polynomial is not known (J. Hoeting et
-    al., Stat. Sci. 14, 382 (1999)).
+    HQ is the criterion of Hannan and Quinn. No polynomial is the true motion, and the Bayesian criterion drops a term
+    that is still noticeable at the ends of the record. The variance is the mean variance plus that of the values: the
+    degree of a polynomial is not known (J. Hoeting et al., Stat. Sci. 14, 382 (1999)).
     """
-    criterion = np.array([fit.criterion for fit in fits])
+    criterion = np.array([fit.hannan_quinn for fit in fits])
     weight = np.exp(-0.5 * (criterion - criterion.min()))
     weight /= weight.sum()
     value, u = np.array([fit.of(row) for fit, row in zip(fits, rows, strict=True)]).T

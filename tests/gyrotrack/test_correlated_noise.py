@@ -67,3 +67,19 @@ def test_a_prior_holds_what_the_data_do_not_determine():
     assert abs(value) < 0.1
     assert u == pytest.approx(0.1, rel=0.1)
     assert fit.of(np.array([1.0, 1.0]))[0] == pytest.approx(3, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [60, 400])
+def test_penalties_of_the_criteria(count):
+    """A column that explains nothing costs ln n and 2 ln ln n; n is the number of bins, at most 150."""
+    t = np.linspace(0, 1, count)
+    y = np.random.default_rng(3).normal(0, 1, count)
+    zero = np.zeros(count)
+    zero[0] = 1e-9
+    design = np.stack([np.ones(count), zero], axis=1)
+    short, long = correlated_least_squares(
+        t, design, y, np.ones(count), [[0], [0, 1]], np.array([np.inf, 1e-6])
+    )
+    n = min(count, 150)
+    assert long.criterion - short.criterion == pytest.approx(np.log(n), abs=0.02)
+    assert long.hannan_quinn - short.hannan_quinn == pytest.approx(2 * np.log(np.log(n)), abs=0.02)

@@ -99,9 +99,9 @@ def test_uncertainties_of_ends_mean_and_acceleration_are_those_of_the_errors(spe
 
 
 def test_models_are_averaged_by_their_criterion():
-    """Two models 2 ln 3 apart in BIC have the weights 3/4 and 1/4; their difference is part of the uncertainty."""
+    """Two models 2 ln 3 apart have the weights 3/4 and 1/4; their difference is part of the uncertainty."""
     fits = [
-        Estimate(np.array([v]), np.array([[u**2]]), c)
+        Estimate(np.array([v]), np.array([[u**2]]), -10 * c, c)
         for v, u, c in ((1.0, 0.1, 0.0), (2.0, 0.2, 2 * np.log(3)))
     ]
     found = _averaged(fits, [np.ones(1)] * 2)
