@@ -227,11 +227,14 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     )
 
     def averaged(row: Floats) -> Value:
-        return _averaged(fits, [row[: order + 1] for order in orders])
+        """Average a combination of coefficients; the row has one more degree than the models."""
+        value = _averaged(fits, [row[: order + 1] for order in orders])
+        return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
-    first, last = (averaged(legvander(np.array([end]), most)[0]) for end in (-1.0, 1.0))
-    mean = averaged(np.eye(most + 1)[0])
-    alpha = averaged(_derivatives(most, 1, 0.0) / half)
+    missing = _next_coefficient(fits)
+    first, last = (averaged(legvander(np.array([end]), most + 1)[0]) for end in (-1.0, 1.0))
+    mean = averaged(np.eye(most + 2)[0])
+    alpha = averaged(_derivatives(most + 1, 1, 0.0) / half)
     ends, ends_u = _ends(first, last)
     kind = _kind(ends, ends_u, mean, alpha)
     return BodyMotion(kind, whole.turns, ends, mean, alpha, omega_u=ends_u)
@@ -311,9 +314,12 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     )
 
     def averaged(row: Floats) -> Value:
-        return _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
+        """Average a combination of coefficients; the row has one more degree than the models."""
+        value = _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
+        return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
-    ends = [averaged(_derivatives(most, 1, place) / half) for place in (x[0], x[-1])]
+    missing = _next_coefficient(fits)
+    ends = [averaged(_derivatives(most + 1, 1, place) / half) for place in (x[0], x[-1])]
     best = min(fits, key=lambda fit: fit.hannan_quinn)
     smoothed = angle
     # over fewer turns harmonics are not separable from the motion
@@ -325,8 +331,8 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         if abs(local.value - ends[i].value) > 3 * local.stderr:
             # which of both is wrong is not known: harmonics of the angle are in the local one alone
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
-    mean = averaged((legvander(x[-1:], most)[0] - legvander(x[:1], most)[0]) / (t[-1] - t[0]))
-    alpha = averaged(_derivatives(most, 2, 0.0) / half**2)
+    mean = averaged((legvander(x[-1:], most + 1)[0] - legvander(x[:1], most + 1)[0]) / (t[-1] - t[0]))
+    alpha = averaged(_derivatives(most + 1, 2, 0.0) / half**2)
     return *ends, mean, alpha  # type: ignore[return-value]  # two ends
 
 
@@ -342,6 +348,18 @@ def _highest(orders: range, most: float) -> int:
 def _derivatives(most: int, order: int, place: float) -> Floats:
     """Return a derivative of the Legendre polynomials of degree 0 to `most` at a place, (most + 1,)."""
     return np.asarray([float(Legendre.basis(k).deriv(order)(place)) for k in range(most + 1)])
+
+
+def _next_coefficient(fits: Sequence[Estimate]) -> float:
+    """Return the plausible size of the first coefficient beyond the polynomial of highest degree; 0 if none is needed.
+
+    The coefficients of a smooth motion decrease geometrically: the next one is c_n^2 / c_(n-1), and at most c_n. It is
+    needed if the highest degree is the best one: then further ones would be.
+    """
+    if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
+        return 0.0
+    before, last = np.abs(fits[-1].value[-2:])
+    return float(last * min(last / max(before, 1e-300), 1.0))
 
 
 def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:

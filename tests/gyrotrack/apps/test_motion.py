@@ -7,6 +7,7 @@ from gyrotrack._correlated_noise import Estimate
 from gyrotrack.apps._motion import (
     _averaged,
     _joins,
+    _next_coefficient,
     end_of_motion,
     motion_of,
     motion_of_speeds,
@@ -94,8 +95,8 @@ def test_uncertainties_of_ends_mean_and_acceleration_are_those_of_the_errors(spe
         )
         pulls.append([(v - x) / u for v, x, u in zip(values, true, errors, strict=True)])
     rms = np.sqrt(np.mean(np.square(pulls), axis=0))
-    # the mean of speeds allows for correlated noise, of which there is none
-    assert ((rms > 0.45) & (rms < 1.6)).all(), rms
+    # the noise may be correlated, and further terms of the polynomial may be needed; here they are not
+    assert ((rms > 0.35) & (rms < 1.6)).all(), rms
 
 
 def test_models_are_averaged_by_their_criterion():
@@ -189,3 +190,32 @@ def test_the_sample_that_leaves_the_motion_is_found_beside_many_that_do_not(off,
     angle = 12.0 * time - 0.9 * time**2 + np.random.default_rng(4).normal(0, 1e-4, 30)
     angle[28:] += off * 1e-4
     assert _joins(time, angle, 21) == found
+
+
+def test_ends_contain_what_the_highest_degree_leaves():
+    """A wheel with quadratic drag over six turns: its speed needs more degrees than harmonics of the angle leave."""
+    t = np.linspace(0, 10, 400)
+    first, k = 6.0, (1 / 0.4 - 1) / 10
+    z = []
+    for seed in range(4):
+        noise = 3e-4 * np.random.default_rng(seed).standard_normal(len(t))
+        found = motion_of(t, first / k * np.log1p(k * t) + noise, np.full(len(t), 3e-4))
+        z.append((found.omega["first"] - first) / found.omega_u["first"])
+    # without it 4.9
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("criteria", "last", "expected"),
+    [
+        ((9.0, 8.0), (0.4, 0.2), 0.1),
+        ((9.0, 8.0), (0.4, -0.2), 0.1),
+        ((9.0, 8.0), (0.1, 0.2), 0.2),
+        ((9.0, 8.0), (0.0, 0.2), 0.2),
+        ((8.0, 9.0), (0.4, 0.2), 0.0),
+    ],
+)
+def test_a_further_term_is_needed_if_the_highest_degree_is_the_best(criteria, last, expected):
+    fits = [Estimate(np.array([7.0, *last]), np.eye(3), -c, c) for c in criteria]
+    assert _next_coefficient(fits) == pytest.approx(expected)
+    assert _next_coefficient(fits[-1:]) == 0.0
