@@ -166,8 +166,13 @@ def film(kind: str, file: Path, rng: np.random.Generator) -> dict[str, float]:
     path, last = file.with_suffix(".mp4"), (FRAMES - 1) / fps
     rotates = kind == "film of a rotation"
     if rotates:
-        run, _ = rotation(rng, fps * float(np.exp(rng.uniform(*np.log([0.03, 0.3])))), FRAMES / fps + 1 / fps)
-        draw(path, lambda t: run(np.maximum(t, 0.0))[0], fps, rng)
+        # the exposure of the first frame begins before it
+        longer, _ = rotation(rng, fps * float(np.exp(rng.uniform(*np.log([0.03, 0.3])))), (FRAMES + 1) / fps)
+
+        def run(t: Any) -> Floats:
+            return np.asarray(longer(t + 1 / fps)) - [longer(1 / fps)[0], 0.0]
+
+        draw(path, lambda t: run(t)[0], fps, rng)
     else:
         period, size = float(rng.uniform(15, 50)) / fps, float(rng.uniform(0.05, 0.35))
         decay = float(np.exp(rng.uniform(*np.log([0.02, 1.5])))) / last
@@ -192,7 +197,7 @@ def film(kind: str, file: Path, rng: np.random.Generator) -> dict[str, float]:
     return {
         "first speed": (sign * found["omega"]["first"] - run(0.0)[1]) / found["omega_u"]["first"],
         "last speed": (sign * found["omega"]["last"] - run(last)[1]) / found["omega_u"]["last"],
-        "mean speed": (sign * found["omega_mean"]["value"] - run(last)[0] / last + 0.3 / last)
+        "mean speed": (sign * found["omega_mean"]["value"] - run(last)[0] / last)
         / found["omega_mean"]["stderr"],
         "acceleration": (sign * found["alpha"]["value"] - alpha) / found["alpha"]["stderr"],
     }
