@@ -348,9 +348,9 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     """Return the rms error of the casing's smoothed speed by noise alone [rad/s].
 
     It is the difference of the modelled angle with added noise from that without, after the smoothing of the paper. The
-    noise is white, the samples' sigma times a factor from the third differences
-    of the residuals, whose rms is sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do
-    irregular times (pulses, of which the time is what is measured).
+    noise is white: the sigma of the samples times a factor from the third differences of the residuals, whose rms is
+    sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do irregular times (pulses, of
+    which the time is what is measured).
     """
     measured = data.record.casing
     exact = _model_at(data, path, "casing", measured.time)

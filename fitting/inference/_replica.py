@@ -23,7 +23,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._record import Record, Samples, hermite
 from fitting.inference._result import Fit
-from fitting.inference._sampled import Motion
+from fitting.inference._sampled import FittedMotion
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -67,7 +67,7 @@ def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
                 f"{data.record.label}: only measured values can be simulated, not curves made from them",
                 "fit the case as it was measured, without --data and --rotor",
             )
-    return [_recording(Motion(fit, case, data), random) for case, data in enumerate(fit.problem.data)]
+    return [_recording(FittedMotion(fit, case, data), random) for case, data in enumerate(fit.problem.data)]
 
 
 def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> tuple[Array, Array]:
@@ -86,18 +86,20 @@ def motion_of(fit: Fit, case: int, times: Array, seed: int | Sequence[int]) -> t
     """
     random = np.random.default_rng(seed)
     known = fit.problem.data[case]
-    first = Motion(fit, case, known)
+    first = FittedMotion(fit, case, known)
     zero = float(np.median(known.record.casing.value - first.expected(known.record.casing.time, rotor=False)))
     angles = [first.expected(times, rotor=False) + zero, first.expected(times, rotor=True)]
     runs = [Samples(times, angle, np.ones(len(times))) for angle in angles]
-    motion = Motion(fit, case, replace(known, record=replace(known.record, casing=runs[0], rotor=(runs[1],))))
+    motion = FittedMotion(
+        fit, case, replace(known, record=replace(known.record, casing=runs[0], rotor=(runs[1],)))
+    )
     changes = [_other_inertias(motion, random), _random_torque(motion, random)]
     changes += [motion.angle_response(effect, zero) for effect in fit.model.angle_dependent]
     casing, rotor = (a + np.sum([c[i] for c in changes], axis=0) for i, a in enumerate(angles))
     return casing, rotor
 
 
-def _recording(motion: Motion, random: Random) -> Record:
+def _recording(motion: FittedMotion, random: Random) -> Record:
     data, record = motion.data, motion.data.record
     runs = (record.casing, *record.rotor)
     values = motion.values()
@@ -121,7 +123,7 @@ def _recording(motion: Motion, random: Random) -> Record:
     return replace(record, casing=casing, rotor=tuple(rotor), digest="")
 
 
-def _other_inertias(motion: Motion, random: Random) -> list[Array]:
+def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
     """Return the change of the values by moments of inertia that differ from the stated ones, which the record keeps.
 
     The torques are those of the fit.
@@ -144,7 +146,7 @@ def _other_inertias(motion: Motion, random: Random) -> list[Array]:
     ]
 
 
-def _random_torque(motion: Motion, random: Random) -> list[Array]:
+def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
     """Return the change of the values by random torques on the casing and between the bodies.
 
     Their level is the one that the uncertainties of the fit include.

@@ -81,7 +81,7 @@ def predicted_samples(data: CaseData, case: int, found: Solved) -> Iterator[Arra
 
 
 @dataclass(frozen=True)
-class Motion:
+class FittedMotion:
     """The fitted motion of one case: what is expected at its samples."""
 
     fit: Solved
@@ -166,7 +166,7 @@ def residuals_of(found: Solved) -> Array:
     parts = []
     for case, data in enumerate(found.problem.data):
         runs = (data.record.casing, *data.record.rotor)
-        for samples, model in zip(runs, Motion(found, case, data).values(), strict=True):
+        for samples, model in zip(runs, FittedMotion(found, case, data).values(), strict=True):
             parts.append((samples.value - model) / samples.sigma)
     return np.concatenate(parts)
 

@@ -13,7 +13,7 @@ from fitting.inference._case_file import read_record
 from fitting.inference._error_modes import MOST_AMPLITUDES, mode_columns
 from fitting.inference._record import Samples, make_record
 from fitting.inference._replica import _recording
-from fitting.inference._sampled import Motion
+from fitting.inference._sampled import FittedMotion
 
 T = np.linspace(0.0, 20.0, 401)
 U = 0.01
@@ -213,7 +213,7 @@ class TestReplicas:
         shape = np.sin(T)
         case = wheel(modes={"sway": {"basis": shape, "covariance": 0.5**2}})
         found = fit("support.constant", case)
-        motion = Motion(found, 0, found.problem.data[0])
+        motion = FittedMotion(found, 0, found.problem.data[0])
         random = np.random.default_rng(3)
         left = _recording(motion, random).casing.value - motion.values()[0]
         left -= shape * (shape @ left) / (shape @ shape)

@@ -14,14 +14,14 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import Samples
 from fitting.inference._replica import replica
-from fitting.inference._sampled import Motion
+from fitting.inference._sampled import FittedMotion
 
 BASE = Model.of(REDUCED).of_bodies({"casing"})
 
 
 def motion(found):
     """Return what a fit expects at the samples of its first case."""
-    return Motion(found, 0, found.problem.data[0])
+    return FittedMotion(found, 0, found.problem.data[0])
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscop
     for u in (2e-3, 0.0, np.nan):
         stated = replace(data, record=replace(data.record, start_sigma=(u,) * 3))
         found = replace(gyroscope, noise=(replace(gyroscope.noise[0].at(0.0), unresolved=0.0),))
-        moved = Motion(found, 0, stated)
+        moved = FittedMotion(found, 0, stated)
         known = moved.values()[1]
         shifts.append(
             [
