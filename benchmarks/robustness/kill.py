@@ -276,11 +276,14 @@ def server_trial(store, folder, moment, chance, outcome):
     label = found["fields"]["label"]
     if label not in {confirmed, f"label {sent}"}:
         outcome.wrong.append(f"view, {moment:.3f} s: {label!r} instead of {confirmed!r}")
+    # the part of a file that had arrived is kept, listed, and completed when the file is sent again
+    for upload in found["uploads"]:
+        again.ask(f"api/project/upload?name={upload['name']}", content)
     again.process.send_signal(signal.SIGINT)
     if again.process.wait(timeout=20) != 0:
         outcome.wrong.append(f"view, {moment:.3f} s: ended with {again.process.returncode}")
     again.process.stdout.close()
-    stray = [n for n in contents(folder) if n.endswith((".part", ".lock", ".unfinished"))]
+    stray = [n for n in contents(folder) if n.startswith(".upload-") or n.endswith((".lock", ".unfinished"))]
     outcome.wrong += [f"view, {moment:.3f} s: {n} was left" for n in stray]
     half = [p.name for p in folder.glob("u*.csv") if p.read_bytes() != content]
     outcome.wrong += [f"view, {moment:.3f} s: {n} is incomplete" for n in half]

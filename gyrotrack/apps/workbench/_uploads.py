@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gyrotrack._errors import OutputError, UsageError
-from gyrotrack.io._atomic import open_side_file
+from gyrotrack.io._atomic import new_file, open_side_file
 
 _TAIL = 64 * 1024  # bytes whose checksum is compared before an upload continues
 _KEY_LENGTH = 16
@@ -91,7 +91,8 @@ class Uploads:
         What arrives before an interruption is kept. The caller moves the returned file to its place.
         """
         with self._sending(file.key):
-            self._entry(file.key).write_text(json.dumps(file._asdict()), encoding="utf-8")
+            with new_file(self._entry(file.key), force=True) as stream:
+                stream.write(json.dumps(file._asdict()).encode())
             part = self._part(file.key)
             with open_side_file(part, os.O_RDWR | os.O_CREAT) as stream:
                 if offset > os.fstat(stream.fileno()).st_size:
