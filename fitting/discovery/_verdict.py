@@ -490,8 +490,10 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    # a deterministic law of a speed leaves a structure that a random torque does not have
-    return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
+    # At the level of the recording, a law of a speed leaves a structure that a random torque of this level has not.
+    # A higher level, which the recording may have, explains it: then the tests of the fit decide.
+    structured = smooth_test(random.fit).p_value <= criteria.doubt_adequate
+    return None if structured and fit.has_lack_of_fit(criteria) else random
 
 
 def _undecided(

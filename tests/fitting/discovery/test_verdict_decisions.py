@@ -91,6 +91,9 @@ class Found:
     def has_smooth_torque(self, criteria):
         return self.smooth
 
+    def has_lack_of_fit(self, criteria):
+        return self.wrong or self.needs_random or self.smooth
+
 
 def candidate(name=DRAG, *, alike=(), significant=True, fit=Found(), estimates=None, effect=None, score=50.0):
     effect = LIBRARY[name] if effect is None else effect
@@ -268,6 +271,17 @@ class TestVerdict(Answer):
         if verdict == "undecided":
             assert f"A random torque of 1 uN m rms describes the data as well as {BOTH}" in found.sentence
             assert "Repeat the recording" in found.sentence
+
+    @pytest.mark.parametrize(
+        ("base", "verdict"), [(Found(), "undecided"), (Found(smooth=True), "missing_effect")]
+    )
+    def test_structure_in_the_residuals_counts_if_the_fit_has_a_lack_of_fit(self, base, verdict):
+        """An effect that is not established is not named where `fit` finds the model adequate."""
+        found = self.answer(
+            base, select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(),
+            describes=True, is_established=False, smooth_test=SmoothTest("casing", 1e-9),
+        )  # fmt: skip
+        assert found.verdict == verdict
 
     @pytest.mark.parametrize(("level", "noise"), [(0.0, True), (1e-12, False)])
     def test_a_random_torque_of_level_zero_is_the_noise_of_the_angles(self, level, noise):
