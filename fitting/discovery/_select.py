@@ -377,7 +377,7 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         delta_bic=delta_bic,
         p_value=p_value,
         significant=p_value < criteria.significance,
-        held_out_gain=base.cases[0].casing.held_out - found.cases[0].casing.held_out,
+        held_out_gain=base.first_held_out - found.first_held_out,
         estimates=_own_estimates(found, candidate.effect),
         fit=found,
     )

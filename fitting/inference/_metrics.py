@@ -177,8 +177,10 @@ FOLDS = 6
 torques."""
 
 
-def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dict[str, float]:
-    """Return the cross-validation error of each body: rms error of rows left out of the fit over their noise, limit 1.
+def held_out(
+    data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] = ("casing", "rotor")
+) -> dict[str, float]:
+    """Return the cross-validation error of bodies: rms error of rows left out of the fit over their noise, limit 1.
 
     For ``casing`` each of six intervals of time, for ``rotor`` each window is predicted from all other rows.
     """
@@ -189,8 +191,10 @@ def held_out(data: CaseData, project: Projection, prediction: Prediction) -> dic
     residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
-    bodies = (("casing", (data.casing,), _casing_folds(data)), ("rotor", data.rotor, _rotor_folds(data)))
-    for body, runs, folds in bodies:
+    parts = (("casing", (data.casing,), _casing_folds(data)), ("rotor", data.rotor, _rotor_folds(data)))
+    for body, runs, folds in parts:
+        if body not in bodies:
+            continue
         total = sum(r.rest for r in runs) + sum(_error(project, used, weighted, fold) for fold in folds)
         result[body] = float(np.sqrt(total / max(sum(r.n_effective for r in runs), 1.0)))
     return result

@@ -46,6 +46,7 @@ from fitting.inference._metrics import (
     LackOfFit,
     case_metrics,
     energy_balance,
+    held_out,
     lack_of_fit,
     smoothing_noise,
 )
@@ -174,6 +175,13 @@ class FitSummary:
     def variables(self) -> tuple[str, ...]:
         """Names of the variables of `covariance`."""
         return self._origin()[0]
+
+    @cached_property
+    def first_held_out(self) -> float:
+        """Cross-validation error of the casing of the first case, without the other figures of merit."""
+        (data, *_), (noise, *_), (prediction, *_) = self.problem.data, self.noise, self.predictions
+        project = Projection(data, noise.whitener.at(noise.pure))
+        return held_out(data, project, prediction, ["casing"])["casing"]
 
     @property
     def body_name(self) -> str:

@@ -71,10 +71,6 @@ def data(*, oscillation=None, parts=("casing", "rotor"), tracked=False, is_angle
     )
 
 
-def held_out(value):
-    return SimpleNamespace(casing=SimpleNamespace(held_out=value))
-
-
 @dataclass(frozen=True, eq=False)
 class Found:
     """A fit, as far as a decision depends on it."""
@@ -94,7 +90,7 @@ class Found:
         default_factory=lambda: SimpleNamespace(data=[data()], cases=[1], layout=SimpleNamespace(records=[1]))
     )
     values: dict = field(default_factory=dict)
-    cases: tuple = (held_out(1.0),)
+    first_held_out: float = 1.0
     criteria: Criteria = DEFAULT
     lacks_restoring_torque: bool = False
 
@@ -373,14 +369,14 @@ class TestRefitted:
         screened = candidate(effect, fit=None, **options)
         family = lambda p, weights: float(p @ weights)  # noqa: E731 - a single candidate
         problem = SimpleNamespace(layout=SimpleNamespace(records=[1, 2]))
-        base = Found(problem=problem, cases=(held_out(4.0),))
+        base = Found(problem=problem, first_held_out=4.0)
         return screened, module._refit_candidate(
             base, module._Promising(screened, Null(), family, DEFAULT, True)
         )
 
     def test_score_evidence_and_prediction_are_falls(self, monkeypatch):
         own = {f"{DRAG.name}.k": estimate(), "other.k": estimate()}
-        found = Found(70.0, 60.0, estimates=own, cases=(held_out(1.5),))
+        found = Found(70.0, 60.0, estimates=own, first_held_out=1.5)
         _, c = self.refitted(monkeypatch, lambda _: found)
         assert (c.score, c.delta_bic, c.held_out_gain, c.fit) == (40.0, -30.0, 2.5, found)
         assert c.p_value == pytest.approx(math.exp(-4.0))
