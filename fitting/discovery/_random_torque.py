@@ -177,18 +177,21 @@ def is_established(
     `named` is the fit with the effect, `screened` its score, `tests` the number of effects that were tried.
     """
     more = len(named.theta) - len(without.fit.theta)
-    fall = without.deviance - with_random_torque(named, criteria).deviance
-    if more < 1:
-        return fall > criteria.evidence
 
-    def passes(factor: float) -> bool:
+    def passes(fall: float, factor: float) -> bool:
         p_value = min(1.0, tests * NullDistribution(screened).at_one_level(fall / factor))
         enough = more * float(np.log(named.rows)) + criteria.evidence
         return fall / factor > enough and p_value < criteria.significance
 
-    if not passes(1.0):
+    # a random torque beside the effect only increases the fall
+    if more > 0 and passes(without.deviance - named.deviance, _CERTAIN):
+        return True
+    fall = without.deviance - with_random_torque(named, criteria).deviance
+    if more < 1:
+        return fall > criteria.evidence
+    if not passes(fall, 1.0):
         return False
-    return passes(_CERTAIN) or passes(inflation(without, named, criteria))
+    return passes(fall, _CERTAIN) or passes(fall, inflation(without, named, criteria))
 
 
 def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:

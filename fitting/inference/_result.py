@@ -176,13 +176,6 @@ class FitSummary:
         """Names of the variables of `covariance`."""
         return self._origin()[0]
 
-    @cached_property
-    def first_held_out(self) -> float:
-        """Cross-validation error of the casing of the first case, without the other figures of merit."""
-        (data, *_), (noise, *_), (prediction, *_) = self.problem.data, self.noise, self.predictions
-        project = Projection(data, noise.whitener.at(noise.pure))
-        return held_out(data, project, prediction, ["casing"])["casing"]
-
     @property
     def body_name(self) -> str:
         """Name of a body alone; empty for a gyroscope, and where it has none."""
@@ -401,6 +394,13 @@ class Fit(FitSummary):
             case_metrics(c, project, p, self.theta)
             for c, project, p in zip(self.problem.cases, pure, self.predictions, strict=True)
         )
+
+    @cached_property
+    def first_held_out(self) -> float:
+        """Cross-validation error of the casing of the first case, without the other figures of merit."""
+        (data, *_), (noise, *_), (prediction, *_) = self.problem.data, self.noise, self.predictions
+        project = Projection(data, noise.whitener.at(noise.pure))
+        return held_out(data, project, prediction, ["casing"])["casing"]
 
     @property
     def body_name(self) -> str:

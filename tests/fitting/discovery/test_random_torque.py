@@ -52,13 +52,16 @@ def screened(columns=1, trials=1):
     return SimpleNamespace(columns=columns, null=draws, noise=(), shares=())
 
 
-def established(monkeypatch, fall, *, more=1, tests=1, factor=1.0, **choices):
-    """Return whether a fall of the deviance is accepted whose mean under the null hypothesis is `factor`."""
+def established(monkeypatch, fall, *, more=1, tests=1, factor=1.0, at_own_noise=0.0, **choices):
+    """Return whether a fall of the deviance is accepted whose mean under the null hypothesis is `factor`.
+
+    `at_own_noise` is the fall without a random torque beside the effect.
+    """
     monkeypatch.setattr(
         _random_torque, "with_random_torque", lambda *_: SimpleNamespace(deviance=600.0 - fall)
     )
     monkeypatch.setattr(_random_torque, "inflation", lambda *_: factor)
-    named = SimpleNamespace(theta=np.zeros(8 + more), rows=ROWS)
+    named = SimpleNamespace(theta=np.zeros(8 + more), rows=ROWS, deviance=600.0 - at_own_noise)
     return is_established(alternative(600.0), screened(**choices), named, tests, DEFAULT)
 
 
@@ -91,6 +94,12 @@ def test_a_fall_is_divided_by_its_inflation(monkeypatch, fall, expected):
 def test_a_fall_that_no_inflation_explains_needs_no_simulation(monkeypatch):
     assert established(monkeypatch, 25.0, factor=np.nan)
     assert not established(monkeypatch, 24.0, factor=np.nan)
+
+
+@pytest.mark.parametrize(("fall", "expected"), [(25.0, True), (24.0, False)])
+def test_a_fall_without_a_random_torque_beside_the_effect_may_be_enough(monkeypatch, fall, expected):
+    assert established(monkeypatch, 0.0, at_own_noise=fall) is expected
+    assert not established(monkeypatch, 0.0, at_own_noise=fall, more=0)
 
 
 @pytest.fixture(scope="module")

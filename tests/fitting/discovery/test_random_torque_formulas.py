@@ -193,7 +193,7 @@ def test_an_effect_must_be_significant_in_the_whole_list(monkeypatch, p, establi
         lambda *_: SimpleNamespace(deviance=10.0 - fall),
     )
     monkeypatch.setattr("fitting.discovery._random_torque.inflation", lambda *_: 1.0)
-    named = SimpleNamespace(theta=np.zeros(4), rows=500)
+    named = SimpleNamespace(theta=np.zeros(4), rows=500, deviance=10.0)
     # null scores of one column without a choice of shapes, at equal steps of probability
     null = chdtri(1, (np.arange(2001) + 0.5) / 2001)
     screened = SimpleNamespace(columns=1, null=null, noise=(), shares=())
