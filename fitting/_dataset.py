@@ -30,6 +30,11 @@ _MOST_ROWS = 50_000_000
 films, a larger one admits files that fill the memory."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
+_HOW_TO_MAKE = {
+    None: "Use `gyrotrack import` for tables, `gyrotrack extract` for films.",
+    layout.RECORDING: "Create a recording with `gyrotrack extract`.",
+    layout.CASE: "Create a case with `gyrotrack sync` or `gyrotrack import`.",
+}
 _OTHER_LAYOUT = "The file is not in this layout."
 _SHOWN = 20
 """Characters of a wrong word that a message shows [1]. Chosen: fewer hide it, more fill the line."""
@@ -51,7 +56,7 @@ class Reader(Guard):
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
         """Validate and open a file: a recording, a case, or either; faults of HDF5 while it is read become errors."""
         path = Path(path)
-        self._check_signature(path)
+        self._check_signature(path, kind)
         self.check_file(path, _RECREATE)
         try:
             file = h5py.File(path, "r")
@@ -66,7 +71,7 @@ class Reader(Guard):
             why = (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]
             raise self.fail(f"{path} is damaged: {why}.", _RECREATE) from error
 
-    def _check_signature(self, path: Path) -> None:
+    def _check_signature(self, path: Path, kind: str | None) -> None:
         Files(self.fail).refuse_special(path)
         try:
             with path.open("rb") as stream:
@@ -79,13 +84,14 @@ class Reader(Guard):
         if not head:
             raise self.fail(f"{path} is empty.", _RECREATE)
         if head != _SIGNATURE:
-            hint = "Use `gyrotrack import` for tables, `gyrotrack extract` for films."
-            raise self.fail(f"{path} is not an HDF5 file.", hint)
+            raise self.fail(f"{path} is not an HDF5 file.", _HOW_TO_MAKE[kind])
 
     def _check_root(self, file: h5py.File, path: Path, kind: str | None) -> None:
         if self.attribute(file, "format", str, "?") != layout.FORMAT:
-            what = f"{path} is an HDF5 file, but was not written by gyrotrack."
-            raise self.fail(what, "The attribute 'format' is missing.")
+            raise self.fail(
+                f"{path} is an HDF5 file, but was not written by gyrotrack: the attribute 'format' is missing.",
+                _HOW_TO_MAKE[kind],
+            )
         version = self.attribute(file, "format_version", str)
         major = version.partition(".")[0]
         if not major.isdecimal():
@@ -100,11 +106,8 @@ class Reader(Guard):
             )
         found = self.attribute(file, "kind", str)
         if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
-            wanted = kind or "recording or case"
-            hint = "Create a recording with `gyrotrack extract`."
-            if wanted == layout.CASE:
-                hint = "Create a case with `gyrotrack sync` or `gyrotrack import`."
-            raise self.fail(f"{path} is a {found[:_SHOWN]}, not a {wanted}.", hint)
+            what = f"{path} is a {found[:_SHOWN]}, not a {kind or 'recording or case'}."
+            raise self.fail(what, _HOW_TO_MAKE[kind])
 
     def child(self, group: Any, name: str) -> Any:
         """Return a direct member of `group`; it must exist and not be a link."""

@@ -59,6 +59,22 @@ class StoredCase:
     start_u: dict[str, float]  # standard uncertainty of the start of each clip by name [s]
 
 
+_ROUNDING = 1e-9
+"""Asymmetry of a covariance over its largest value that is rounding [1]. Chosen: a smaller value refuses computed
+covariances, a larger one accepts invalid ones."""
+
+
+def defect_of_mode(basis: Any, covariance: Any, samples: int) -> str:
+    """Return what is wrong with an error mode of a series, in words; empty if it is right."""
+    basis, covariance = (np.asarray(a, dtype=float) for a in (basis, covariance))
+    if basis.ndim != 2 or len(basis) != samples or covariance.shape != (basis.shape[1],) * 2:
+        return f"has a basis of the shape {basis.shape} and a covariance of {covariance.shape} for {samples} samples"
+    asymmetry = np.abs(covariance - covariance.T).max(initial=0.0)
+    if not np.isfinite(covariance).all() or asymmetry > _ROUNDING * np.abs(covariance).max(initial=0.0):
+        return "has no symmetric covariance"
+    return ""
+
+
 def read_stored_case(file: Any, reader: Reader, *, every_column: bool = False) -> StoredCase:
     """Read an open case file; of `/casing` and `/rotor` only what is fitted, or every column."""
     return _CaseReader(file, reader, every_column).case()
@@ -196,10 +212,13 @@ class _CaseReader:
         return several.get(layout.FITTED) or next(iter(several.values()))
 
     def _modes(self, series: Any, samples: int) -> tuple[StoredMode, ...]:
-        return tuple(
-            StoredMode(name, **self.reader.record(group, layout.ERROR_MODE, {"time": samples}))
-            for name, group in self.reader.members(series, "error", optional=True)
-        )
+        found = []
+        for name, group in self.reader.members(series, "error", optional=True):
+            mode = StoredMode(name, **self.reader.record(group, layout.ERROR_MODE, {"time": samples}))
+            if reason := defect_of_mode(mode.basis, mode.covariance, samples):
+                raise self.reader.fail(f"{location(group)} {reason}.", "Correct it, or remove it.")
+            found.append(mode)
+        return tuple(found)
 
     def _inputs(self) -> dict[str, dict[str, Any]]:
         found = self.reader.members(self.file, "input", optional=True)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from fitting import _case_format as layout
-from fitting._stored_case import StoredSeries
-from gyrotrack._errors import DatasetError, UsageError
+from fitting._stored_case import StoredSeries, defect_of_mode
+from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_speeds, series_of
 from gyrotrack.io._tables import write_attributes, write_table
 
@@ -51,7 +51,7 @@ def write_bodies(file: Any, case: Case) -> None:
         of_series = SimpleNamespace(**{**vars(series), "quantity": quantity, "clock": "case"})
         write_attributes(fused, layout.FUSED.attributes, of_series)
         for mode in series.modes:
-            reason = _defect(mode, len(series.time))
+            reason = defect_of_mode(mode.basis, mode.covariance, len(series.time))
             if reason or not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
                 what = f"The error mode '{mode.name[:40]}' of the {name} {reason or 'has no unique name'}."
                 raise UsageError(what, "See gyrotrack.ErrorMode.")
@@ -77,28 +77,12 @@ def _write_clocks(file: Any, case: Case) -> None:
         write_table(file.create_group(f"clock/{name}"), layout.CLOCK, clock, covariance=covariance)
 
 
-def _defect(mode: ErrorMode, samples: int) -> str:
-    """Return what is wrong with an error mode of a series, in words; empty if it is right."""
-    basis, covariance = (np.asarray(a, dtype=float) for a in (mode.basis, mode.covariance))
-    if basis.ndim != 2 or len(basis) != samples or covariance.shape != (basis.shape[1],) * 2:
-        return f"has a basis of the shape {basis.shape} and a covariance of {covariance.shape} for {samples} samples"
-    if not np.isfinite(covariance).all() or np.abs(covariance - covariance.T).max(
-        initial=0.0
-    ) > 1e-9 * np.abs(covariance).max(initial=0.0):
-        return "has no symmetric covariance"
-    return ""
-
-
 def series_from(stored: StoredSeries, quantity: str) -> Series:
     """Return a series as it is stored.
 
     In a file of bodies alone, angular velocities follow from the angles, or the angles from them.
     """
     modes = tuple(ErrorMode(**vars(mode)) for mode in stored.modes)
-    for mode in modes:
-        if reason := _defect(mode, len(stored.time)):
-            what = f"The error mode '{mode.name[:40]}' of {stored.name or 'a body'} {reason}."
-            raise DatasetError(what, "Correct it, or remove it from the file.")
     if stored.columns:
         return Series(**stored.columns, **stored.stated, modes=modes)
     made = from_speeds if quantity == "omega" else from_angles

@@ -190,6 +190,18 @@ def test_attributes_that_do_not_fit_are_refused_by_both_packages(file, change, w
         assert words in caught.value.message
 
 
+@pytest.mark.parametrize(("asymmetry", "words"), [(1e-16, ""), (1e-6, "tilt has no symmetric covariance")])
+def test_a_covariance_in_a_file_is_symmetric_but_for_rounding(file, asymmetry, words):
+    with h5py.File(file, "r+") as f:
+        f["body/casing/series/fused/error/tilt/covariance"][0, 1] += asymmetry
+    for read, error in ((read_case, DatasetError), (read_record, RecordError)):
+        if words:
+            with pytest.raises(error, match=words):
+                read(file)
+        else:
+            read(file)
+
+
 @pytest.mark.parametrize("change", [{"quantity": "counts"}, {"bodies": "three"}])
 def test_values_that_cannot_be_read_again_are_not_written(case, tmp_path, change):
     with pytest.raises(UsageError, match="Use one of"):
