@@ -148,6 +148,7 @@ GENERATED = Table(
     attributes=(Attribute("method", str, "", "method that generated the curve"),),
 )
 
+INTERPOLATIONS = ("linear", "hold")
 INPUT = Table(
     (
         Field("time", _T, "s", "time on the clock of the casing's camera"),
@@ -163,7 +164,7 @@ INPUT = Table(
             "",
             "between two samples: linear, or hold (the last value)",
             "linear",
-            choices=("linear", "hold"),
+            choices=INTERPOLATIONS,
         ),
         Attribute("delay", float, "s", "dead time after which the input acts", 0.0),
     ),
