@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fitting import _case_format as layout
 from gyrotrack.io import _schema as schema
 
 TARGET = Path(__file__).parent / "reference" / "format.md"
@@ -12,7 +13,7 @@ BEGIN, END = "<!-- made by docs/make_format.py: begin -->\n", "<!-- made by docs
 
 def tables() -> str:
     """Return the part of the page that lists every dataset."""
-    parts = [f"Layout version {schema.FORMAT_VERSION}.\n"]
+    parts = [f"Layout version {layout.FORMAT_VERSION}.\n"]
     for title, table in schema.GROUPS:
         parts += [
             f"### {title}\n",
@@ -39,7 +40,7 @@ def tables() -> str:
     return "\n".join(parts)
 
 
-def _attributes(attributes: tuple[schema.Attribute, ...]) -> list[str]:
+def _attributes(attributes: tuple[layout.Attribute, ...]) -> list[str]:
     return [f"| {a.name} | {a.kind.__name__} | {a.units or '-'} | {a.long_name} |" for a in attributes]
 
 

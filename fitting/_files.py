@@ -20,9 +20,6 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import BinaryIO
 
-FORMAT = "gyrotrack"
-MAJOR = 2
-"""Major version of the layout of HDF5 files that is written and read [1]. Derived: the present layout."""
 LOCK_TIMEOUT = 10.0
 """Time after which waiting for a lock ends with an error [s]. Chosen: writing takes milliseconds; a smaller value fails
 on slow network disks, a larger one delays the message about a lock that stays."""

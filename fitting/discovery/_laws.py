@@ -631,7 +631,7 @@ def _without_repetition(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> l
 
 def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns]) -> Score:
     """Refine two shape constants between the points of their grid, common to all cases."""
-    shapes = [p for p in s.effect.parameters if p.role == "shape"]
+    shapes = [p for p in cases[0].parameters(s.effect) if p.role == "shape"]
     if len(shapes) != 2 or s.effect.per_case or s.absorbed or s.score <= 0:
         return s
     best = s

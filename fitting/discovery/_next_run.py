@@ -31,7 +31,9 @@ from fitting._numbers import speed, speed_unit
 from fitting.discovery._information import MOST_RIVALS, Information, Rival, Run, schur
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._effect import Effect
+from fitting.inference._parameters import parameters_at
 from fitting.inference._params import Estimate
+from fitting.inference._record import Record
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
@@ -212,7 +214,8 @@ def separating_run(
     if fit.model.rigid_contact is not None:
         # the initial speeds of bodies in contact are not independent
         return ""
-    terms = [(e, _mean_values(e, estimates)) for _, effects, estimates in smooth for e in effects]
+    records = fit.problem.layout.records
+    terms = [(e, _mean_values(e, estimates, records)) for _, effects, estimates in smooth for e in effects]
     information = Information(
         fit, [(e, {p.symbol: v[p.symbol] for p in e.parameters if p.role == "shape"}) for e, v in terms]
     )
@@ -231,11 +234,13 @@ _LARGER_AMPLITUDE = (
 )
 
 
-def _mean_values(effect: Effect, estimates: Mapping[str, Estimate]) -> dict[str, float]:
+def _mean_values(
+    effect: Effect, estimates: Mapping[str, Estimate], records: Sequence[Record]
+) -> dict[str, float]:
     """Return the parameters of an effect by symbol; the mean of the cases where each has its own."""
     values = {}
-    for p in effect.parameters:
-        own = [e.value for k, e in estimates.items() if k.partition("@")[0] == f"{effect.name}.{p.symbol}"]
+    for key, p in parameters_at([effect], records).items():
+        own = [e.value for k, e in estimates.items() if k.partition("@")[0] == key]
         values[p.symbol] = float(np.mean(own)) if own else p.start
     return values
 

@@ -243,7 +243,7 @@ class CaseColumns:
             pair = [sine, cosine] if _phase_symbol(effect) else [sine]
             return [Trial({}, np.stack(pair, axis=1))]
         if choices is None:
-            shapes = [p for p in self._parameters(effect) if p.role == "shape"]
+            shapes = [p for p in self.parameters(effect) if p.role == "shape"]
             grids = [self._grid(effect, p) for p in shapes]
             symbols = [p.symbol for p in shapes]
             choices = [dict(zip(symbols, map(float, v), strict=True)) for v in itertools.product(*grids)]
@@ -271,7 +271,8 @@ class CaseColumns:
         """Return smooth rows with zeros for the rows that respond to no slow torque."""
         return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
 
-    def _parameters(self, effect: Effect) -> tuple[Parameter, ...]:
+    def parameters(self, effect: Effect) -> tuple[Parameter, ...]:
+        """Return the parameters of an effect in the recordings of the fit, with values in SI units."""
         return effect.parameters_at(*self._scales)
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
@@ -323,7 +324,7 @@ class CaseColumns:
     def _units_of_few(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         amplitude = next(p.symbol for p in effect.parameters if p.role == "amplitude")
         shapes = {symbol: np.array([c[symbol] for c in choices]) for symbol in choices[0]}
-        values = self._cells | {p.symbol: p.start for p in self._parameters(effect)} | shapes
+        values = self._cells | {p.symbol: p.start for p in self.parameters(effect)} | shapes
         for state, rate in zip(effect.states, effect.rates, strict=True):
             values[state.symbol] = self._states(effect, state, rate, shapes)
         with np.errstate(all="ignore"):
@@ -371,7 +372,7 @@ class CaseColumns:
         """
         symbol = state.symbol
         tape = Tape([rate, derivative(rate, symbol)])
-        values = self._cells | {p.symbol: p.start for p in self._parameters(effect)} | shapes | {symbol: 0.0}
+        values = self._cells | {p.symbol: p.start for p in self.parameters(effect)} | shapes | {symbol: 0.0}
         size = (len(self.response.centres), max((len(v) for v in shapes.values()), default=1))
         source, decay = (np.broadcast_to(v, size) for v in tape(values))
         h = self.response.edges[1] - self.response.edges[0]

@@ -13,19 +13,19 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._arguments import FINITE
+from fitting._case_format import INTERPOLATIONS
 from fitting._errors import ExpressionError, RecordError
 from fitting.effects._effect import input_symbol, parse_unit, refuse_input_name
 
 Array = NDArray[np.float64]
 Interpolation = Literal["linear", "hold"]
 
-INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 MOST_CHANGES = 4000
 """Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
 cells, a larger one costs time."""

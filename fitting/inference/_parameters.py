@@ -160,9 +160,8 @@ class ParameterLayout:
 
     @cached_property
     def _declared(self) -> dict[str, Parameter]:
-        """The parameters of the model by key, in units of the cases."""
-        scales = scales_of(self.records)
-        return {f"{e.name}.{p.symbol}": p for e in self.model.effects for p in e.parameters_at(*scales)}
+        """The parameters of the model by key, with values in SI units."""
+        return parameters_at(self.model.effects, self.records)
 
     @property
     def units(self) -> Units:
@@ -213,6 +212,12 @@ class ParameterLayout:
     def is_physical_bound(self, name: str) -> bool:
         """Return whether the bounds of a variable are physical (friction dissipates energy)."""
         return self.parameter(name).role == "amplitude" and name not in self.ranges
+
+
+def parameters_at(effects: Iterable[Effect], records: Sequence[Record]) -> dict[str, Parameter]:
+    """Return the parameters of effects in some recordings by key: bounds, start and grid in SI units."""
+    scales = scales_of(records)
+    return {f"{e.name}.{p.symbol}": p for e in effects for p in e.parameters_at(*scales)}
 
 
 def covers(name: str, key: str) -> bool:

@@ -24,6 +24,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._metrics import BodyMetrics
 from fitting.inference._noise import Noise
+from fitting.inference._parameters import parameters_at
 from fitting.inference._params import Estimate
 from fitting.inference._record import Record
 from fitting.inference._result import Fit
@@ -413,7 +414,8 @@ def _better(row: Row, inner: Fit, data: CaseData, noise: Noise) -> Row:
 
 
 def _extended(model: Model, inner: Fit) -> dict[str, float]:
-    return {k: p.start for k, p in model.parameters.items()} | inner.values
+    declared = parameters_at(model.effects, inner.problem.layout.records)
+    return {k: p.start for k, p in declared.items()} | inner.values
 
 
 def _row(run: Run, data: CaseData, noise: Noise) -> Row:

@@ -89,7 +89,7 @@ from fitting.inference._first_order import first_order
 from fitting.inference._fit import fit
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
-from fitting.inference._parameters import ParameterLayout
+from fitting.inference._parameters import ParameterLayout, parameters_at
 from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
@@ -474,14 +474,14 @@ def save_law(law: Law, name: str, path: Path, source: str) -> None:
 
 def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
     lines: list[str] = []
+    records = law.fit.problem.layout.records
     for effect, name in zip(law.effects, names, strict=True):
         lines += [*([""] if lines else []), "[[effect]]", f"name = {json.dumps(name)}"]
         lines += [f'body = "{effect.joint}"', f"law = {json.dumps(effect.law)}"]
         lines += [f"rate = {json.dumps(effect.state.rate)}"] if effect.state else []
         lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
         lines += ["per_case = true"] if effect.per_case else []
-        for p in effect.parameters:
-            key = f"{effect.name}.{p.symbol}"
+        for key, p in parameters_at([effect], records).items():
             value = next((e.value for k, e in law.estimates.items() if k.partition("@")[0] == key), p.start)
             lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
             lines += [f"start = {value!r}"]

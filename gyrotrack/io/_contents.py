@@ -16,9 +16,9 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
+from fitting._case_format import CASE, CASE_ATTRIBUTES, INPUT, stated_attributes
 from gyrotrack._errors import UsageError
 from gyrotrack.io import _hdf5 as hdf5
-from gyrotrack.io import _schema as layout
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._records import (
     BodyTrack,
@@ -31,8 +31,8 @@ from gyrotrack.io._records import (
     columns,
     windows_of,
 )
-from gyrotrack.io._schema import CASE, STATUS
-from gyrotrack.io._tables import attribute, check_storage, load
+from gyrotrack.io._schema import RECORDING_ATTRIBUTES, STATUS
+from gyrotrack.io._tables import READER
 from gyrotrack.io._tracker_project import write_project
 
 _PROVENANCE = ("format_version", "software_version", "created", "command")
@@ -55,12 +55,12 @@ class Inspection:
 
 def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
     """Read a recording or a case, and return a summary; `verify` compares every chunk with its checksum."""
-    with hdf5.open_dataset(path) as file:
-        kind = attribute(file, "kind", str)
-        provenance = {name: attribute(file, name, str, "?") for name in _PROVENANCE}
-        provenance["settings"] = hdf5.load_json(file, "settings", {})
+    with READER.open(path) as file:
+        kind = READER.attribute(file, "kind", str)
+        provenance = {name: READER.attribute(file, name, str, "?") for name in _PROVENANCE}
+        provenance["settings"] = READER.json(file, "settings", {})
         content: Recording | Case
-        if kind == layout.CASE:
+        if kind == CASE:
             content = hdf5.load_case(file)
             summary, problems = describe_case(content), _case_problems(content)
         else:
@@ -73,8 +73,7 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
     """Return a summary of a recording: size, duration, markers and bodies."""
-    names = ("source", "width", "height", "capture_fps", "container_fps", "sense", "body")
-    out: dict[str, Any] = {name: getattr(recording, name) for name in names}
+    out = stated_attributes(recording, RECORDING_ATTRIBUTES)
     out["times_from"] = str(recording.extra.get("times_from", "frames"))
     out["frames"] = len(recording.frame_index)
     out["duration_s"] = float(recording.time[-1] - recording.time[0]) if len(recording.time) else 0.0
@@ -87,9 +86,8 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 
 
 def describe_case(case: Case) -> dict[str, Any]:
-    """Return a summary of a case: label, inertias, series, windows and clips."""
-    names = ("label", "surface", "I_rotor", "I_casing", "quantity", "bodies", "body_name", "per_inertia")
-    out: dict[str, Any] = {name: getattr(case, name) for name in names}
+    """Return a summary of a case: its attributes, series, windows and clips."""
+    out = stated_attributes(case, CASE_ATTRIBUTES)
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
     windows = windows_of(case.rotor)
@@ -112,15 +110,13 @@ def _describe_input(i: Input) -> dict[str, Any]:
     """Return unit, samples, ranges, interpolation and delay of a recorded input."""
     known = i.u[np.isfinite(i.u)]
     return {
-        "unit": i.unit,
+        **stated_attributes(i, INPUT.attributes),
         "samples": len(i.time),
         "t_start": float(i.time[0]) if len(i.time) else None,
         "t_stop": float(i.time[-1]) if len(i.time) else None,
         "min": float(np.nanmin(i.value)) if len(i.value) else None,
         "max": float(np.nanmax(i.value)) if len(i.value) else None,
         "median_u": float(np.median(known)) if len(known) else None,
-        "interpolation": i.interpolation,
-        "delay": i.delay,
     }
 
 
@@ -159,10 +155,7 @@ def _recording_problems(recording: Recording) -> list[str]:
 
 
 def _case_problems(case: Case) -> list[str]:
-    found = []
-    if not (case.I_rotor > 0 and case.I_casing > 0):
-        found.append("a moment of inertia is not positive")
-    found += _motion_problems("casing", case.casing)
+    found = _motion_problems("casing", case.casing)
     windows = windows_of(case.rotor)
     if not len(case.rotor.time) and case.bodies != "one":
         found.append("the rotor has no samples")
@@ -209,8 +202,8 @@ def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
 
 def _chunks(dataset: Any) -> int:
     """Read a dataset, which verifies the checksum of every chunk, and return the number of chunks."""
-    check_storage(dataset)
-    load(dataset)
+    READER.check_storage(dataset)
+    READER.load(dataset)
     return int(dataset.id.get_num_chunks()) if dataset.chunks else 1
 
 

@@ -7,24 +7,25 @@ by the user is deferred until then. Every file ends with a checksum line.
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from io import BytesIO, RawIOBase
 from pathlib import Path
 from typing import Any
 
 import h5py
 
-from fitting._files import FORMAT
+from fitting import _case_format as layout
 from fitting._hdf5 import checksum_line
+from fitting._stored_case import read_stored_case
 from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
-from gyrotrack.io import _schema as layout
-from gyrotrack.io._atomic import new_file, refuse_special
-from gyrotrack.io._bodies import load_bodies, load_modes, write_bodies
+from gyrotrack.io import _schema as schema
+from gyrotrack.io._atomic import new_file
+from gyrotrack.io._bodies import series_from, write_bodies
 from gyrotrack.io._records import (
     BodyTrack,
     Case,
@@ -34,21 +35,9 @@ from gyrotrack.io._records import (
     Placement,
     PointTrack,
     Recording,
-    Series,
+    no_series,
 )
-from gyrotrack.io._tables import (
-    GUARD,
-    attribute,
-    child_group,
-    read_attributes,
-    read_table,
-    stamp,
-    to_json,
-    write_attributes,
-    write_table,
-)
-
-MAX_MEMBERS = 64
+from gyrotrack.io._tables import READER, stamp, to_json, write_attributes, write_table
 
 
 class WriteBuffer:
@@ -162,82 +151,52 @@ def write_recording(
 
 
 def _write_recording_group(group: Any, recording: Recording) -> None:
-    write_attributes(group, layout.RECORDING_ATTRIBUTES, recording)
+    write_attributes(group, schema.RECORDING_ATTRIBUTES, recording)
     group.attrs["warnings"] = to_json(recording.warnings)
     group.attrs["extra"] = to_json(recording.extra)
     index = recording.frame_index
-    write_table(group.create_group("frame"), layout.FRAME, recording, frame=index, index=index)
+    write_table(group.create_group("frame"), schema.FRAME, recording, frame=index, index=index)
     markers, bodies = group.create_group("marker"), group.create_group("body")
     for name, marker in recording.markers.items():
-        write_table(markers.create_group(name), layout.MARKER, marker, frame=index)
+        write_table(markers.create_group(name), schema.MARKER, marker, frame=index)
     for name, body in recording.bodies.items():
-        write_table(bodies.create_group(name), layout.BODY, body)
+        write_table(bodies.create_group(name), schema.BODY, body)
     if recording.points:
         points = group.create_group("point")
         for name, point in recording.points.items():
-            write_table(points.create_group(name), layout.POINT, point)
+            write_table(points.create_group(name), schema.POINT, point)
 
 
 def load_recording(group: Any) -> Recording:
     """Read a recording from its group."""
-    frame: dict[str, Any] = dict(in_file(read_table(child_group(group, "frame"), layout.FRAME)))
+    frame: dict[str, Any] = dict(in_file(READER.table(READER.child_group(group, "frame"), schema.FRAME)))
     index = frame.pop("index")
     del frame["frame"]
     return Recording(
-        **read_attributes(group, layout.RECORDING_ATTRIBUTES),
+        **READER.attributes(group, schema.RECORDING_ATTRIBUTES),
         **frame,
         frame_index=index,
-        markers={n: _load_marker(g, n, len(index)) for n, g in members(group, "marker")},
-        bodies={n: _load_body(g, n) for n, g in members(group, "body")},
-        warnings=tuple(load_json(group, "warnings", [])),
-        extra=dict(load_json(group, "extra", {})),
-        points=_load_points(group),
+        markers={n: _load_marker(g, n, len(index)) for n, g in READER.members(group, "marker")},
+        bodies={n: BodyTrack(name=n, **_load(g, schema.BODY)) for n, g in READER.members(group, "body")},
+        warnings=tuple(READER.json(group, "warnings", [])),
+        extra=dict(READER.json(group, "extra", {})),
+        points={
+            n: PointTrack(name=n, **_load(g, schema.POINT))
+            for n, g in READER.members(group, "point", optional=True)
+        },
     )
 
 
-def _load_points(group: Any) -> dict[str, PointTrack]:
-    if "point" not in group.keys():  # noqa: SIM118 - `in group` follows links
-        return {}
-    return {
-        n: PointTrack(name=n, **_load_table(child_group(group, "point"), n, layout.POINT))
-        for n, _ in members(group, "point")
-    }
+def _load(group: Any, table: layout.Table) -> dict[str, Any]:
+    """Return the columns of a table, kept in a file (`gyrotrack._column_store`), and its attributes."""
+    return {**in_file(READER.table(group, table)), **READER.attributes(group, table.attributes)}
 
 
 def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:
-    columns: dict[str, Any] = dict(in_file(read_table(group, layout.MARKER)))
+    columns = _load(group, schema.MARKER)
     if len(columns.pop("frame")) != frames:
         raise DatasetError(f"{group.file.filename}: marker '{name}' and the clip differ in length.")
-    return MarkerTrack(name=name, **read_attributes(group, layout.MARKER.attributes), **columns)
-
-
-def _load_body(group: Any, name: str) -> BodyTrack:
-    columns: dict[str, Any] = dict(in_file(read_table(group, layout.BODY)))
-    return BodyTrack(name=name, **read_attributes(group, layout.BODY.attributes), **columns)
-
-
-def members(group: Any, name: str) -> list[tuple[str, Any]]:
-    """List the groups below the member `name` of `group`."""
-    parent = child_group(group, name)
-    if len(parent) > MAX_MEMBERS:
-        what = (
-            f"{group.file.filename} has {len(parent)} members in '{name}'; at most {MAX_MEMBERS} are allowed."
-        )
-        raise DatasetError(what, "The file is not in this layout.")
-    return [(member, child_group(parent, member)) for member in parent]
-
-
-def load_json(group: Any, name: str, default: Any) -> Any:
-    """Return a JSON attribute, which must have the type of `default`."""
-    text = attribute(group, name, str, json.dumps(default))
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise DatasetError(f"{group.file.filename}: the attribute '{name}' is not JSON.") from error
-    if not isinstance(value, type(default)):
-        kind = "object" if isinstance(default, dict) else "list"
-        raise DatasetError(f"{group.file.filename}: the attribute '{name}' is not a JSON {kind}.")
-    return value
+    return MarkerTrack(name=name, **columns)
 
 
 _INTEGRAL = "integral of the measured angular velocity, with an arbitrary constant"
@@ -296,71 +255,42 @@ def write_case(
 
 def load_case(file: Any) -> Case:
     """Read a case from its root group."""
-    # `in file` follows links
-    names = set(file.keys())
-    recordings = dict(members(file, "recording")) if "recording" in names else {}
+    stored = read_stored_case(file, READER, every_column=True)
+    quantity = stored.attributes["quantity"]
+    rotor = no_series() if stored.rotor is None else series_from(stored.rotor, quantity)
+    recordings = dict(READER.members(file, "recording", optional=True))
     generated = None
-    if "rotor_generated" in names:
-        generated = GeneratedCurve(**_load_table(file, "rotor_generated", layout.GENERATED))
-    inputs: tuple[Input, ...] = ()
-    if "input" in names:
-        inputs = tuple(_load_input(file, name) for name, _ in members(file, "input"))
-    fields = load_bodies(file) if "casing" not in names and "body" in names else _load_series(file)
+    if "rotor_generated" in file.keys():  # noqa: SIM118 - `in file` follows links
+        group = READER.child_group(file, "rotor_generated")
+        generated = GeneratedCurve(**READER.record(group, layout.GENERATED))
     return Case(
-        **fields,
+        **stored.attributes,
+        casing=replace(series_from(stored.casing, quantity), window=None),
+        rotor=rotor,
         recordings={n: load_recording(g) for n, g in recordings.items()},
         placements={n: _load_placement(g, n) for n, g in recordings.items() if "clock_offset" in g.attrs},
         rotor_generated=generated,
-        inputs=inputs,
-        warnings=tuple(load_json(file, "warnings", [])),
-        extra=dict(load_json(file, "extra", {})),
+        inputs=tuple(Input(name=name, **values) for name, values in stored.inputs.items()),
+        warnings=tuple(READER.json(file, "warnings", [])),
+        extra=dict(READER.json(file, "extra", {})),
     )
 
 
-def _load_series(file: Any) -> dict[str, Any]:
-    """Return the fields of a case from `/casing` and `/rotor`."""
-    tables = {"casing": layout.SERIES, "rotor": layout.WINDOWED}
-    series = {
-        name: Series(**_load_table(file, name, table), modes=load_modes(file, name))
-        for name, table in tables.items()
-    }
-    return {**read_attributes(file, layout.CASE_ATTRIBUTES), **series}
-
-
-def _load_table(file: Any, name: str, table: layout.Table) -> dict[str, Any]:
-    group = child_group(file, name)
-    return {**read_table(group, table), **read_attributes(group, table.attributes)}
-
-
-def _load_input(file: Any, name: str) -> Input:
-    values = _load_table(child_group(file, "input"), name, layout.INPUT)
-    if values["interpolation"] not in layout.INTERPOLATIONS:
-        what = (
-            f"{file.filename}: the interpolation of the input '{name}' is '{values['interpolation'][:20]}'."
-        )
-        raise DatasetError(what, f"Use one of {', '.join(layout.INTERPOLATIONS)}.")
-    return Input(name=name, **values)
-
-
 def _load_placement(group: Any, name: str) -> Placement:
-    values = read_attributes(group, layout.PLACEMENT_ATTRIBUTES)
+    values = READER.attributes(group, layout.PLACEMENT_ATTRIBUTES)
     return Placement(id=name, **{**values, "ambiguous": bool(values["ambiguous"])})
-
-
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_RECREATE = "Create it again with `gyrotrack extract`, `sync` or `import`."
 
 
 def read_kind(path: Path) -> str:
     """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of another or a newer format."""
-    with open_dataset(path) as file:
-        return attribute(file, "kind", str)  # type: ignore[no-any-return]
+    with READER.open(path) as file:
+        return str(READER.attribute(file, "kind", str))
 
 
 def read_settings(path: Path) -> dict[str, Any]:
     """Return the settings stored in a file."""
-    with open_dataset(path) as file:
-        return dict(load_json(file, "settings", {}))
+    with READER.open(path) as file:
+        return dict(READER.json(file, "settings", {}))
 
 
 def read_recording(path: Path) -> Recording:
@@ -376,7 +306,7 @@ def read_recording(path: Path) -> Recording:
     DatasetError
         As for `read_kind`, or the file is a case.
     """
-    with open_dataset(path, layout.RECORDING) as file:
+    with READER.open(path, layout.RECORDING) as file:
         return load_recording(file)
 
 
@@ -393,63 +323,5 @@ def read_case(path: Path) -> Case:
     DatasetError
         As for `read_kind`, or the file is a recording.
     """
-    with open_dataset(path, layout.CASE) as file:
+    with READER.open(path, layout.CASE) as file:
         return load_case(file)
-
-
-@contextmanager
-def open_dataset(path: Path, kind: str | None = None) -> Iterator[Any]:
-    """Validate a file of this format and open it for reading; errors of HDF5 become a `DatasetError`."""
-    path = Path(path)
-    _check_signature(path)
-    GUARD.check_file(path, _RECREATE)
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise DatasetError(f"{path} is damaged or truncated.", _RECREATE) from error
-    try:
-        with file:
-            _check_root(file, path, kind)
-            GUARD.check_tree(file)
-            yield file
-    except (OSError, RuntimeError, KeyError, ValueError, UnicodeError, MemoryError) as error:
-        why = (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]
-        raise DatasetError(f"{path} is damaged: {why}.", _RECREATE) from error
-
-
-def _check_signature(path: Path) -> None:
-    refuse_special(path)
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(len(_SIGNATURE))
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path} does not exist.", "Check the name.") from error
-    except OSError as error:
-        raise DatasetError(f"{path} cannot be read: {error.strerror}.", "Give the name of a file.") from error
-    if not head:
-        raise DatasetError(f"{path} is empty.", _RECREATE)
-    if head != _SIGNATURE:
-        hint = "Use `gyrotrack import` for tables, `gyrotrack extract` for films."
-        raise DatasetError(f"{path} is not an HDF5 file.", hint)
-
-
-def _check_root(file: Any, path: Path, kind: str | None) -> None:
-    if attribute(file, "format", str, "?") != FORMAT:
-        what = f"{path} is an HDF5 file, but was not written by gyrotrack."
-        raise DatasetError(what, "The attribute 'format' is missing.")
-    version = attribute(file, "format_version", str)
-    major = version.partition(".")[0]
-    if not major.isdecimal():
-        raise DatasetError(f"{path} has no valid format version ({version!r}).", _RECREATE)
-    if int(major) < 1:
-        raise DatasetError(f"{path} has the layout {version}; the oldest supported one is 1.0.", _RECREATE)
-    if int(major) > int(layout.FORMAT_VERSION.partition(".")[0]):
-        what = f"{path} has the layout {version}; the newest supported one is {layout.FORMAT_VERSION}."
-        raise DatasetError(what, "Update gyrotrack.")
-    found = attribute(file, "kind", str)
-    if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
-        wanted = kind or "recording or case"
-        hint = "Create a recording with `gyrotrack extract`."
-        if wanted == layout.CASE:
-            hint = "Create a case with `gyrotrack sync` or `gyrotrack import`."
-        raise DatasetError(f"{path} is a {found}, not a {wanted}.", hint)

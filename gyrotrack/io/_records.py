@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fitting._case_format import INPUT, SERIES, Table
 from gyrotrack._errors import UsageError
 from gyrotrack._smoothing import angular_velocity, smoothing_width
-from gyrotrack.io._schema import BODY, FRAME, INPUT, MARKER, POINT, SERIES, STATUS, Table
+from gyrotrack.io._schema import BODY, FRAME, MARKER, POINT, STATUS
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -397,9 +397,13 @@ def _input_line(name: str, i: dict[str, Any]) -> str:
 
 
 def _inertia(summary: dict[str, Any]) -> str:
+    from fitting._numbers import rounded
+
+    if summary["per_inertia"]:
+        return "unknown; torques are per unit of inertia"
     names = {"rotor": "rotor", "casing": _main_body(summary)}
-    known = ", ".join(f"{names[b]} {summary[f'I_{b}']:.4g}" for b in _STORED[summary["bodies"]])
-    return (f"{known} kg m2", "unknown; torques are per unit of inertia")[summary["per_inertia"]]
+    stated = {b: (summary[f"I_{b}"], summary.get(f"I_{b}_u", math.nan)) for b in _STORED[summary["bodies"]]}
+    return ", ".join(f"{names[b]} {rounded(*inertia, 'kg m2')}" for b, inertia in stated.items())
 
 
 # bodies with a moment of inertia of their own, by the number of bodies as it is stored

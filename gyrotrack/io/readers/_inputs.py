@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fitting._case_format import INTERPOLATIONS
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io._records import Floats, Input
 from gyrotrack.io.readers._raw_table import RawTable, clean, header_of
@@ -23,7 +24,6 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _COLUMN = re.compile(
     rf"(?P<column>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_NUMBER}))?\s*"
 )
-INTERPOLATIONS = ("linear", "hold")
 EXAMPLE = "Write for example --input 'current=3 [A]' or --input 'command=Torque [N m], hold, delay=0.02'."
 # names with a separate meaning in laws
 _TAKEN = {

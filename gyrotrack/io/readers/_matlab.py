@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.io._tables import GUARD, check_storage, load
+from gyrotrack.io._tables import READER
 from gyrotrack.io.readers._matlab_process import Damaged, Unreadable, arrays_in, description
 from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
 
@@ -103,7 +103,7 @@ def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
     """Return the vectors, or the columns of a matrix, in a MATLAB 7.3 file: HDF5 with arrays in column order."""
     try:
         with h5py.File(path, "r", locking=False) as file:
-            GUARD.check_tree(file)
+            READER.check_tree(file)
             held = dict(file.items())
             for name, value in list(held.items()):
                 if isinstance(value, h5py.Group):
@@ -113,8 +113,8 @@ def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:
             for name, value in held.items():
                 numeric = isinstance(value, h5py.Dataset) and value.dtype.kind in "iuf"
                 if numeric and "MATLAB_empty" not in value.attrs:
-                    check_storage(value)
-                    arrays[name] = np.asarray(load(value)).T
+                    READER.check_storage(value)
+                    arrays[name] = np.asarray(READER.load(value)).T
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         what = f"{path} is not a readable MATLAB file: {str(error)[:100]}."
         raise DatasetError(what, "Save it with -v7.") from error

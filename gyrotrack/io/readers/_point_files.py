@@ -19,7 +19,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
-from gyrotrack.io._tables import GUARD, check_storage, load
+from gyrotrack.io._tables import READER
 from gyrotrack.io.readers._point_tables import grouped_points
 from gyrotrack.io.readers._points import Points
 from gyrotrack.io.readers._raw_table import RawTable, table_of
@@ -97,7 +97,7 @@ def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
     """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file, without links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
-            GUARD.check_tree(file)
+            READER.check_tree(file)
             if str(file.attrs.get("format", "")) == "gyrotrack":
                 return _case_body(path, file, body)
             if "position" in file and {"keypoint", "keypoints"} & set(file.keys()):
@@ -126,8 +126,8 @@ def _case_body(path: Path, file: Any, body: str) -> RawTable:
     if str(file.attrs.get("quantity", "angle")) == "omega":
         wanted = {"time": "t", "omega": "omega", "omega_sigma": "sigma"}
     for column in wanted:
-        check_storage(group[column])
-    return table_of(path, list(wanted.values()), [load(group[column]) for column in wanted])
+        READER.check_storage(group[column])
+    return table_of(path, list(wanted.values()), [READER.load(group[column]) for column in wanted])
 
 
 def _movement(path: Path, file: Any) -> Points:
@@ -136,11 +136,11 @@ def _movement(path: Path, file: Any) -> Points:
     names = file["keypoint"] if "keypoint" in file else file["keypoints"]
     position, times = file["position"], file["time"]
     for dataset in (position, times):
-        check_storage(dataset)
+        READER.check_storage(dataset)
     if position.ndim == 3:
-        values = load(position)[..., None]
+        values = READER.load(position)[..., None]
     elif position.ndim == 4:
-        values = load(position)
+        values = READER.load(position)
     else:
         what = f"{path}: 'position' has the shape {position.shape}, not (time, 2, keypoints)."
         raise DatasetError(what, _FOREIGN)
@@ -150,14 +150,14 @@ def _movement(path: Path, file: Any) -> Points:
     points = _texts(names)
     confidence_of = {}
     if "confidence" in file and file["confidence"].shape[:2] == (values.shape[0], len(points)):
-        check_storage(file["confidence"])
-        confidence = np.asarray(load(file["confidence"]), dtype=float)
+        READER.check_storage(file["confidence"])
+        confidence = np.asarray(READER.load(file["confidence"]), dtype=float)
         confidence = confidence.reshape(values.shape[0], len(points), -1)[..., 0]
         confidence_of = dict(zip(points, confidence.T, strict=True))
     unit = file.attrs.get("time_unit", times.attrs.get("units", "frames"))
     unit = unit.decode() if isinstance(unit, bytes) else str(unit)
     places = {name: np.asarray(values[:, :2, i, 0], dtype=float) for i, name in enumerate(points)}
-    frames, counted = np.asarray(load(times), dtype=float), not unit.startswith("s")
+    frames, counted = np.asarray(READER.load(times), dtype=float), not unit.startswith("s")
     return Points(path, frames, places, confidence_of, y_down=True, counted=counted)
 
 
@@ -167,18 +167,18 @@ def _texts(dataset: Any) -> list[str]:
 
 def _sleap(path: Path, file: Any) -> Points:
     tracks, names = file["tracks"], file["node_names"]
-    check_storage(tracks)
+    READER.check_storage(tracks)
     if tracks.ndim != 4 or tracks.shape[1] != 2 or tracks.shape[2] != names.shape[0] or names.shape[0] > 1000:
         what = f"{path}: 'tracks' has the shape {tracks.shape}, not (1, 2, points, frames)."
         raise DatasetError(what, _FOREIGN)
     if tracks.shape[0] != 1:
         raise DatasetError(f"{path} contains {tracks.shape[0]} tracked instances.", "Export one instance.")
     points = _texts(names)
-    values = np.asarray(load(tracks)[0], dtype=float)
+    values = np.asarray(READER.load(tracks)[0], dtype=float)
     confidence_of: dict[str, Any] = {}
     if "point_scores" in file and file["point_scores"].shape == (1, len(points), tracks.shape[3]):
-        check_storage(file["point_scores"])
-        scores = np.asarray(load(file["point_scores"])[0], dtype=float)
+        READER.check_storage(file["point_scores"])
+        scores = np.asarray(READER.load(file["point_scores"])[0], dtype=float)
         confidence_of = dict(zip(points, scores, strict=True))
     places = {name: values[:, i].T.copy() for i, name in enumerate(points)}
     frames = np.arange(tracks.shape[3], dtype=float)
@@ -201,7 +201,7 @@ def _pandas_fixed(path: Path, frame: Any) -> Points:
     """Read a pandas table in the "fixed" format of older versions of DeepLabCut and of `movement`."""
     values, index = frame["block0_values"], frame["axis1"]
     for dataset in (values, index):
-        check_storage(dataset)
+        READER.check_storage(dataset)
     if "block1_values" in frame or index.shape != values.shape[:1]:
         raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
     levels = []
@@ -211,7 +211,7 @@ def _pandas_fixed(path: Path, frame: Any) -> Points:
             raise DatasetError(f"{path}: the table is not in the format of DeepLabCut.", "Export it as CSV.")
         known = [w.decode("utf-8", "replace") for w in words[()].tolist()]
         levels.append([known[i] for i in labels[()].tolist()])
-    return _points(path, list(zip(*levels, strict=True)), load(values), load(index))
+    return _points(path, list(zip(*levels, strict=True)), READER.load(values), READER.load(index))
 
 
 def _points(path: Path, names: list[tuple[str, ...]], columns: Any, index: Any) -> Points:

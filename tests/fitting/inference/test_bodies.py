@@ -10,7 +10,6 @@ from fitting import LIBRARY, Model, RecordError, make_record
 from fitting._numbers import SI, WITHOUT_INERTIA, Units, scaled
 from fitting.effects._effect import bodies_of
 from fitting.inference._case_data import CaseData
-from fitting.inference._case_file import _windows
 from fitting.inference._parameters import START_CASING, START_ROTOR, ParameterLayout
 
 TIME = np.linspace(0.0, 10.0, 50)
@@ -53,10 +52,6 @@ class TestBodies:
     def test_the_ratio_of_inertias_has_the_errors_of_both(self):
         data = CaseData.of(record([RUN], I_rotor_u=1e-6, I_casing_u=2e-7)).with_free_inertia(free=True)
         assert np.sqrt(np.ravel(data.prior.covariance)) == pytest.approx([np.hypot(0.02, 0.01)])
-
-    def test_a_file_whose_rotor_has_no_samples_has_one_empty_window(self):
-        empty = np.zeros(0)
-        assert [len(w[0]) for w in _windows((empty, empty, empty), empty)] == [0]
 
     def test_a_rotor_without_usable_samples_is_not_a_body_alone(self):
         nothing = (TIME, np.full(50, math.nan), TIME)

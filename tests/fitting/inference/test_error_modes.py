@@ -378,11 +378,11 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            ({"quantity": "pulse_times"}, "holds pulse_times, which cannot be fitted"),
+            ({"quantity": "pulse_times"}, "of the quantity 'pulse_times', which cannot be fitted"),
             ({"names": ("left", "right")}, "2 series and none is named fused"),
             ({"roles": ("rotor",)}, "roles rotor"),
             ({"roles": ("body", "casing")}, "roles body, casing"),
-            ({"roles": ("casing", "rotor"), "quantity": "angle"}, "needs the inertia of both"),
+            ({"roles": ("casing", "rotor"), "quantity": "angle"}, "lacks an inertia"),
             ({"inertia": -1.0}, "not positive"),
             (
                 {"change": lambda f: exchange(f["body/wheel/series/fused/error/drift"], "basis", (5, 1))},
@@ -395,13 +395,22 @@ class TestFiles:
                     "roles": ("casing", "rotor"),
                     "change": lambda f: exchange(f["clock/rotor_0"], "covariance", (0, 0)),
                 },
+                "shape (0, 0), not (2, 2)",
+            ),
+            (
+                {
+                    "quantity": "angle",
+                    "inertia": 1e-4,
+                    "roles": ("casing", "rotor"),
+                    "change": lambda f: f["clock/rotor_0/covariance"].__setitem__((0, 0), -1e-9),
+                },
                 "no covariance of offset and rate",
             ),
             (
                 {"change": lambda f: f["body/wheel/series/fused/error/drift"].__delitem__("basis")},
-                "has no body/wheel",
+                "drift lacks 'basis'",
             ),
-            ({"change": lambda f: f.__delitem__("body")}, "has no casing"),
+            ({"change": lambda f: f.__delitem__("body")}, "lacks 'casing'"),
         ],
     )
     def test_files_that_do_not_fit_are_refused(self, tmp_path, arguments, words):

@@ -10,7 +10,7 @@ import twobody
 from fitting import Model, RecordError, fit, make_record
 from fitting.inference._angle_noise import AngleNoise, profile_at, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
-from fitting.inference._case_file import _correlated, _profile
+from fitting.inference._case_file import read_record
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
 from fitting.inference._replica import _stated_error
@@ -94,16 +94,35 @@ def test_it_is_a_part_of_the_digest():
     assert one.digest != other.digest != film(stated=(0.0, 0.0)).digest
 
 
-def test_it_is_read_from_the_casing_of_a_case(tmp_path):
-    with h5py.File(tmp_path / "case.h5", "w") as file:
+def wheel_with(path, **stated):
+    """Read a case of one body whose series has these attributes."""
+    with h5py.File(path, "w") as file:
+        file.attrs.update({"format": "gyrotrack", "format_version": "1.0", "kind": "case", "bodies": "one"})
+        file.attrs.update({"I_casing": 1.0, "per_inertia": 1})
         group = file.create_group("casing")
-        assert _correlated(file, "casing") == (0.0, 0.0, 0.0, 0.0)
-        group.attrs["correlated_sigma"] = SIGMA
-        assert _correlated(file, "casing") == (0.0, 0.0, 0.0, 0.0)
-        group.attrs["correlated_time"] = TIME
-        assert _correlated(file, "casing") == (SIGMA, TIME, 0.0, 0.0)
-        group.attrs["periodic_sigma"] = 3 * SIGMA
-        assert _correlated(file, "casing") == (SIGMA, TIME, 3 * SIGMA, 0.0)
+        group["time"] = np.arange(100) / 10
+        group["angle"], group["sigma"] = 3.0 * np.arange(100), np.full(100, 1e-3)
+        group.attrs.update(stated)
+    return read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ({}, (0.0, 0.0, 0.0, 0.0)),
+        ({"correlated_sigma": SIGMA}, (0.0, 0.0, 0.0, 0.0)),
+        ({"correlated_sigma": SIGMA, "correlated_time": np.nan}, (0.0, 0.0, 0.0, 0.0)),
+        ({"correlated_sigma": SIGMA, "correlated_time": TIME}, (SIGMA, TIME, 0.0, 0.0)),
+        ({"periodic_sigma": 3 * SIGMA, "harmonic_sigma": np.nan}, (0.0, 0.0, 3 * SIGMA, 0.0)),
+    ],
+)
+def test_it_is_read_from_the_casing_of_a_case(tmp_path, stated, expected):
+    assert wheel_with(tmp_path / "case.h5", **stated).correlated == expected
+
+
+@pytest.mark.parametrize(("source", "tracked"), [({}, False), ({"sigma_source": "measured"}, True)])
+def test_only_measured_uncertainties_are_those_of_tracking(tmp_path, source, tracked):
+    assert wheel_with(tmp_path / "case.h5", **source).tracked is tracked
 
 
 PROFILE = ((0.0, 4 * SIGMA), (10.0, SIGMA), (60.0, 2 * SIGMA))
@@ -170,17 +189,12 @@ def test_a_profile_needs_a_correlation_time():
 
 
 def test_a_profile_is_read_from_the_casing_of_a_case(tmp_path):
-    path = tmp_path / "case.h5"
-    with h5py.File(path, "w") as file:
-        group = file.create_group("casing")
-        assert _profile(path, file, "casing") == []
-        group.attrs["correlated_profile"] = np.array(PROFILE)
-        assert tuple(_profile(path, file, "casing")) == PROFILE
-        group.attrs["correlated_profile"] = np.array([[0, 1], [2, 3]])
-        assert _profile(path, file, "casing") == [(0.0, 1.0), (2.0, 3.0)]
-        group.attrs["correlated_profile"] = np.zeros((2, 3))
-        with pytest.raises(RecordError, match="no pairs"):
-            _profile(path, file, "casing")
+    slow = {"correlated_sigma": SIGMA, "correlated_time": TIME}
+    for given in (np.array(PROFILE), np.array([[0, 1], [2, 3]])):
+        found = wheel_with(tmp_path / "case.h5", **slow, correlated_profile=given)
+        assert found.correlated_profile == tuple(map(tuple, given.tolist()))
+    with pytest.raises(RecordError, match="not a table of pairs"):
+        wheel_with(tmp_path / "case.h5", **slow, correlated_profile=np.zeros((2, 3)))
 
 
 def test_functions_of_the_samples_have_the_rows_of_the_same_functions_at_the_nodes(stated):

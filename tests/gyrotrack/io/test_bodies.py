@@ -155,8 +155,8 @@ def test_a_single_body_has_its_name(case, tmp_path, quantity):
             lambda f: f["body/casing/series/fused"].attrs.modify("quantity", "counts"),
             "of the quantity 'counts'",
         ),
-        (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "lacks the inertia of a body"),
-        (lambda f: f["body/rotor"].attrs.modify("inertia", -1.0), "is -1.0"),
+        (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "lacks an inertia"),
+        (lambda f: f["body/rotor"].attrs.modify("inertia", -1.0), "is -1, not positive"),
         (lambda f: f["body/rotor/series/fused"].attrs.modify("quantity", "speed"), "speeds of one body"),
         (lambda f: f["body"].copy("rotor", "third"), "of the roles"),
         (lambda f: f["body/casing/series/fused/error/tilt"].__delitem__("covariance"), "lacks 'covariance'"),
@@ -168,6 +168,59 @@ def test_bodies_that_do_not_fit_are_refused(file, change, words):
     with pytest.raises(DatasetError) as caught:
         read_case(file)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"I_rotor": -1.0}, "inertia of the rotor is -1, not positive"),
+        ({"I_casing": 0.0}, "inertia of the casing is 0, not positive"),
+        ({"I_casing": np.inf}, "inertia of the casing is inf, not positive"),
+        ({"per_inertia": 1}, "lacks an inertia"),
+        ({"bodies": "three"}, "'bodies' is 'three'"),
+        ({"quantity": "counts"}, "'quantity' is 'counts'"),
+    ],
+)
+def test_attributes_that_do_not_fit_are_refused_by_both_packages(file, change, words):
+    with h5py.File(file, "r+") as f:
+        f.attrs.update(change)
+    for read, error in ((read_case, DatasetError), (read_record, RecordError)):
+        with pytest.raises(error) as caught:
+            read(file)
+        assert words in caught.value.message
+
+
+@pytest.mark.parametrize(("asymmetry", "words"), [(1e-16, ""), (1e-6, "tilt has no symmetric covariance")])
+def test_a_covariance_in_a_file_is_symmetric_but_for_rounding(file, asymmetry, words):
+    with h5py.File(file, "r+") as f:
+        f["body/casing/series/fused/error/tilt/covariance"][0, 1] += asymmetry
+    for read, error in ((read_case, DatasetError), (read_record, RecordError)):
+        if words:
+            with pytest.raises(error, match=words):
+                read(file)
+        else:
+            read(file)
+
+
+@pytest.mark.parametrize("change", [{"quantity": "counts"}, {"bodies": "three"}])
+def test_values_that_cannot_be_read_again_are_not_written(case, tmp_path, change):
+    with pytest.raises(UsageError, match="Use one of"):
+        write_case(tmp_path / "new.h5", replace(case, **change), command="", settings={})
+    assert not list(tmp_path.glob("new*"))
+
+
+@pytest.mark.parametrize(("segment", "words"), [(1.0, ""), (1.5, "integers"), (np.nan, "integers")])
+def test_segments_may_be_whole_floating_point_numbers(file, segment, words):
+    """MATLAB writes integers as floating-point numbers."""
+    with h5py.File(without_old_groups(file), "r+") as f:
+        fused = f["body/rotor/series/fused"]
+        del fused["segment"]
+        fused["segment"] = np.repeat([0.0, segment], 200)
+    if words:
+        with pytest.raises(DatasetError, match=words):
+            read_case(file)
+    else:
+        assert read_case(file).rotor.window.tolist() == [0] * 200 + [1] * 200
 
 
 def test_errors_are_exported_with_their_uncertainty(stated):

@@ -26,12 +26,16 @@ def test_case_in_numbers(tmp_path, case):
     assert found.problems == ()
     assert [w["samples"] for w in found.summary["rotor"]["windows"]] == [200, 200]
     assert found.summary["recordings"]["rotor_0"]["placement"]["clock_offset"] == 3.5
+    assert (found.summary["I_rotor"], found.summary["quantity"]) == (5.54e-5, "angle")
+    assert "I_rotor_u" not in found.summary
+    stated = dataclasses.replace(case, I_rotor_u=6e-7)
+    found = inspect_file(write_case(tmp_path / "u.h5", stated, command="c", settings={}))
+    assert found.summary["I_rotor_u"] == 6e-7
 
 
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        ({"I_rotor": -1.0}, "inertia"),
         ({"casing.sigma": lambda x: 0 * x}, "positive uncertainty"),
         ({"casing.time": lambda x: x[::-1]}, "not strictly increasing"),
         ({"casing.time": lambda x: x * np.nan}, "lacks some times"),
