@@ -124,6 +124,8 @@ def run(
     time = np.arange(0, span, 1 / casing_rate)
     ticks = np.arange(round(case["window"] * rotor_rate)) / rotor_rate
     places = np.array(case["windows"]) * span + rng.uniform(0, case["window"], len(case["windows"]))
+    # in a short run the last window ends with it
+    places = np.minimum(places, span - case["window"])
     windows = [t + ticks for t in places]
     speed = np.interp(time, motion.time, motion.speed[:, 1])
     return Run(time, motion.angle(time, 1), speed, windows, [motion.angle(w, 0) for w in windows])

@@ -54,7 +54,7 @@ def answered(number: int) -> dict[str, Any]:
     """Make one recording, and return what `fit` and `diagnose` say about it."""
     rng = np.random.default_rng([21, number])
     light = number % 4 != 3
-    case = LIGHT | {"span": float(rng.uniform(20, 30))} if light else CASES[number // 4 % 2]
+    case = LIGHT | {"span": float(rng.uniform(24, 40))} if light else CASES[number // 4 % 2]
     torque, torque_time = between(rng, TORQUE), between(rng, TORQUE_TIME)
     drawn = record(case, Hidden(), torque_noise=torque, torque_time=torque_time, rng=rng, label="run")
     angle = angle_time = 0.0

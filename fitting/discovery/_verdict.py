@@ -40,7 +40,6 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
     significant_peak,
-    smooth_test,
 )
 from fitting.discovery._measurement import slip_estimates
 from fitting.discovery._named_effect import (
@@ -490,10 +489,8 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    # At the level of the recording, a law of a speed leaves a structure that a random torque of this level has not.
-    # A higher level, which the recording may have, explains it: then the tests of the fit decide.
-    structured = smooth_test(random.fit).p_value <= criteria.doubt_adequate
-    return None if structured and fit.has_lack_of_fit(criteria) else random
+    # a law leaves a smooth structure that a random torque of any level does not explain
+    return None if fit.has_smooth_torque(criteria) else random
 
 
 def _undecided(

@@ -521,7 +521,9 @@ class Fit(FitSummary):
             return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not_converged"
-        if self.has_lack_of_fit():
+        if self.fails() or self.needs_random_torque() or self.has_torque_of_the_angle():
+            return "lack_of_fit"
+        if self.has_smooth_torque():
             return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
 
@@ -542,21 +544,6 @@ class Fit(FitSummary):
     def criteria(self) -> Criteria:
         """The criteria with which the noise of the recordings was measured, and of the verdict."""
         return self.problem.data[0].criteria
-
-    def has_lack_of_fit(self, criteria: Criteria | None = None) -> bool:
-        """Return whether any test of the residuals finds that the model is incomplete.
-
-        Parameters
-        ----------
-        criteria : Criteria
-            The thresholds of the tests. By default those of the fit.
-        """
-        return (
-            self.fails(criteria)
-            or self.needs_random_torque(criteria)
-            or self.has_torque_of_the_angle(criteria)
-            or self.has_smooth_torque(criteria)
-        )
 
     def fails(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit converged and has a significant lack of fit.

@@ -91,9 +91,6 @@ class Found:
     def has_smooth_torque(self, criteria):
         return self.smooth
 
-    def has_lack_of_fit(self, criteria):
-        return self.wrong or self.needs_random or self.smooth
-
 
 def candidate(name=DRAG, *, alike=(), significant=True, fit=Found(), estimates=None, effect=None, score=50.0):
     effect = LIBRARY[name] if effect is None else effect
@@ -117,7 +114,7 @@ class Answer:
             "rank": [], "separate_values": None, "select": selection(), "with_free_inertia": None,
             "contradiction": None, "significant_peak": None, "grade": Grade(None, None, None),
             "inertia_within_uncertainty": "", "with_random_torque": None, "describes": False,
-            "is_established": True, "smooth_test": SmoothTest("casing", 0.5), "nonparametric_rivals": (),
+            "is_established": True, "nonparametric_rivals": (),
             "nuisance_parameters": [], "largest_hidden": (), "find_failures": [], "separating_run": "next run",
             "whiteness": [], "residual_torques": [], "angle_harmonics": [], "combined_uncertainties": {},
             "reselected": None,
@@ -254,34 +251,23 @@ class TestVerdict(Answer):
         assert self.answer(select=selection(starts, named=weak)).verdict == "missing_effect"
 
     @pytest.mark.parametrize(
-        ("established", "describes", "smooth_p", "verdict"),
+        ("established", "describes", "smooth", "verdict"),
         [
-            (False, True, 0.0011, "undecided"),
-            (False, True, 0.0009, "missing_effect"),
-            (False, False, 0.5, "missing_effect"),
-            (True, True, 0.5, "missing_effect"),
+            (False, True, False, "undecided"),
+            (False, True, True, "missing_effect"),
+            (False, False, False, "missing_effect"),
+            (True, True, False, "missing_effect"),
         ],
     )
-    def test_a_random_torque_is_an_alternative(self, established, describes, smooth_p, verdict):
+    def test_a_random_torque_is_an_alternative(self, established, describes, smooth, verdict):
         found = self.answer(
-            select=selection(candidate(alike=(LAMINAR,))), grade=COMPLETE, with_random_torque=random_torque(),
-            describes=describes, is_established=established, smooth_test=SmoothTest("casing", smooth_p),
+            Found(wrong=True, smooth=smooth), select=selection(candidate(alike=(LAMINAR,))), grade=COMPLETE,
+            with_random_torque=random_torque(), describes=describes, is_established=established,
         )  # fmt: skip
         assert found.verdict == verdict
         if verdict == "undecided":
             assert f"A random torque of 1 uN m rms describes the data as well as {BOTH}" in found.sentence
             assert "Repeat the recording" in found.sentence
-
-    @pytest.mark.parametrize(
-        ("base", "verdict"), [(Found(), "undecided"), (Found(smooth=True), "missing_effect")]
-    )
-    def test_structure_in_the_residuals_counts_if_the_fit_has_a_lack_of_fit(self, base, verdict):
-        """An effect that is not established is not named where `fit` finds the model adequate."""
-        found = self.answer(
-            base, select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(),
-            describes=True, is_established=False, smooth_test=SmoothTest("casing", 1e-9),
-        )  # fmt: skip
-        assert found.verdict == verdict
 
     @pytest.mark.parametrize(("level", "noise"), [(0.0, True), (1e-12, False)])
     def test_a_random_torque_of_level_zero_is_the_noise_of_the_angles(self, level, noise):
@@ -289,7 +275,6 @@ class TestVerdict(Answer):
         given = {
             "select": selection(candidate()),
             "grade": COMPLETE,
-            "smooth_test": SmoothTest("casing", 0.5),
         }
         found = self.answer(**given, with_random_torque=random, describes=True, is_established=False)
         assert found.verdict == "undecided"

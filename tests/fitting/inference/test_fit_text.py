@@ -32,6 +32,6 @@ def test_fit_reports_a_random_torque_beyond_the_recording(found, excess, told):
 def test_a_lack_of_fit_says_enough(found, monkeypatch):
     noise = replace(found.noise[0].at(2 * found.noise[0].least), excess=50.0)
     changed = replace(found, noise=(noise,))
-    monkeypatch.setattr(type(changed), "has_torque_of_the_angle", lambda *_: True)
+    monkeypatch.setattr(type(changed), "has_torque_of_the_angle", lambda _: True)
     assert changed.verdict == "lack_of_fit"
     assert TOLD not in "\n".join(merit_lines(changed))

@@ -52,19 +52,6 @@ def test_the_amplitude_that_counts(order, share, turns, expected):
     assert Fit.has_torque_of_the_angle(solved) == expected
 
 
-@pytest.mark.parametrize(
-    "test", ["fails", "needs_random_torque", "has_torque_of_the_angle", "has_smooth_torque"]
-)
-def test_each_test_alone_makes_a_lack_of_fit(monkeypatch, test):
-    from fitting import Fit
-
-    found, strict = fitted(0.0), DEFAULT
-    assert not found.has_lack_of_fit()
-    monkeypatch.setattr(Fit, test, lambda _, criteria: criteria is strict)
-    assert found.has_lack_of_fit(strict)
-    assert not found.has_lack_of_fit()
-
-
 def test_a_response_that_is_not_determined_has_no_size():
     assert AngleHarmonics("case", np.ones(4), np.zeros((4, 4))).size(1) == (0.0, 0.0)
 
