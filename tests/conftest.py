@@ -36,13 +36,30 @@ settings.register_profile("any machine", derandomize=True, **_CALM)
 settings.register_profile("searching", **_CALM)
 settings.load_profile("any machine")
 
+# files whose slow tests take about a minute or more, the longest first
+LONG_FILES = (
+    "test_laws.py", "test_discovery.py", "test_spindown.py", "test_coverage.py", "test_remainder.py", "test_films.py",
+    "test_view.py", "test_plan.py", "test_fit.py", "test_scan.py", "test_integrated_angle.py",
+    "test_other_gyroscopes.py",
+)  # fmt: skip
+
 
 def pytest_configure(config):
     """Run each file in one process (pytest-xdist), and give all processes a folder for what several files compute."""
     if getattr(config.option, "dist", "no") == "load":
         config.option.dist = "loadfile"
+        # of the other tests, their number tells how long a file takes
+        config.option.loadscopereorder = config.option.markexpr != "slow"
     if "PYTEST_XDIST_WORKER" not in os.environ:
         os.environ["GYROTRACK_TEST_SHARED"] = tempfile.mkdtemp(prefix="gyrotrack-tests-")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Begin the slow tests with the files that take longest: a long one that is begun last runs alone."""
+    if config.option.markexpr != "slow":
+        return
+    place = {name: i for i, name in enumerate(LONG_FILES)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 
 def pytest_collection_finish():

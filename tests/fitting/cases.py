@@ -45,18 +45,19 @@ def shared(function):
 
 
 @shared
-def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
+def data(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle", few=False):
+    """Return a case of the paper's cameras, or (`few`) of angles with the same information in fewer frames."""
     motion = twobody.simulate(seed=seed, ou=ou, ou_time=ou_time, hidden=HIDDEN[hidden])
     sigma = 1e-3 if quantity == "angle" else 0.05
-    cameras = twobody.Cameras(quantity=quantity, sigma=sigma)
+    cameras = twobody.FEWER_FRAMES if few else twobody.Cameras(quantity=quantity, sigma=sigma)
     found = CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
     found.whitened(found.z)  # the estimates of the noise, which cost more than a fit, are kept in the file
     return found
 
 
 @shared
-def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle"):
-    return fit(Model.of(REDUCED), [data(seed, ou, ou_time, hidden, quantity)])
+def fitted(seed=0, ou=0.0, ou_time=1.0, hidden="nothing", quantity="angle", few=False):
+    return fit(Model.of(REDUCED), [data(seed, ou, ou_time, hidden, quantity, few)])
 
 
 @shared

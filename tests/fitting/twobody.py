@@ -153,6 +153,8 @@ class Cameras:
 # the information of the paper's films in a fifth of their samples, and half of the rows of a fit: standard errors
 # agree within 5 %. Less than a frame per turn of the casing: not for laws of its angle
 FEWER_FRAMES = Cameras(casing_rate=10.0, rotor_rate=300.0, sigma=3e-4)
+# the same information where a harmonic of the angle counts: more than two frames per turn of the casing
+FRAMES_OF_A_HARMONIC = Cameras(casing_rate=65.0, rotor_rate=250.0, sigma=5e-4)
 
 
 def film(motion, seed=0, cameras=None, **more):

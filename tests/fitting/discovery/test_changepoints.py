@@ -20,7 +20,7 @@ T0 = 88.0
 def test_the_local_scan_finds_a_nearby_changepoint():
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.5e-6 if t >= T0 else 0.0)
     motion = twobody.simulate(hidden=hidden, ou=1e-7, seed=2)
-    data = [CaseData.of(make_record(**twobody.film(motion, 2)))]
+    data = [CaseData.of(make_record(**twobody.film(motion, 2, twobody.FEWER_FRAMES)))]
     model = Model.of((*REDUCED, "touchpoint.step"))
     near = fit(model, data, start={"touchpoint.step.t0": T0 + 0.3, "touchpoint.step.k": 1e-6})
     assert abs(near.estimates["touchpoint.step.t0"].value - T0) < 0.2

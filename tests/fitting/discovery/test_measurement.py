@@ -65,7 +65,7 @@ def test_a_stated_uncertainty_replaces_an_unknown_one_and_keeps_the_noise():
 @pytest.mark.slow
 def test_errors_of_starts_are_found_where_nothing_is_stated():
     """The misfit of windows off by 4 to 7 ms: no effect is named, and the errors are those that were made."""
-    found = diagnose(fit(fitted().model, [CaseData.of(started_late(data(seed=0).record, SHIFTS))]))
+    found = diagnose(fit(fitted().model, [CaseData.of(started_late(data(seed=0, few=True).record, SHIFTS))]))
     first = found.candidates[0]
     assert first.effect is START
     assert found.verdict == "missing_effect"
@@ -140,7 +140,7 @@ def test_measurement_effects_are_refitted_wherever_something_is_significant(sign
 
 def slipped_case():
     """Return a recording in whose second window a whole turn slipped."""
-    record = data(seed=0).record
+    record = data(seed=0, few=True).record
     windows = list(record.rotor)
     value = windows[1].value.copy()
     value[700:] += 2 * np.pi

@@ -20,7 +20,8 @@ SOFTENING, COOLING = 1.3e-3, 28.0
 def filmed(seed=0, hidden=None, span=160.0):
     motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=span, hidden=hidden, seed=seed)
     windows = tuple(share * span for share in (0.03, 0.3, 0.7))
-    cameras = twobody.Cameras(span=span, windows=windows, sigma=3e-3)
+    # the information of 260 and 1000 Hz with 3 mrad
+    cameras = twobody.Cameras(span, 65.0, windows, rotor_rate=250.0, sigma=1.5e-3)
     return CaseData.of(make_record(**twobody.film(motion, seed=seed, cameras=cameras)))
 
 
@@ -41,26 +42,26 @@ def test_the_time_constant_of_a_heated_bearing_is_found(known):
         assert abs(e.value - true) < 4 * e.stderr
 
 
-@lru_cache(maxsize=2)
-def ranked(seed):
-    base = fit(Model.of(REDUCED), [filmed(seed, HEATED)])
+@lru_cache(maxsize=1)
+def ranked():
+    base = fit(Model.of(REDUCED), [filmed(0, HEATED)])
     return base, rank(base)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_refit_lowers_the_deviance_by_at_least_its_score(seed):
-    base, candidates = ranked(seed)
-    (heating,) = (c for c in candidates if c.effect.name == "bearing.heating")
+def test_a_heated_bearing_is_ranked_first_and_its_refit_lowers_the_deviance_by_at_least_its_score():
+    base, candidates = ranked()
+    heating = candidates[0]
+    assert heating.effect.name == "bearing.heating"
+    assert heating.p_value < 1e-6
     assert heating.fit is not None
     assert base.deviance - heating.fit.deviance > 0.95 * heating.screened.score
     assert heating.estimates["bearing.heating.tau_T"].value == pytest.approx(COOLING, rel=0.25)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_no_refit_is_worse_than_its_base(seed):
-    base, candidates = ranked(seed)
+def test_no_refit_is_worse_than_its_base():
+    base, candidates = ranked()
     refits = [c.fit for c in candidates if c.fit is not None]
     assert len(refits) >= 4
     # a search ends within a small part of a standard deviation

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -31,6 +32,7 @@ from fitting.inference._case_data import CaseData
 from fitting.study._serialisation import diagnosis_document, restored_diagnosis, stored_diagnosis
 
 TORQUE = 2e-6
+CENTRE = replace(twobody.FRAMES_OF_A_HARMONIC, centre=(2e-3, 0.7))
 HIDDEN = {
     "exponent": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.9),
     "exponent between": twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -TORQUE * (wc / 160) ** 1.6),
@@ -50,7 +52,7 @@ HIDDEN = {
 @cache
 def base(name):
     motion = twobody.simulate(hidden=HIDDEN.get(name), seed=4)
-    of_angle = {"centre": twobody.Cameras(centre=(2e-3, 0.7)), "unbalance": twobody.Cameras()}
+    of_angle = {"centre": CENTRE, "unbalance": twobody.Cameras()}
     cameras = of_angle.get(name, twobody.FEWER_FRAMES)
     return fit(Model.of(REDUCED), [CaseData.of(make_record(**twobody.film(motion, 4, cameras)))])
 
@@ -176,14 +178,15 @@ def test_camera_effects_are_nuisance_parameters_and_no_candidates():
 @pytest.mark.slow
 def test_nuisance_intervals_have_the_stated_coverage():
     pulls = []
-    for seed in range(6):
+    for seed in range(8):
         motion = twobody.simulate(seed=seed)
-        record = make_record(**twobody.film(motion, seed, twobody.Cameras(centre=(2e-3, 0.7))))
+        record = make_record(**twobody.film(motion, seed, CENTRE))
         (centre,) = (
             n for n in nuisance_parameters(fit(Model.of(REDUCED), [record])) if n.effect == "camera.centre"
         )
         pulls.append((centre.value - 2e-3) / centre.stderr)
-    assert 0.3 < math.sqrt(sum(p * p for p in pulls) / len(pulls)) < 2.0
+    # of 8: +- 0.25; of twelve it is 0.66
+    assert 0.5 < math.sqrt(sum(p * p for p in pulls) / len(pulls)) < 1.4
 
 
 @pytest.mark.slow

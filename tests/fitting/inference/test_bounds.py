@@ -97,10 +97,10 @@ def test_a_range_that_excludes_the_truth_is_an_active_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2, 4, 6])
+@pytest.mark.parametrize("seed", [0, 2])
 def test_uncertainties_are_valid_with_an_active_bound_of_another_parameter(seed):
     """With a strong random torque d, f or g is at a bound. Held, f would have a 20 times too small uncertainty."""
-    result = fitted(seed=seed, ou=1e-6, ou_time=3.0)
+    result = fitted(seed=seed, ou=1e-6, ou_time=3.0, few=True)
     found = {k: z for k, z in pulls(result, TRUTH).items() if not result.estimates[k].at_bound}
     assert max(map(abs, found.values())) < 4, found
     if seed == 2:

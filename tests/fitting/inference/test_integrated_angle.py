@@ -82,7 +82,7 @@ def test_strong_periodic_torque_is_not_correlated_angle_noise():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("strength", "step", "shown"), [(1.1, 0.01, True), (0.0, 0.01, False), (0.0, 0.03, False)]
+    ("strength", "step", "shown"), [(1.1, 0.03, True), (0.0, 0.01, False), (0.0, 0.03, False)]
 )
 def test_harmonics_are_free_only_where_the_angle_shows_a_torque(strength, step, shown):
     # blocks of a second hold less than two turns: most rows of harmonics are polynomials, and empty
@@ -96,7 +96,7 @@ def test_standard_errors_are_those_of_repeats(strength, quantity):
     errors = []
     for seed in range(6):
         record, phase = wheel(
-            strength, 100 + seed, quantity=quantity, step=0.01 if quantity == "omega" else 0.03
+            strength, 100 + seed, quantity=quantity, step=0.01 if quantity == "omega" else 0.05
         )
         found = fit(fitting.Model.of([*BASE, "casing.unbalance"]), [record])
         errors.append(pulls(found, strength, phase))
@@ -108,10 +108,10 @@ def test_standard_errors_are_those_of_repeats(strength, quantity):
 @pytest.mark.slow
 def test_no_periodic_torque_is_named_where_there_is_none():
     named = []
-    for seed in range(6):
+    for seed in range(3):
         record, _ = wheel(0.0, 200 + seed)
         found = fitting.diagnose(fit(fitting.Model.of(BASE), [record]))
         named += [c.effect.name for c in found.candidates[:1]] if found.verdict != "adequate" else []
-    # a family-wise threshold of 5 % in 6 recordings
-    assert len(named) <= 2
+    # a family-wise threshold of 5 % in 3 recordings: two are named in one of 140 such tests
+    assert len(named) <= 1
     assert "casing.unbalance" not in named

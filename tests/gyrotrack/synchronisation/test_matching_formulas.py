@@ -91,6 +91,15 @@ class TestCurves:
         exact = Curve(t, 3.0 * t, np.full(200, 1e-3))
         assert len(without_outliers(exact).time) >= 195
 
+    @pytest.mark.parametrize(("size", "kept"), [(4.0, True), (-4.0, True), (9.0, False), (-9.0, False)])
+    def test_a_jump_counts_in_standard_deviations_of_the_noise(self, size, kept):
+        """Six of them about a running median, whose own error is one or two."""
+        t, sigma = np.arange(400) / 100, 1e-4
+        angle = 3.0 * t + sigma * np.random.default_rng(1).standard_normal(400)
+        angle[177] = 3.0 * t[177] + size * sigma
+        found = without_outliers(Curve(t, angle, np.full(400, sigma)))
+        assert (t[177] in found.time) is kept
+
     @pytest.mark.parametrize(
         ("frames", "rate", "words"),
         [

@@ -2,7 +2,9 @@
 
 import json
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from fitting import read_effects
 from fitting.discovery._laws import Laws
@@ -45,11 +47,17 @@ def test_the_result_is_printed_where_there_is_no_law_to_save(gyrotrack, simulate
 
 @pytest.mark.slow
 def test_a_search_of_one_case(gyrotrack, tmp_path):
+    """A body whose drag saturates: -0.15 tanh(omega / 5) rad/s2 beside friction that the model has."""
     case, picture, file = tmp_path / "case.h5", tmp_path / "laws.svg", tmp_path / "lab.toml"
-    inertias = ["--inertia-rotor", "5.54e-5", "--inertia-casing", "2.06e-5"]
-    hidden = ["--add", "casing: -k*tanh(omega_c/30)", "--set", "casing: -k*tanh(omega_c/30).k=4e-6"]
-    windows = ["--duration", "100", "--window", "10", "--window", "50", "--window", "90"]
-    assert gyrotrack("simulate", "-o", case, *hidden, *windows, *inertias).code == 0
+    t = np.arange(0, 120, 0.05)
+    motion = solve_ivp(
+        lambda _, y: [y[1], -0.02 - 0.012 * y[1] - 0.15 * np.tanh(y[1] / 5)],
+        (0, 120), [0.0, 40.0], t_eval=t, rtol=1e-10, atol=1e-10,
+    )  # fmt: skip
+    angle = motion.y[0] + 4e-4 * np.random.default_rng(0).standard_normal(len(t))
+    table = np.stack([t, angle, np.full(len(t), 4e-4)], axis=1)
+    np.savetxt(tmp_path / "t.csv", table, delimiter=",", header="t,angle,sigma", comments="")
+    assert gyrotrack("import", "--body", tmp_path / "t.csv", "--inertia", "1", "-o", case).code == 0
     words = ["--beyond-library", "--save-law", "lab.found", file]
     said = gyrotrack("laws", case, "--picture", picture, *words, "--json", "-q")
     assert said.code == 0
