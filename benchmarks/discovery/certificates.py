@@ -52,7 +52,7 @@ def world(number: int, n: int) -> dict[str, Any]:
     """Certify one answer, and repeat the world itself."""
     rng = np.random.default_rng([11, number])
     effect = EFFECTS[number % len(EFFECTS)]
-    case = LIGHT | {"span": float(rng.uniform(22, 30)), "start": (float(rng.uniform(450, 650)), 4.0)}
+    case = LIGHT | {"span": float(rng.uniform(28, 36)), "start": (float(rng.uniform(450, 650)), 4.0)}
     draw = Draw.of(case["span"], rng, rng)
 
     def made(strength: float, seed: int) -> Any:

@@ -40,6 +40,7 @@ from fitting.discovery._lack_of_fit import (
     contradiction,
     nonparametric_rivals,
     significant_peak,
+    smooth_test,
 )
 from fitting.discovery._measurement import slip_estimates
 from fitting.discovery._named_effect import (
@@ -489,8 +490,13 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    # a law leaves a smooth structure that a random torque of any level does not explain
-    return None if fit.has_smooth_torque(criteria) else random
+    if random.is_raised and not any(d.driven for d in fit.problem.data):
+        # a law that is smooth in time explains more than the random torque does
+        structured = fit.has_smooth_torque(criteria)
+    else:
+        # a law of a speed leaves a structure that a random torque of this level does not have
+        structured = smooth_test(random.fit).p_value <= criteria.doubt_adequate
+    return None if structured else random
 
 
 def _undecided(
