@@ -101,10 +101,11 @@ def report(lines: list[dict[str, Any]]) -> str:
         undecided = sum(x["verdict"] == "undecided" for x in some)
         contradict = sum(x["verdict"] == "missing_effect" and x["fit"] == "no_lack_of_fit" for x in some)
         rate = f"{100 * alarms / count:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-        rows.append([words, len(some), named, unexplained, rate, undecided, contradict])
+        lack = sum(x["fit"] == "lack_of_fit" for x in some)
+        rows.append([words, len(some), named, unexplained, rate, undecided, lack, contradict])
     head = [
         "recordings", "number", "an effect named", "unexplained", "false alarms (95 % interval)", "undecided",
-        "named, but adequate in `fit`",
+        "lack of fit in `fit`", "named, but adequate in `fit`",
     ]  # fmt: skip
     alarms = [
         f"- {x['gyroscope']}, torque {x['torque']:.1e} N m over {x['torque_time']:.2g} s, angle {1e3 * x['angle']:.2g} "
