@@ -332,7 +332,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     if d.failures:
         lines += [
             "",
-            "significant lack of fit:",
+            "largest unmodelled torques:" if d.verdict == "undecided" else "significant lack of fit:",
             f"  {'case':<10}{'body':<8}{'time [s]':>16}{torque:>16}{rate:>15}{'sigma':>7}",
         ]
         for f in d.failures:
@@ -402,6 +402,8 @@ def _curves(d: Diagnosis) -> list[str]:
 
     lines = []
     body = d.fit.problem.data[0].record.body
+    # a random torque explains those of an answer in which nothing is established
+    marked = "largest" if d.verdict == "undecided" else "lack of fit"
     for t in d.torques:
         intervals = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
         if t.body != "casing" or not intervals:
@@ -414,7 +416,7 @@ def _curves(d: Diagnosis) -> list[str]:
             "",
             f"unmodelled torque on the {body}{label}, {torque}, from {first} s to {last} s:",
             f"  {sparkline(t.torque)}",
-            f"  {marks(intervals, start, stop)}".rstrip() + "  lack of fit",
+            f"  {marks(intervals, start, stop)}".rstrip() + f"  {marked}",
         ]
     return lines
 

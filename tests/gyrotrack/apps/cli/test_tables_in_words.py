@@ -2,12 +2,13 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting import Case, fit
-from gyrotrack.apps.cli._output import fit_tables, ladder_tables
+from gyrotrack.apps.cli._output import diagnosis_tables, fit_tables, ladder_tables
 from gyrotrack.apps.cli._parameters import key_beneath
 
 
@@ -39,6 +40,32 @@ def test_fit_and_history_show_the_same_misfit(found):
     (table,) = ladder_tables([_step("f1", found.bic, misfit=found.misfit)], found.problem.data[0].record)
     head, _, first, *_ = table.splitlines()
     assert first.split()[head.split().index("misfit")] == value
+
+
+@pytest.mark.parametrize(
+    ("verdict", "head", "mark"),
+    [
+        ("undecided", "largest unmodelled torques:", "^  largest"),
+        ("unexplained", "significant lack of fit:", "^  lack of fit"),
+    ],
+)
+def test_a_torque_that_a_random_one_explains_is_no_lack_of_fit(found, verdict, head, mark):
+    failure = SimpleNamespace(
+        label="wheel", called="wheel", body="casing", times=("1.0", "2.0"), t_start=1.0, t_stop=2.0,
+        residual_torque_Nm=2e-6, residual_rad_s=0.1, size_sigma=5.0,
+    )  # fmt: skip
+    curve = SimpleNamespace(
+        label="wheel", body="casing", time=np.linspace(0.0, 20.0, 50), torque=np.linspace(0.0, 2e-6, 50)
+    )
+    answer = SimpleNamespace(
+        fit=found, verdict=verdict, sentence="A sentence.", failures=[failure], torques=[curve],
+        candidates=[], differs=None, next_experiment="",
+    )  # fmt: skip
+    (text,) = diagnosis_tables(answer, "f1")
+    lines = text.splitlines()
+    assert head in lines
+    assert any(line.endswith(mark) for line in lines)
+    assert ("lack of fit" in text) == (verdict == "unexplained")
 
 
 def _step(fit_id, bic, *, misfit=1.0, bic_noise=500.0):
