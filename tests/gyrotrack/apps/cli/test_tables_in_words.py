@@ -49,7 +49,7 @@ def test_fit_and_history_show_the_same_misfit(found):
         ("unexplained", "significant lack of fit:", "^  lack of fit"),
     ],
 )
-def test_a_torque_that_a_random_one_explains_is_no_lack_of_fit(found, verdict, head, mark):
+def test_torques_of_an_undecided_answer_are_not_called_a_lack_of_fit(found, verdict, head, mark):
     failure = SimpleNamespace(
         label="wheel", called="wheel", body="casing", times=("1.0", "2.0"), t_start=1.0, t_stop=2.0,
         residual_torque_Nm=2e-6, residual_rad_s=0.1, size_sigma=5.0,
