@@ -57,7 +57,7 @@ def defect_of_mode(basis: Any, covariance: Any, measured: Any) -> Defect | None:
 
 
 def _is_covariance(matrix: Any) -> bool:
-    """Tell whether a matrix of finite numbers is a covariance, but for rounding."""
+    """Return whether a matrix of finite numbers is a covariance, but for rounding."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     with np.errstate(over="ignore"):
         correlation = matrix / scale[:, None] / scale

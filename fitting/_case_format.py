@@ -41,9 +41,10 @@ class Field:
 class Attribute:
     """One attribute of a group.
 
-    It is required unless it has a default. `field` is its name in memory. It is a scalar; pairs of numbers if its kind
-    is tuple, texts if it is list. `choices` are its values, if they are limited. A number is finite, or NaN if that is
-    its default, which is not written. NaN in a file counts as the default if `nan_is_default`.
+    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, but pairs of numbers if
+    its kind is tuple, and texts if it is list. `choices` are its values, if they are limited. Its number is finite; NaN
+    is allowed if NaN is the default. NaN and () are not written. NaN in a file is read as the default if
+    `nan_is_default`.
     """
 
     name: str
@@ -85,7 +86,7 @@ def stated_attributes(record: Any, attributes: Iterable[Attribute]) -> dict[str,
 
 
 def is_nan(value: Any) -> bool:
-    """Tell whether a value of any type is NaN."""
+    """Return whether a value of any type is NaN."""
     return isinstance(value, float) and math.isnan(value)
 
 

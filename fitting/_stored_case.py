@@ -140,7 +140,7 @@ class _CaseReader:
         quantities, found, inertias = set(), {}, {"I_rotor": 1.0, "I_rotor_u": math.nan}
         for role, (name, body) in bodies.items():
             group = self._fitted(body)
-            # the hint of the table's choices would not tell how to make them
+            #  of the table have another hint
             quantity = self.reader.attribute(group, "quantity", str, "angle")
             if quantity not in layout.QUANTITIES:
                 raise self.reader.fail(
