@@ -140,7 +140,7 @@ class _CaseReader:
         quantities, found, inertias = set(), {}, {"I_rotor": 1.0, "I_rotor_u": math.nan}
         for role, (name, body) in bodies.items():
             group = self._fitted(body)
-            #  of the table have another hint
+            # the hint of the table is not specific
             quantity = self.reader.attribute(group, "quantity", str, "angle")
             if quantity not in layout.QUANTITIES:
                 raise self.reader.fail(

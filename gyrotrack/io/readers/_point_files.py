@@ -128,11 +128,14 @@ def _case_body(path: Path, body: str) -> RawTable:
     """Return a body of a case, from `sync` or `import`: the series that is fitted."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    bodies = {"casing": stored.casing, stored.casing.name: stored.casing, "rotor": stored.rotor}
+    # a single body has its name, or none, and that of the group in which it is stored
+    bodies = {"casing": stored.casing, stored.casing.name: stored.casing}
+    if stored.rotor is not None:
+        bodies["rotor"] = stored.rotor
     series = bodies.get(body or "casing")
     if series is None:
         what = f"{path} has no series '{body}'."
-        raise DatasetError(what, f"Its series: {', '.join(n for n, s in bodies.items() if n and s)}.")
+        raise DatasetError(what, f"Its series: {', '.join(filter(None, bodies))}.")
     columns = ["t", stored.attributes["quantity"], "sigma"]
     return table_of(path, columns, [series.time, series.value, series.u])
 

@@ -402,6 +402,13 @@ def test_a_case_of_one_body_has_no_rotor(case, tmp_path):
     assert "casing, wheel" in caught.value.hint
 
 
+@pytest.mark.parametrize("name", ["wheel", "rotor", ""])
+def test_a_single_body_is_imported_by_its_name(case, tmp_path, name):
+    path = written(tmp_path / "c.h5", wheel(case, body_name=name))
+    for body in (name, "casing"):
+        assert len(read_motion(path, ReadOptions(body=body)).time) == 400
+
+
 def test_a_recording_is_not_imported(recording, tmp_path):
     path = write_recording(tmp_path / "r.h5", recording, command="", settings={})
     with pytest.raises(DatasetError, match="is a recording, not a case") as caught:
