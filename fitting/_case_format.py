@@ -41,9 +41,9 @@ class Field:
 class Attribute:
     """One attribute of a group.
 
-    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, but pairs of numbers if
-    its kind is tuple, and texts if it is list. `choices` are its values, if they are limited. Its number is finite; NaN
-    is allowed if NaN is the default. NaN and () are not written. NaN in a file is read as the default if
+    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, but pairs of numbers
+    if its kind is tuple, and texts if it is list. `choices` are its values, if they are limited. A number is finite.
+    NaN is allowed if NaN is the default. NaN and () are not written. A reader takes NaN as the default if
     `nan_is_default`.
     """
 
