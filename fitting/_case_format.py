@@ -39,9 +39,12 @@ class Field:
 
 @dataclass(frozen=True)
 class Attribute:
-    """One attribute, required unless it has a default; NaN and () are not written; `field` is its name in memory.
+    """One attribute of a group.
 
-    A scalar; pairs of numbers if its kind is tuple, texts if it is list. `choices` are its values, if they are limited.
+    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, but pairs of numbers
+    if its kind is tuple, and texts if it is list. `choices` are its values, if they are limited. A number is finite.
+    NaN is allowed if NaN is the default. NaN and () are not written. A reader takes NaN as the default if
+    `nan_is_default`.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Attribute:
     default: Any = None
     field: str = ""
     choices: tuple[str, ...] = ()
+    nan_is_default: bool = False
 
     @property
     def key(self) -> str:
@@ -72,9 +76,18 @@ class Table:
 
 
 def stated_attributes(record: Any, attributes: Iterable[Attribute]) -> dict[str, Any]:
-    """Return the attributes of `record` by their names in a file; NaN and (), which are not written, are left out."""
-    found = {a.name: a.kind(getattr(record, a.key)) for a in attributes}
-    return {name: value for name, value in found.items() if value == value and value != ()}
+    """Return the attributes of `record` by their names in a file, without those that are not written: NaN and ()."""
+    found = ((a, a.kind(getattr(record, a.key))) for a in attributes)
+    return {
+        a.name: value
+        for a, value in found
+        if value != () and not (is_nan(value) and (a.nan_is_default or is_nan(a.default)))
+    }
+
+
+def is_nan(value: Any) -> bool:
+    """Return whether a value of any type is NaN."""
+    return isinstance(value, float) and math.isnan(value)
 
 
 # meaning of each dimension that is not a dataset
@@ -91,8 +104,15 @@ _T = ("time",)
 
 # an error of the angle with the covariance s^2 exp(-|t - t'| / T) of two samples, beside the sigma of each
 CORRELATED = (
-    Attribute("correlated_sigma", float, "rad", "standard uncertainty of a slowly varying error", 0.0),
-    Attribute("correlated_time", float, "s", "correlation time of this error", 0.0),
+    Attribute(
+        "correlated_sigma",
+        float,
+        "rad",
+        "standard uncertainty of a slowly varying error",
+        0.0,
+        nan_is_default=True,
+    ),
+    Attribute("correlated_time", float, "s", "correlation time of this error", 0.0, nan_is_default=True),
     Attribute(
         "correlated_profile",
         tuple,
@@ -101,7 +121,12 @@ CORRELATED = (
         (),
     ),
     Attribute(
-        "periodic_sigma", float, "rad", "standard uncertainty of an error once and twice per turn", 0.0
+        "periodic_sigma",
+        float,
+        "rad",
+        "standard uncertainty of an error once and twice per turn",
+        0.0,
+        nan_is_default=True,
     ),
     Attribute(
         "harmonic_sigma",
@@ -109,6 +134,7 @@ CORRELATED = (
         "rad",
         "standard deviation of each amplitude of an error of 1 to 12 periods per turn",
         0.0,
+        nan_is_default=True,
     ),
 )
 
@@ -215,6 +241,13 @@ PLACEMENT_ATTRIBUTES = (
     Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
 )
 
+# datasets of `/casing` and `/rotor` with the value that was measured and its uncertainty, by `quantity`
+MEASURED = {"angle": ("angle", "sigma"), "omega": ("omega", "omega_sigma")}
+# the same quantities in `/body`
+QUANTITIES = {"angle": "angle", "speed": "omega"}
+# series of a body that is fitted
+FITTED_SERIES = "fused"
+
 # `/body/<name>` of a case: the same numbers under names that do not depend on the body and the quantity
 FUSED = Table(
     (
@@ -225,8 +258,17 @@ FUSED = Table(
     ),
     signal="value",
     attributes=(
-        Attribute("quantity", str, "", "what was measured: angle or speed", "angle"),
-        Attribute("clock", str, "", "clock of the times: case, that of the casing's camera"),
+        Attribute(
+            "quantity", str, "", "what was measured: angle or speed", "angle", choices=tuple(QUANTITIES)
+        ),
+        Attribute(
+            "clock",
+            str,
+            "",
+            "clock of the times: case, that of the casing's camera",
+            "case",
+            choices=("case",),
+        ),
         *SERIES.attributes,
     ),
 )
@@ -242,7 +284,14 @@ ERROR_MODE = Table(
     ),
 )
 CASE_BODY_ATTRIBUTES = (
-    Attribute("role", str, "", "casing, rotor, or body (a single one)", "body"),
+    Attribute(
+        "role",
+        str,
+        "",
+        "casing, rotor, or body (a single one)",
+        "body",
+        choices=("casing", "rotor", "body"),
+    ),
     Attribute(
         "inertia", float, "kg m2", "moment of inertia; absent: torques are per unit of inertia", math.nan
     ),
@@ -253,21 +302,14 @@ CASE_BODY_ATTRIBUTES = (
 CLOCK = Table(
     (Field("covariance", ("parameter", "other_parameter"), "1", "covariance of offset [s] and rate [1]"),),
     attributes=(
-        Attribute("offset", float, "s", "start of the clip on the clock of the case"),
-        Attribute("rate", float, "1", "rate of the clip's clock on that of the case"),
+        Attribute("offset", float, "s", "start of the clip on the clock of the case", math.nan),
+        Attribute("rate", float, "1", "rate of the clip's clock on that of the case", math.nan),
     ),
 )
 JOINT_ATTRIBUTES = (
     Attribute("bodies", list, "", "names of its two bodies, or of one and `ground`"),
-    Attribute("kind", str, "", "bearing, or contact"),
+    Attribute("kind", str, "", "bearing, or contact", choices=("bearing", "contact")),
 )
-
-# datasets of `/casing` and `/rotor` with the value that was measured and its uncertainty, by `quantity`
-MEASURED = {"angle": ("angle", "sigma"), "omega": ("omega", "omega_sigma")}
-# the same quantities in `/body`
-QUANTITIES = {"angle": "angle", "speed": "omega"}
-# series of a body that is fitted
-FITTED = "fused"
 
 # all tables of a case with their paths, for docs/reference/format.md
 GROUPS = (

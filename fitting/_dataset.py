@@ -7,6 +7,7 @@ in the file itself, has the declared type and dimensions, and is not larger than
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,15 +37,16 @@ _HOW_TO_MAKE = {
     layout.CASE: "Create a case with `gyrotrack sync` or `gyrotrack import`.",
 }
 _OTHER_LAYOUT = "The file is not in this layout."
-_SHOWN = 20
+SHOWN = 20
 """Characters of a wrong word that a message shows [1]. Chosen: fewer hide it, more fill the line."""
 # errors that h5py raises for damaged files
-_FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError, MemoryError)
+_FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
 _KIND_NAMES: dict[type[Any], str] = {
     int: "an integer",
     float: "a number",
     str: "a text",
     tuple: "a table of pairs",
+    list: "a list of texts",
 }
 
 
@@ -54,19 +56,25 @@ class Reader(Guard):
 
     @contextmanager
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
-        """Validate and open a file: a recording, a case, or either; faults of HDF5 while it is read become errors."""
+        """Validate and open a file: a recording, a case, or either; faults of HDF5 while it is read become errors.
+
+        The context contains reading only: an error of any other code would be taken for damage of the file.
+        """
         path = Path(path)
         self._check_signature(path, kind)
         self.check_file(path, _RECREATE)
         try:
             file = h5py.File(path, "r")
-        except _FAULTS as error:
+        except (*_FAULTS, MemoryError) as error:
             raise self.fail(f"{path} is damaged or truncated.", _RECREATE) from error
         try:
             with file:
                 self._check_root(file, path, kind)
                 self.check_tree(file)
                 yield file
+        except MemoryError as error:
+            what = f"{path} needs more memory than there is."
+            raise self.fail(what, "Close other programs, or store a part of the recording.") from error
         except _FAULTS as error:
             why = (str(error).strip().splitlines() or ["it cannot be read"])[0].rstrip(".")[:120]
             raise self.fail(f"{path} is damaged: {why}.", _RECREATE) from error
@@ -94,10 +102,10 @@ class Reader(Guard):
             )
         version = self.attribute(file, "format_version", str)
         major = version.partition(".")[0]
-        if not major.isdecimal():
-            what = f"{path} has no valid format version ({version[:_SHOWN]!r})."
+        if not major.isdecimal() or len(major) > SHOWN:
+            what = f"{path} has no valid format version ({version[:SHOWN]!r})."
             raise self.fail(what, _RECREATE)
-        shown = f"{path} has the layout {version[:_SHOWN]}"
+        shown = f"{path} has the layout {version[:SHOWN]}"
         if int(major) < 1:
             raise self.fail(f"{shown}; the oldest supported one is 1.0.", _RECREATE)
         if int(major) > layout.MAJOR:
@@ -106,7 +114,7 @@ class Reader(Guard):
             )
         found = self.attribute(file, "kind", str)
         if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
-            what = f"{path} is a {found[:_SHOWN]}, not a {kind or 'recording or case'}."
+            what = f"{path} is a {found[:SHOWN]}, not a {kind or 'recording or case'}."
             raise self.fail(what, _HOW_TO_MAKE[kind])
 
     def child(self, group: Any, name: str) -> Any:
@@ -150,6 +158,11 @@ class Reader(Guard):
             whole = found.dtype.kind != "f" or (np.isfinite(found) & (found == np.round(found))).all()
             if f.dtype != "f8" and not whole:
                 raise self.fail(f"{location(dataset)} does not contain integers.", _OTHER_LAYOUT)
+            if f.dtype != "f8" and found.size:
+                least, most = np.iinfo(f.dtype).min, np.iinfo(f.dtype).max
+                if int(found.min()) < least or int(found.max()) > most:
+                    what = f"{location(dataset)} contains integers beyond {least} to {most}."
+                    raise self.fail(what, _OTHER_LAYOUT)
             values[f.name] = found.astype(f.dtype, copy=False)
         return values
 
@@ -186,16 +199,26 @@ class Reader(Guard):
             raise self.fail(what, "Create it again, or restore a copy.") from error
 
     def attributes(self, group: Any, attributes: Sequence[Attribute]) -> dict[str, Any]:
-        """Read attributes by the names of the fields in the record; one without a default must exist."""
-        found = {a.key: self.attribute(group, a.name, a.kind, a.default) for a in attributes}
-        for a in attributes:
-            if a.choices and found[a.key] not in a.choices:
-                what = f"{location(group)}: the attribute '{a.name}' is '{found[a.key][:_SHOWN]}'."
-                raise self.fail(what, f"Use one of {', '.join(a.choices)}.")
-        return found
+        """Read attributes by the names of the fields in the record, with the rules of `Attribute`."""
+        return {a.key: self._attribute(group, a) for a in attributes}
+
+    def _attribute(self, group: Any, a: Attribute) -> Any:
+        value = self.attribute(group, a.name, a.kind, a.default)
+        if a.choices and value not in a.choices:
+            what = f"{location(group)}: the attribute '{a.name}' is '{value[:SHOWN]}'."
+            raise self.fail(what, f"Use one of {', '.join(a.choices)}.")
+        if a.kind is not float or math.isfinite(value) or layout.is_nan(a.default):
+            return value
+        if a.nan_is_default and math.isnan(value):
+            return a.default
+        what = f"{location(group)}: the attribute '{a.name}' is {value}, not a finite number."
+        raise self.fail(what, "Correct it, or create the file again.")
 
     def attribute(self, group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
-        """Return an attribute as `kind` (int, float, str, or pairs for tuple); one without a `default` must exist."""
+        """Return an attribute as `kind`: int, float, str, pairs for tuple, texts for list.
+
+        One without a `default` must exist.
+        """
         if name not in group.attrs:
             if default is not None:
                 return default
@@ -206,6 +229,11 @@ class Reader(Guard):
                 pairs = np.asarray(group.attrs[name], dtype=np.float64)
                 if pairs.ndim == 2 and pairs.shape[1] == 2 and np.isfinite(pairs).all():
                     return tuple(map(tuple, pairs.tolist()))
+            elif kind is list:
+                texts = np.asarray(group.attrs[name], dtype=object)
+                words = [w.decode() if isinstance(w, bytes) else w for w in texts.reshape(-1)]
+                if all(isinstance(w, str) for w in words):
+                    return words
             elif group.attrs.get_id(name).shape in {(), (1,)}:
                 value = np.asarray(group.attrs[name]).reshape(())[()]
                 value = value.decode() if isinstance(value, bytes) else value

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting import _case_format as layout
-from fitting._dataset import Reader
+from fitting._case_checks import (
+    Defect,
+    defect_of_clock,
+    defect_of_inertia,
+    defect_of_inertias,
+    defect_of_mode,
+)
+from fitting._dataset import SHOWN, Reader
 from fitting._hdf5 import location
 
 Array = NDArray[np.float64]
@@ -59,22 +66,6 @@ class StoredCase:
     start_u: dict[str, float]  # standard uncertainty of the start of each clip by name [s]
 
 
-_ROUNDING = 1e-9
-"""Asymmetry of a covariance over its largest value that is rounding [1]. Chosen: a smaller value refuses computed
-covariances, a larger one accepts invalid ones."""
-
-
-def defect_of_mode(basis: Any, covariance: Any, samples: int) -> str:
-    """Return what is wrong with an error mode of a series, in words; empty if it is right."""
-    basis, covariance = (np.asarray(a, dtype=float) for a in (basis, covariance))
-    if basis.ndim != 2 or len(basis) != samples or covariance.shape != (basis.shape[1],) * 2:
-        return f"has a basis of the shape {basis.shape} and a covariance of {covariance.shape} for {samples} samples"
-    asymmetry = np.abs(covariance - covariance.T).max(initial=0.0)
-    if not np.isfinite(covariance).all() or asymmetry > _ROUNDING * np.abs(covariance).max(initial=0.0):
-        return "has no symmetric covariance"
-    return ""
-
-
 def read_stored_case(file: Any, reader: Reader, *, every_column: bool = False) -> StoredCase:
     """Read an open case file; of `/casing` and `/rotor` only what is fitted, or every column."""
     return _CaseReader(file, reader, every_column).case()
@@ -90,9 +81,9 @@ class _CaseReader:
 
     def case(self) -> StoredCase:
         bodies = self._bodies()
-        of_layout_1 = bodies is None or "casing" in self.file.keys()  # noqa: SIM118 - `in file` follows links
-        attributes, series = self._of_casing(bodies or {}) if of_layout_1 else self._of_bodies(bodies or {})
-        self._check_inertias(attributes)
+        has_casing = bodies is None or "casing" in self.file.keys()  # noqa: SIM118 - `in file` follows links
+        attributes, series = self._of_casing(bodies or {}) if has_casing else self._of_bodies(bodies or {})
+        self._refuse(self.file.filename, defect_of_inertias(attributes))
         if "label" not in self.file.attrs:
             attributes["label"] = Path(self.file.filename).stem
         return StoredCase(attributes, *series, self._inputs(), self._start_u())
@@ -131,7 +122,8 @@ class _CaseReader:
             time = columns["time"]
             segment = columns.get("window", np.zeros(len(time), dtype=np.int64))
             stated = self.reader.attributes(group, table.attributes)
-            modes = self._modes(self._fitted(bodies[name][1]), len(time)) if name in bodies else ()
+            measured = _is_measured(time, columns[value])
+            modes = self._modes(self._fitted(bodies[name][1]), measured) if name in bodies else ()
             return StoredSeries(shown, time, columns[value], columns[u], segment, columns, stated, modes)
 
         casing = series("casing", attributes["body_name"], layout.SERIES)
@@ -148,75 +140,68 @@ class _CaseReader:
         quantities, found, inertias = set(), {}, {"I_rotor": 1.0, "I_rotor_u": math.nan}
         for role, (name, body) in bodies.items():
             group = self._fitted(body)
+            # the hint of the table is not specific
             quantity = self.reader.attribute(group, "quantity", str, "angle")
             if quantity not in layout.QUANTITIES:
                 raise self.reader.fail(
-                    f"{location(group)} is of the quantity '{quantity[:20]}', which cannot be fitted.",
+                    f"{location(group)} is of the quantity '{quantity[:SHOWN]}', which cannot be fitted.",
                     "`gyrotrack import` makes angles or speeds of pulses and counts.",
                 )
             quantities.add(layout.QUANTITIES[quantity])
             columns = self.reader.table(group, layout.FUSED)
+            stated = self.reader.attributes(group, layout.FUSED.attributes)
+            stated = {a.key: stated[a.key] for a in layout.SERIES.attributes}
             time, value, u = (columns[key] for key in ("time", "value", "u"))
             segment = columns.get("segment", np.zeros(len(time), dtype=np.int64))
-            stated = self.reader.attributes(group, layout.SERIES.attributes)
-            modes = self._modes(group, len(time))
+            modes = self._modes(group, _is_measured(time, value))
             found[role] = StoredSeries(name, time, value, u, segment, {}, stated, modes)
             of_body = self.reader.attributes(body, layout.CASE_BODY_ATTRIBUTES)
             inertias |= {f"I_{role}": of_body["inertia"], f"I_{role}_u": of_body["inertia_u"]}
             if "inertia" in body.attrs:
-                self._check_inertia(name, of_body["inertia"])
+                inertia, u = of_body["inertia"], of_body["inertia_u"]
+                defect = defect_of_inertia(name, inertia, u, optional=role == "casing" and len(bodies) == 1)
+                self._refuse(self.file.filename, defect)
         if len(quantities) > 1:
             raise self.reader.fail(
                 f"{self.file.filename} has speeds of one body and angles of the other.",
                 "Store the same quantity of both.",
             )
         single = "rotor" not in found
-        known = [a for a in layout.CASE_ATTRIBUTES if a.name in {"label", "surface", "start_u"}]
-        attributes = {
-            **self.reader.attributes(self.file, known),
+        derived = {
             **inertias,
             "quantity": quantities.pop(),
             "per_inertia": int(any(math.isnan(inertias[f"I_{role}"]) for role in found)),
             "bodies": "one" if single else "two",
             "body_name": found["casing"].name if single else "",
         }
-        if single and attributes["per_inertia"]:
-            attributes["I_casing"] = 1.0
+        if single and derived["per_inertia"]:
+            derived["I_casing"] = 1.0
+        stored = [a for a in layout.CASE_ATTRIBUTES if a.key not in derived]
+        attributes = {**self.reader.attributes(self.file, stored), **derived}
         return attributes, (found["casing"], found.get("rotor"))
 
-    def _check_inertias(self, attributes: dict[str, Any]) -> None:
-        two = attributes["bodies"] == "two"
-        if two and attributes["per_inertia"]:
-            raise self.reader.fail(
-                f"{self.file.filename} lacks an inertia: torques between two bodies follow from the ratio of inertias.",
-                "Store the attribute 'inertia' of both.",
-            )
-        for name in ("casing", "rotor")[: 1 + two]:
-            self._check_inertia(name, attributes[f"I_{name}"])
-
-    def _check_inertia(self, name: str, inertia: float) -> None:
-        if not 0 < inertia < math.inf:
-            raise self.reader.fail(
-                f"{self.file.filename}: the moment of inertia of the {name} is {inertia:g}, not positive.",
-                "Store a positive one [kg m2], or none.",
-            )
+    def _refuse(self, place: str, defect: Defect | None) -> None:
+        """Raise the error of a defect, if there is one."""
+        if defect:
+            hint = f"{defect.hint[0].upper()}{defect.hint[1:]}."
+            raise self.reader.fail(f"{place}: {defect.what}.", hint)
 
     def _fitted(self, body: Any) -> Any:
         """Return the series of a body that is fitted."""
         several = dict(self.reader.members(body, "series"))
-        if layout.FITTED not in several and len(several) != 1:
+        if layout.FITTED_SERIES not in several and len(several) != 1:
             raise self.reader.fail(
-                f"{location(body)} has {len(several)} series and none is named {layout.FITTED}.",
-                f"Name the one to be fitted {layout.FITTED}.",
+                f"{location(body)} has {len(several)} series and none is named {layout.FITTED_SERIES}.",
+                f"Name the one to be fitted {layout.FITTED_SERIES}.",
             )
-        return several.get(layout.FITTED) or next(iter(several.values()))
+        return several.get(layout.FITTED_SERIES) or next(iter(several.values()))
 
-    def _modes(self, series: Any, samples: int) -> tuple[StoredMode, ...]:
+    def _modes(self, series: Any, measured: Any) -> tuple[StoredMode, ...]:
+        """Return the error modes of a series; `measured` is the mask of its samples that have a value."""
         found = []
         for name, group in self.reader.members(series, "error", optional=True):
-            mode = StoredMode(name, **self.reader.record(group, layout.ERROR_MODE, {"time": samples}))
-            if reason := defect_of_mode(mode.basis, mode.covariance, samples):
-                raise self.reader.fail(f"{location(group)} {reason}.", "Correct it, or remove it.")
+            mode = StoredMode(name, **self.reader.record(group, layout.ERROR_MODE, {"time": len(measured)}))
+            self._refuse(location(group), defect_of_mode(mode.basis, mode.covariance, measured))
             found.append(mode)
         return tuple(found)
 
@@ -225,18 +210,23 @@ class _CaseReader:
         return {name: self.reader.record(group, layout.INPUT) for name, group in found}
 
     def _start_u(self) -> dict[str, float]:
-        """Return the uncertainty of the starts of the clips [s], of layout 2, and where it exists that of layout 1."""
+        """Return the uncertainty of the starts of the clips [s].
+
+        `clock_offset_sigma` of layout 1 takes precedence over `/clock`.
+        """
         found = {}
-        for name, clock in self.reader.members(self.file, "clock", optional=True):
-            covariance = self.reader.table(clock, layout.CLOCK)["covariance"]
-            if not (np.isfinite(covariance).all() and covariance[0, 0] >= 0):
-                raise self.reader.fail(
-                    f"{location(clock)} has no covariance of offset and rate.",
-                    "Store a covariance matrix (2, 2).",
-                )
-            found[name] = math.sqrt(covariance[0, 0])
         for name, clip in self.reader.members(self.file, "recording", optional=True):
             u = self.reader.attribute(clip, "clock_offset_sigma", float, math.nan)
             if math.isfinite(u):
                 found[name] = u
+        for name, clock in self.reader.members(self.file, "clock", optional=True):
+            if name not in found:
+                covariance = self.reader.record(clock, layout.CLOCK)["covariance"]
+                self._refuse(location(clock), defect_of_clock(covariance))
+                found[name] = math.sqrt(covariance[0, 0])
         return found
+
+
+def _is_measured(time: Array, value: Array) -> Any:
+    """Return the mask of the samples with a value."""
+    return np.isfinite(time) & np.isfinite(value)

@@ -377,7 +377,7 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         delta_bic=delta_bic,
         p_value=p_value,
         significant=p_value < criteria.significance,
-        held_out_gain=base.first_held_out - found.first_held_out,
+        held_out_gain=base.held_out_of_first_casing - found.held_out_of_first_casing,
         estimates=_own_estimates(found, candidate.effect),
         fit=found,
     )

@@ -27,13 +27,13 @@ def read_record(path: str | Path) -> Record:
     """Read an HDF5 file of kind "case", layout version 1 or 2, or say why it cannot be read."""
     reader = Reader(_error)
     with reader.open(Path(path), CASE) as file:
-        return _record(Path(path), read_stored_case(file, reader))
+        stored = read_stored_case(file, reader)
+    return _record(Path(path), stored)
 
 
 def _record(path: Path, case: StoredCase) -> Record:
     stated, casing, rotor = case.attributes, case.casing, case.rotor
-    slow = casing.stated["correlated_sigma"], casing.stated["correlated_time"]
-    errors = (*slow, casing.stated["periodic_sigma"], casing.stated["harmonic_sigma"])
+    errors = ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
     return make_record(
         label=stated["label"] or path.stem,
         surface=stated["surface"],
@@ -49,7 +49,7 @@ def _record(path: Path, case: StoredCase) -> Record:
         quantity=stated["quantity"],
         source=str(path),
         tracked=casing.stated["sigma_source"] == "measured",
-        correlated=[x if math.isfinite(x) else 0.0 for x in errors],
+        correlated=[casing.stated[name] for name in errors],
         correlated_profile=casing.stated["correlated_profile"],
         inputs=[_input(path, name, **values) for name, values in case.inputs.items()],
         modes=[m for body, series in (("casing", casing), ("rotor", rotor)) for m in _modes(body, series)],
@@ -91,7 +91,7 @@ def _input(path: Path, name: str, *, u: Any, **values: Any) -> Input:
 def _start_sigma(case: StoredCase, rotor: StoredSeries) -> list[float]:
     """Return the uncertainty of each window's start on the casing's clock [s], of its camera or as stated; NaN if none.
 
-    That of the case is stated if it was imported: it has no camera.
+    An imported case has no camera; its `start_u` applies to every window.
     """
     sigma = [case.start_u.get(f"rotor_{w}", math.nan) for w in np.unique(rotor.segment)]
     if not np.isfinite(sigma).any():

@@ -17,16 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._case_checks import MOST_AMPLITUDES, defect_of_mode
 from fitting._errors import RecordError
 
 Array = NDArray[np.float64]
-
-MOST_AMPLITUDES = 400
-"""Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
-slow, a smaller one refuses recordings of many windows."""
-_ROUNDING = 1e-9
-"""Asymmetry and negative eigenvalues of a covariance, relative to its largest, that are rounding [1]. Chosen: a smaller
-value refuses computed covariances, a larger one accepts invalid ones."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,38 +67,15 @@ class ErrorMode:
                 arrays[key] = np.array(getattr(self, key), dtype=np.float64)
             except (TypeError, ValueError):
                 raise RecordError(f"{what}: {key} holds no numbers", "use a NumPy array") from None
-            if not np.isfinite(arrays[key]).all():
-                raise RecordError(f"{what}: {key} has values that are not finite", "leave the mode out")
         time, basis, covariance = arrays.values()
         basis = basis[:, None] if basis.ndim == 1 else basis
         covariance = covariance.reshape(1, 1) if covariance.size == 1 else covariance
-        if time.ndim != 1 or basis.ndim != 2 or len(basis) != len(time) or not basis.size:
+        if time.ndim != 1 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
             raise RecordError(
-                f"{what}: its basis has the shape {basis.shape} for {time.size} samples",
-                "give one row for each sample and one column for each amplitude",
+                f"{what}: its times are not finite and strictly increasing", "give one mode for each window"
             )
-        if basis.shape[1] > MOST_AMPLITUDES:
-            raise RecordError(
-                f"{what}: it has {basis.shape[1]} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
-                "combine the smallest ones into the uncertainty of the samples",
-            )
-        if not (np.diff(time) > 0).all():
-            raise RecordError(
-                f"{what}: its times are not strictly increasing", "give one mode for each window"
-            )
-        if covariance.shape != (basis.shape[1], basis.shape[1]):
-            raise RecordError(
-                f"{what}: its covariance has the shape {covariance.shape} for {basis.shape[1]} amplitudes",
-                "give a symmetric matrix with one row for each column of the basis",
-            )
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        correlation = covariance / np.outer(scale, scale)
-        negative = np.linalg.eigvalsh((correlation + correlation.T) / 2)[0] < -_ROUNDING
-        if negative or np.abs(correlation - correlation.T).max() > _ROUNDING:
-            raise RecordError(
-                f"{what}: its covariance is not symmetric or has a negative variance",
-                "give a covariance matrix",
-            )
+        if defect := defect_of_mode(basis, covariance, np.ones(len(time), dtype=bool)):
+            raise RecordError(f"{what}: {defect.what}", defect.hint)
         if self.body not in ("casing", "rotor"):
             raise RecordError(f"{what}: no body is named {str(self.body)[:20]!r}", "use casing or rotor")
         for key, values in (("time", time), ("basis", basis), ("covariance", covariance)):

@@ -396,7 +396,7 @@ class Fit(FitSummary):
         )
 
     @cached_property
-    def first_held_out(self) -> float:
+    def held_out_of_first_casing(self) -> float:
         """Cross-validation error of the casing of the first case, without the other figures of merit."""
         (data, *_), (noise, *_), (prediction, *_) = self.problem.data, self.noise, self.predictions
         project = Projection(data, noise.whitener.at(noise.pure))

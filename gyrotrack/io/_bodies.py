@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from fitting import _case_format as layout
-from fitting._stored_case import StoredSeries, defect_of_mode
+from fitting._case_checks import Defect, defect_of_clock, defect_of_inertias, defect_of_mode
+from fitting._stored_case import StoredSeries
 from gyrotrack._errors import UsageError
-from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_speeds, series_of
+from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_speeds, no_series, series_of
 from gyrotrack.io._tables import write_attributes, write_table
 
 _NAME = re.compile(r"[^/\\\0]{1,100}")
@@ -32,8 +33,18 @@ _JOINTS = {
 _COLUMNS = {"rotor": {"segment": "window"}}
 
 
+def _refuse(subject: str, defect: Defect | None) -> None:
+    """Raise a UsageError of a defect, if there is one."""
+    if defect:
+        raise UsageError(f"{subject}: {defect.what}.", f"{defect.hint[0].upper()}{defect.hint[1:]}.")
+
+
 def write_bodies(file: Any, case: Case) -> None:
-    """Write the groups of bodies, clocks and joints beside `/casing` and `/rotor` of a case."""
+    """Write the groups of bodies, clocks and joints beside `/casing` and `/rotor` of a case.
+
+    A UsageError says what could not be read again.
+    """
+    _refuse(f"Case '{case.label[:40]}'", defect_of_inertias(vars(case)))
     quantity = {old: new for new, old in layout.QUANTITIES.items()}[case.quantity]
     value, u = layout.MEASURED[case.quantity]
     names = {"casing": case.main_body, "rotor": "rotor", "ground": "ground"}
@@ -44,17 +55,18 @@ def write_bodies(file: Any, case: Case) -> None:
         inertia_u = math.nan if case.per_inertia else getattr(case, f"I_{old}_u")
         body = SimpleNamespace(role=role, inertia=inertia, inertia_u=inertia_u)
         write_attributes(group, layout.CASE_BODY_ATTRIBUTES, body)
-        fused = group.create_group(f"series/{layout.FITTED}")
+        fused = group.create_group(f"series/{layout.FITTED_SERIES}")
         columns = {"time": "time", "value": value, "u": u} | _COLUMNS.get(role, {})
         for column, stored in columns.items():
             fused[column] = file[f"{old}/{stored}"]
         of_series = SimpleNamespace(**{**vars(series), "quantity": quantity, "clock": "case"})
         write_attributes(fused, layout.FUSED.attributes, of_series)
+        measured = np.isfinite(series.time) & np.isfinite(getattr(series, value))
         for mode in series.modes:
-            reason = defect_of_mode(mode.basis, mode.covariance, len(series.time))
-            if reason or not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
-                what = f"The error mode '{mode.name[:40]}' of the {name} {reason or 'has no unique name'}."
-                raise UsageError(what, "See gyrotrack.ErrorMode.")
+            subject = f"Error mode '{mode.name[:40]}' of the {name}"
+            _refuse(subject, defect_of_mode(mode.basis, mode.covariance, measured))
+            if not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
+                raise UsageError(f"{subject} has no unique name.", "See gyrotrack.ErrorMode.")
             own = fused.require_group("error").create_group(mode.name)
             write_table(own, layout.ERROR_MODE, mode, {"time": fused["time"]})
     _write_clocks(file, case)
@@ -73,6 +85,7 @@ def _write_clocks(file: Any, case: Case) -> None:
             found = np.array(known[name], dtype=float)[:2, :2]
             scale = np.sqrt(np.diag(covariance) / np.maximum(np.diag(found), 1e-300))
             covariance = found * np.outer(scale, scale)
+        _refuse(f"Clock of '{name}'", defect_of_clock(covariance))
         clock = SimpleNamespace(offset=placement.clock_offset, rate=placement.clock_rate)
         write_table(file.create_group(f"clock/{name}"), layout.CLOCK, clock, covariance=covariance)
 
@@ -85,6 +98,8 @@ def series_from(stored: StoredSeries, quantity: str) -> Series:
     modes = tuple(ErrorMode(**vars(mode)) for mode in stored.modes)
     if stored.columns:
         return Series(**stored.columns, **stored.stated, modes=modes)
+    if not len(stored.time):
+        return replace(no_series(), modes=modes, **stored.stated)
     made = from_speeds if quantity == "omega" else from_angles
     order = np.argsort(stored.segment, kind="stable")
     segment = stored.segment[order]

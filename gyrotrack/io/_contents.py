@@ -59,14 +59,15 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
         kind = READER.attribute(file, "kind", str)
         provenance = {name: READER.attribute(file, name, str, "?") for name in _PROVENANCE}
         provenance["settings"] = READER.json(file, "settings", {})
-        content: Recording | Case
-        if kind == CASE:
-            content = hdf5.load_case(file)
-            summary, problems = describe_case(content), _case_problems(content)
-        else:
-            content = hdf5.load_recording(file)
-            summary, problems = describe_recording(content), _recording_problems(content)
+        loaded = hdf5.load_case(file) if kind == CASE else hdf5.load_recording(file)
         verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
+    content: Recording | Case
+    if isinstance(loaded, hdf5.LoadedCase):
+        content = loaded.case()
+        summary, problems = describe_case(content), _case_problems(content)
+    else:
+        content = loaded
+        summary, problems = describe_recording(content), _recording_problems(content)
     counts = len(verified), sum(verified)
     return Inspection(Path(path), kind, provenance, summary, tuple(problems), *counts, content.warnings)
 

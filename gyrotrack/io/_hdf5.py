@@ -11,7 +11,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO, RawIOBase
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import h5py
 
 from fitting import _case_format as layout
 from fitting._hdf5 import checksum_line
-from fitting._stored_case import read_stored_case
+from fitting._stored_case import StoredCase, read_stored_case
 from gyrotrack._column_store import in_file
 from gyrotrack._errors import DatasetError
 from gyrotrack.io import _schema as schema
@@ -224,6 +224,8 @@ def write_case(
     ------
     OutputError
         The file exists and `force` is not given, or it cannot be written.
+    UsageError
+        The file could not be read again: an inertia, an uncertainty or an error mode is not valid.
     """
     with new_hdf5(Path(path), force=force) as file:
         stamp(file, layout.CASE, command=command, settings=settings)
@@ -253,27 +255,41 @@ def write_case(
     return Path(path)
 
 
-def load_case(file: Any) -> Case:
+@dataclass(frozen=True)
+class LoadedCase:
+    """The contents of a case file, as they are stored."""
+
+    stored: StoredCase
+    others: dict[str, Any]  # fields of `Case` that are read without the series
+
+    def case(self) -> Case:
+        """Return the case; angles or speeds that the file lacks are computed."""
+        casing, rotor, quantity = self.stored.casing, self.stored.rotor, self.stored.attributes["quantity"]
+        return Case(
+            **self.stored.attributes,
+            casing=replace(series_from(casing, quantity), window=None),
+            rotor=no_series() if rotor is None else series_from(rotor, quantity),
+            inputs=tuple(Input(name=name, **values) for name, values in self.stored.inputs.items()),
+            **self.others,
+        )
+
+
+def load_case(file: Any) -> LoadedCase:
     """Read a case from its root group."""
     stored = read_stored_case(file, READER, every_column=True)
-    quantity = stored.attributes["quantity"]
-    rotor = no_series() if stored.rotor is None else series_from(stored.rotor, quantity)
     recordings = dict(READER.members(file, "recording", optional=True))
     generated = None
     if "rotor_generated" in file.keys():  # noqa: SIM118 - `in file` follows links
         group = READER.child_group(file, "rotor_generated")
         generated = GeneratedCurve(**READER.record(group, layout.GENERATED))
-    return Case(
-        **stored.attributes,
-        casing=replace(series_from(stored.casing, quantity), window=None),
-        rotor=rotor,
-        recordings={n: load_recording(g) for n, g in recordings.items()},
-        placements={n: _load_placement(g, n) for n, g in recordings.items() if "clock_offset" in g.attrs},
-        rotor_generated=generated,
-        inputs=tuple(Input(name=name, **values) for name, values in stored.inputs.items()),
-        warnings=tuple(READER.json(file, "warnings", [])),
-        extra=dict(READER.json(file, "extra", {})),
-    )
+    others = {
+        "recordings": {n: load_recording(g) for n, g in recordings.items()},
+        "placements": {n: _load_placement(g, n) for n, g in recordings.items() if "clock_offset" in g.attrs},
+        "rotor_generated": generated,
+        "warnings": tuple(READER.json(file, "warnings", [])),
+        "extra": dict(READER.json(file, "extra", {})),
+    }
+    return LoadedCase(stored, others)
 
 
 def _load_placement(group: Any, name: str) -> Placement:
@@ -324,4 +340,5 @@ def read_case(path: Path) -> Case:
         As for `read_kind`, or the file is a recording.
     """
     with READER.open(path, layout.CASE) as file:
-        return load_case(file)
+        loaded = load_case(file)
+    return loaded.case()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
@@ -87,6 +88,8 @@ def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -
             raise UsageError(
                 f"'{value[:40]}' is not a value of '{a.name}'.", f"Use one of {', '.join(a.choices)}."
             )
+        if a.kind is float and not math.isfinite(value) and not layout.is_nan(a.default):
+            raise UsageError(f"'{a.name}' is {value}, not a finite number.", "Correct it.")
         group.attrs[a.name] = valid(value) if isinstance(value, str) else value
         if a.units:
             group.attrs[f"{a.name}_units"] = a.units

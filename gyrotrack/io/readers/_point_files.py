@@ -17,6 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from fitting._case_format import CASE, FORMAT
+from fitting._stored_case import read_stored_case
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats
 from gyrotrack.io._tables import READER
@@ -98,25 +100,48 @@ def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
     try:
         with h5py.File(path, "r", locking=False) as file:
             READER.check_tree(file)
-            if str(file.attrs.get("format", "")) == "gyrotrack":
-                return _case_body(path, file, body)
-            if "position" in file and {"keypoint", "keypoints"} & set(file.keys()):
-                return _movement(path, file)
-            if {"tracks", "node_names"} <= set(file.keys()):
-                return _sleap(path, file)
-            table = file.get("df_with_missing/table")
-            if isinstance(table, h5py.Dataset):
-                return _deeplabcut(path, table)
-            frame = file.get("df_with_missing")
-            if isinstance(frame, h5py.Group) and "block0_values" in frame:
-                return _pandas_fixed(path, frame)
+            if str(file.attrs.get("format", "")) != FORMAT:
+                return _foreign(path, file)
+            if "_NCProperties" in file.attrs:
+                return _exported_body(path, file, body)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise DatasetError(f"{path} cannot be read as points: {str(error)[:100]}.", _FOREIGN) from error
+    return _case_body(path, body)
+
+
+def _foreign(path: Path, file: Any) -> Points:
+    """Return the points in a file of another program."""
+    if "position" in file and {"keypoint", "keypoints"} & set(file.keys()):
+        return _movement(path, file)
+    if {"tracks", "node_names"} <= set(file.keys()):
+        return _sleap(path, file)
+    table = file.get("df_with_missing/table")
+    if isinstance(table, h5py.Dataset):
+        return _deeplabcut(path, table)
+    frame = file.get("df_with_missing")
+    if isinstance(frame, h5py.Group) and "block0_values" in frame:
+        return _pandas_fixed(path, frame)
     raise DatasetError(f"{path} is an HDF5 file without points in a supported format.", _FOREIGN)
 
 
-def _case_body(path: Path, file: Any, body: str) -> RawTable:
-    """Return a body of a case, from `sync`, `import` or `export` (netCDF)."""
+def _case_body(path: Path, body: str) -> RawTable:
+    """Return a body of a case, from `sync` or `import`: the series that is fitted."""
+    with READER.open(path, CASE) as file:
+        stored = read_stored_case(file, READER)
+    # a single body has its name, or none, and that of the group in which it is stored
+    bodies = {"casing": stored.casing, stored.casing.name: stored.casing}
+    if stored.rotor is not None:
+        bodies["rotor"] = stored.rotor
+    series = bodies.get(body or "casing")
+    if series is None:
+        what = f"{path} has no series '{body}'."
+        raise DatasetError(what, f"Its series: {', '.join(filter(None, bodies))}.")
+    columns = ["t", stored.attributes["quantity"], "sigma"]
+    return table_of(path, columns, [series.time, series.value, series.u])
+
+
+def _exported_body(path: Path, file: Any, body: str) -> RawTable:
+    """Return a body of a case that was exported as netCDF."""
     name = body or "casing"
     if name not in file or "time" not in file[name]:
         what = f"{path} has no series '{name}'."

@@ -90,7 +90,7 @@ class Found:
         default_factory=lambda: SimpleNamespace(data=[data()], cases=[1], layout=SimpleNamespace(records=[1]))
     )
     values: dict = field(default_factory=dict)
-    first_held_out: float = 1.0
+    held_out_of_first_casing: float = 1.0
     criteria: Criteria = DEFAULT
     lacks_restoring_torque: bool = False
 
@@ -369,14 +369,14 @@ class TestRefitted:
         screened = candidate(effect, fit=None, **options)
         family = lambda p, weights: float(p @ weights)  # noqa: E731 - a single candidate
         problem = SimpleNamespace(layout=SimpleNamespace(records=[1, 2]))
-        base = Found(problem=problem, first_held_out=4.0)
+        base = Found(problem=problem, held_out_of_first_casing=4.0)
         return screened, module._refit_candidate(
             base, module._Promising(screened, Null(), family, DEFAULT, True)
         )
 
     def test_score_evidence_and_prediction_are_falls(self, monkeypatch):
         own = {f"{DRAG.name}.k": estimate(), "other.k": estimate()}
-        found = Found(70.0, 60.0, estimates=own, first_held_out=1.5)
+        found = Found(70.0, 60.0, estimates=own, held_out_of_first_casing=1.5)
         _, c = self.refitted(monkeypatch, lambda _: found)
         assert (c.score, c.delta_bic, c.held_out_gain, c.fit) == (40.0, -30.0, 2.5, found)
         assert c.p_value == pytest.approx(math.exp(-4.0))

@@ -236,7 +236,8 @@ GOOD = SimpleNamespace(time=np.arange(3.0), basis=np.ones((3, 1)), covariance=np
         ({"basis": [["a"], ["b"], ["c"]]}, "holds no numbers"),
         ({"basis": np.full((3, 1), np.nan)}, "not finite"),
         ({"basis": np.ones((3, 401)), "covariance": np.eye(401)}, "401 amplitudes; at most 400"),
-        ({"time": np.array([0.0, 1.0, 1.0])}, "not strictly increasing"),
+        ({"time": np.array([0.0, 1.0, 1.0])}, "not finite and strictly increasing"),
+        ({"time": np.array([0.0, 1.0, np.nan])}, "not finite and strictly increasing"),
         ({"group": None}, "its group is not a text"),
         ({"covariance": np.eye(2)}, "covariance has the shape (2, 2) for 1 amplitudes"),
         ({"covariance": [[-1.0]]}, "negative variance"),
@@ -251,7 +252,7 @@ def test_wrong_modes_are_refused(change, words):
     assert words in caught.value.message
 
 
-@pytest.mark.parametrize(("asymmetry", "refused"), [(1e-10, False), (1e-8, True)])
+@pytest.mark.parametrize(("asymmetry", "refused"), [(0.95e-9, False), (1.05e-9, True)])
 def test_an_asymmetry_beyond_rounding_is_refused(asymmetry, refused):
     covariance = np.array([[1.0, 0.5], [0.5 + asymmetry, 1.0]])
     if refused:
@@ -272,6 +273,17 @@ def test_errors_beyond_the_white_noise_of_a_window_are_free(size, kept):
 
 def test_a_covariance_that_is_barely_singular_is_taken():
     ErrorMode("tilt", GOOD.time, np.ones((3, 2)), np.ones((2, 2)))
+
+
+@pytest.mark.parametrize(("excess", "refused"), [(0.95e-9, False), (1.05e-9, True)])
+def test_a_negative_eigenvalue_beyond_rounding_is_refused(excess, refused):
+    """The matrix [[1, 1 + x], [1 + x, 1]] has the eigenvalue -x."""
+    covariance = 1e-6 * np.array([[1.0, 1 + excess], [1 + excess, 1.0]])
+    if refused:
+        with pytest.raises(RecordError, match="negative variance"):
+            ErrorMode("tilt", GOOD.time, np.ones((3, 2)), covariance)
+    else:
+        ErrorMode("tilt", GOOD.time, np.ones((3, 2)), covariance)
 
 
 @pytest.mark.parametrize(
@@ -382,7 +394,7 @@ class TestFiles:
             ({"names": ("left", "right")}, "2 series and none is named fused"),
             ({"roles": ("rotor",)}, "roles rotor"),
             ({"roles": ("body", "casing")}, "roles body, casing"),
-            ({"roles": ("casing", "rotor"), "quantity": "angle"}, "lacks an inertia"),
+            ({"roles": ("casing", "rotor"), "quantity": "angle"}, "an inertia is missing"),
             ({"inertia": -1.0}, "not positive"),
             (
                 {"change": lambda f: exchange(f["body/wheel/series/fused/error/drift"], "basis", (5, 1))},

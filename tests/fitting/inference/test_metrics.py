@@ -68,7 +68,7 @@ def test_cross_validation_error_is_one_for_the_right_model_only():
     right, wrong = fitted(seed=0), fitted(seed=0, hidden="step")
     assert right.cases[0].casing.held_out == pytest.approx(1.0, abs=0.04)
     assert wrong.cases[0].casing.held_out > 2
-    assert wrong.first_held_out == wrong.cases[0].casing.held_out
+    assert wrong.held_out_of_first_casing == wrong.cases[0].casing.held_out
 
 
 def test_folds_contain_every_row_once():

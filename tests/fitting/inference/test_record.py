@@ -109,7 +109,7 @@ def refusal(path):
         ({"format_version": "3.0"}, "has the layout 3.0; the newest supported one is 2.0"),
         ({"format_version": "new"}, "no valid format version ('new')"),
         ({"I_rotor": -1.0}, "not positive"),
-        ({"I_rotor": np.nan}, "not positive"),
+        ({"I_rotor": np.nan}, "the attribute 'I_rotor' is missing"),
         ({"I_casing": 0.0}, "not positive"),
         ({"I_casing": None}, "lacks the attribute 'I_casing'"),
         ({"I_casing": "heavy"}, "'I_casing' is not a number"),

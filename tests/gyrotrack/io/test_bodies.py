@@ -155,7 +155,7 @@ def test_a_single_body_has_its_name(case, tmp_path, quantity):
             lambda f: f["body/casing/series/fused"].attrs.modify("quantity", "counts"),
             "of the quantity 'counts'",
         ),
-        (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "lacks an inertia"),
+        (lambda f: f["body/rotor"].attrs.__delitem__("inertia"), "an inertia is missing"),
         (lambda f: f["body/rotor"].attrs.modify("inertia", -1.0), "is -1, not positive"),
         (lambda f: f["body/rotor/series/fused"].attrs.modify("quantity", "speed"), "speeds of one body"),
         (lambda f: f["body"].copy("rotor", "third"), "of the roles"),
@@ -175,8 +175,12 @@ def test_bodies_that_do_not_fit_are_refused(file, change, words):
     [
         ({"I_rotor": -1.0}, "inertia of the rotor is -1, not positive"),
         ({"I_casing": 0.0}, "inertia of the casing is 0, not positive"),
-        ({"I_casing": np.inf}, "inertia of the casing is inf, not positive"),
-        ({"per_inertia": 1}, "lacks an inertia"),
+        ({"I_casing": np.inf}, "the attribute 'I_casing' is inf, not a finite number"),
+        ({"per_inertia": 1}, "an inertia is missing"),
+        ({"I_rotor": np.nan}, "the attribute 'I_rotor' is missing"),
+        ({"I_rotor_u": -1e-7}, "uncertainty of the moment of inertia of the rotor is -1e-07"),
+        ({"I_casing_u": np.inf}, "uncertainty of the moment of inertia of the casing is inf"),
+        ({"I_casing": np.nan}, "the attribute 'I_casing' is nan, not a finite number"),
         ({"bodies": "three"}, "'bodies' is 'three'"),
         ({"quantity": "counts"}, "'quantity' is 'counts'"),
     ],
@@ -190,10 +194,15 @@ def test_attributes_that_do_not_fit_are_refused_by_both_packages(file, change, w
         assert words in caught.value.message
 
 
-@pytest.mark.parametrize(("asymmetry", "words"), [(1e-16, ""), (1e-6, "tilt has no symmetric covariance")])
+@pytest.mark.parametrize(
+    ("asymmetry", "words"), [(0.95e-9, ""), (1.05e-9, "tilt: its covariance is not symmetric")]
+)
 def test_a_covariance_in_a_file_is_symmetric_but_for_rounding(file, asymmetry, words):
     with h5py.File(file, "r+") as f:
-        f["body/casing/series/fused/error/tilt/covariance"][0, 1] += asymmetry
+        # relative to the correlation, sigmas of 2e-3 and 3e-3
+        tilt = f["body/casing/series/fused/error/tilt"]
+        tilt["covariance"][0, 1] += 6e-6 * asymmetry
+        tilt.attrs["group"] = "own"
     for read, error in ((read_case, DatasetError), (read_record, RecordError)):
         if words:
             with pytest.raises(error, match=words):
@@ -268,8 +277,12 @@ def test_a_segment_of_one_speed_is_read(case, tmp_path):
     [
         ({"basis": np.ones((5, 2))}, "for 400 samples"),
         ({"basis": np.ones(400)}, "for 400 samples"),
-        ({"covariance": np.array([[1.0, 0.5], [0.4, 1.0]])}, "no symmetric covariance"),
-        ({"covariance": np.full((2, 2), np.nan)}, "no symmetric covariance"),
+        ({"covariance": np.array([[1.0, 0.5], [0.4, 1.0]])}, "not symmetric"),
+        ({"covariance": np.full((2, 2), np.nan)}, "covariance has values that are not finite"),
+        ({"covariance": -COVARIANCE}, "negative variance"),
+        ({"basis": np.full((400, 2), np.nan)}, "basis has values that are not finite"),
+        ({"basis": np.ones((400, 401)), "covariance": np.eye(401)}, "401 amplitudes; at most 400"),
+        ({"basis": np.ones((400, 0)), "covariance": np.ones((0, 0))}, r"shape \(400, 0\)"),
         ({"name": "a/b"}, "no unique name"),
     ],
 )

@@ -1,0 +1,100 @@
+"""Checks of the values of a case, for both packages: before they are written, after they were read, and in memory.
+
+Each returns a `Defect`, the sentence and the hint of an error, or None.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MOST_AMPLITUDES = 400
+"""Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
+slow, a smaller one refuses recordings of many windows."""
+_ROUNDING = 1e-9
+"""Asymmetry and negative eigenvalues of a correlation matrix that are rounding [1]. Chosen: a smaller value refuses
+computed covariances, a larger one accepts invalid ones."""
+
+
+class Defect(NamedTuple):
+    """What is wrong, and what to do."""
+
+    what: str
+    hint: str
+
+
+def defect_of_mode(basis: Any, covariance: Any, measured: Any) -> Defect | None:
+    """Check basis and covariance of an error mode; `measured` is the mask of the samples of its series that count."""
+    basis, covariance = (np.asarray(a, dtype=float) for a in (basis, covariance))
+    samples = len(measured)
+    if basis.ndim != 2 or len(basis) != samples or not basis.size:
+        return Defect(
+            f"its basis has the shape {basis.shape} for {samples} samples",
+            "give one row for each sample and one column for each amplitude",
+        )
+    amplitudes = basis.shape[1]
+    if amplitudes > MOST_AMPLITUDES:
+        return Defect(
+            f"it has {amplitudes} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
+            "combine the smallest ones into the uncertainty of the samples",
+        )
+    if covariance.shape != (amplitudes, amplitudes):
+        return Defect(
+            f"its covariance has the shape {covariance.shape} for {amplitudes} amplitudes",
+            "give a symmetric matrix with one row for each column of the basis",
+        )
+    for name, values in (("basis", basis[measured]), ("covariance", covariance)):
+        if not np.isfinite(values).all():
+            return Defect(f"its {name} has values that are not finite", "leave the mode out")
+    if not _is_covariance(covariance):
+        return Defect(
+            "its covariance is not symmetric or has a negative variance", "give a covariance matrix"
+        )
+    return None
+
+
+def _is_covariance(matrix: Any) -> bool:
+    """Return whether a matrix of finite numbers is a covariance, but for rounding."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    with np.errstate(over="ignore"):
+        correlation = matrix / scale[:, None] / scale
+    if not np.isfinite(correlation).all() or np.abs(correlation - correlation.T).max() > _ROUNDING:
+        return False
+    return bool(np.linalg.eigvalsh((correlation + correlation.T) / 2)[0] >= -_ROUNDING)
+
+
+def defect_of_clock(covariance: Any) -> Defect | None:
+    """Check the covariance of offset and rate of a clock."""
+    if np.isfinite(covariance).all() and (np.diag(covariance) >= 0).all():
+        return None
+    return Defect("it has no covariance of offset and rate", "give a covariance matrix (2, 2)")
+
+
+def defect_of_inertia(body: str, inertia: float, u: float, *, optional: bool = False) -> Defect | None:
+    """Check a moment of inertia and its standard uncertainty, which may be NaN [kg m2]."""
+    if not 0 < inertia < math.inf:
+        what = f"the moment of inertia of the {body} is {inertia:g}, not positive"
+        return Defect(what, f"give a positive one [kg m2]{', or none' if optional else ''}")
+    if u < 0 or u == math.inf:
+        what = f"the standard uncertainty of the moment of inertia of the {body} is {u:g}"
+        return Defect(what, "give a positive one [kg m2], or none")
+    return None
+
+
+def defect_of_inertias(attributes: Mapping[str, Any]) -> Defect | None:
+    """Check the moments of inertia in the attributes of a case (`_case_format.CASE_ATTRIBUTES`)."""
+    two = attributes["bodies"] == "two"
+    if two and attributes["per_inertia"]:
+        what = "an inertia is missing: torques between two bodies follow from the ratio of inertias"
+        return Defect(what, "give the moments of inertia of both [kg m2]")
+    names = {"casing": "casing", "rotor": "rotor"} if two else {"casing": attributes["body_name"] or "body"}
+    for key, name in names.items():
+        inertia, u = attributes[f"I_{key}"], attributes[f"I_{key}_u"]
+        if math.isnan(inertia):
+            return Defect(f"the attribute 'I_{key}' is missing", f"give the inertia of the {name} [kg m2]")
+        if defect := defect_of_inertia(name, inertia, u):
+            return defect
+    return None
