@@ -404,6 +404,10 @@ def draw(
     ax.set_ylabel(f"{chart.title} [{chart.unit}]")
 
 
+# width of the key of a legend with its spacing, and mean width of a character [inch]; characters of a short label
+_KEY, _CHARACTER, _SHORT = 0.4, 0.07, 27
+
+
 def chart_picture(
     chart: Chart,
     intervals: Sequence[Interval] = (),
@@ -416,7 +420,8 @@ def chart_picture(
         figure = canvas(*size)
         ax = figure.subplots()
         draw(ax, chart, intervals if chart.x_label == TIME else ())
-        legend(ax, ncols=max(2, int(size[0] / 2.3)))
+        widest = max(map(len, ax.get_legend_handles_labels()[1]), default=0)
+        legend(ax, ncols=max(1, int(size[0] / (_KEY + _CHARACTER * max(widest, _SHORT)))))
         name = name or chart.name
         return Picture(name, markup(figure, name, chart.finding), chart.caption, chart.finding)
 

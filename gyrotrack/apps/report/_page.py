@@ -269,6 +269,9 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
         alike = f"indistinguishable from {alike}" if alike else "no indistinguishable candidate"
         bic = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
         text = f"{bic}{p}; {alike}"
+        if view.verdict == "undecided":
+            rows = [("Why", typeset(view.sentence)), *rows]
+            text = f"{view.name(best.effect).words}: {text}"
         if view.verdict == "adequate":
             text = f"{tested} accepted; most significant: {view.name(best.effect).words}, {p}"
     return [*rows, ("Significance", text)] if text else rows

@@ -12,6 +12,7 @@ from gyrotrack.plotting._charts import (
     Interval,
     Trace,
     as_data,
+    chart_picture,
     concatenated,
     content_policy,
     dashboard_document,
@@ -112,3 +113,13 @@ def test_curves_in_windows_are_interrupted_between_them():
     assert (np.diff(trace.x) > 0).all()
     assert np.isnan(trace.value).sum() == 1
     assert trace.x[np.isnan(trace.value)] == 15.0
+
+
+@pytest.mark.parametrize(("label", "columns"), [("final model", 2), (30 * "m", 1)])
+def test_long_labels_of_a_legend_leave_room_for_the_chart(monkeypatch, label, columns):
+    asked = []
+    monkeypatch.setattr("gyrotrack.plotting._charts.legend", lambda _, ncols: asked.append(ncols))
+    x = np.linspace(0.0, 1.0, 5)
+    traces = tuple(Trace(f"{label}{i}", x, x, "#000000") for i in range(2))
+    chart_picture(Chart("c", "t", "1", traces, "f"), size=(4.6, 5.1))
+    assert asked == [columns]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from fitting import Fit, effect_name
-from gyrotrack.apps.report._page import _headline
+from gyrotrack.apps.report._page import _facts, _headline
 from gyrotrack.plotting._study_data import StudyView
 
 
@@ -36,6 +36,28 @@ def test_an_undecided_answer_names_nothing():
     found = candidate("touchpoint.step", physical=True)
     view = SimpleNamespace(verdict="undecided", differs=None, candidates=(found,), added=("touchpoint.step",))
     assert _headline(view)[2] == "Undecided"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "rows"),
+    [
+        (
+            "undecided",
+            [("Why", "A sentence."), ("Significance", "step of the friction at the touch point: ")],
+        ),
+        ("missing_effect", [("Significance", "")]),
+    ],
+)
+def test_an_undecided_answer_gives_its_reason(verdict, rows):
+    found = candidate("touchpoint.step", physical=True)
+    found.p_value, found.delta_bic = 0.004, -8.0
+    view = SimpleNamespace(
+        verdict=verdict, sentence="A sentence.", differs=None, candidates=(found,), cases=(),
+        name=lambda e: effect_name(getattr(e, "name", e)),
+    )  # fmt: skip
+    *others, (title, text) = rows
+    shown = "ΔBIC −8.00, false-alarm probability = 0.0040; no indistinguishable candidate"
+    assert _facts(view) == [*others, (title, text + shown)]
 
 
 @pytest.mark.parametrize(
