@@ -490,13 +490,8 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    if random.is_raised and not any(d.driven for d in fit.problem.data):
-        # a law that is smooth in time explains more than the random torque does
-        structured = fit.has_smooth_torque(criteria)
-    else:
-        # a law of a speed leaves a structure that a random torque of this level does not have
-        structured = smooth_test(random.fit).p_value <= criteria.doubt_adequate
-    return None if structured else random
+    # a deterministic law of a speed leaves a structure that a random torque does not have
+    return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
 
 
 def _undecided(

@@ -243,15 +243,12 @@ def test_drag_is_named_beside_a_random_torque():
 def test_every_effect_must_be_established_beside_a_random_torque(monkeypatch, name, established, alternative):
     from fitting.discovery import _verdict
 
-    fit = SimpleNamespace(
-        problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub(), driven=False)]),
-        has_smooth_torque=lambda _: False,
-    )
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     random = SimpleNamespace(fit=fit, is_raised=False)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
-    monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
     monkeypatch.setattr(_verdict, "is_established", lambda *_: established)
+    monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
     chosen = SimpleNamespace(effect=LIBRARY[name], screened=None, physical=LIBRARY[name].kind == "physical")
     selection = Selection([], chosen, None, None)
     found = _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT)
@@ -264,10 +261,7 @@ def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_rec
 ):
     from fitting.discovery import _verdict
 
-    fit = SimpleNamespace(
-        problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub(), driven=False)]),
-        has_smooth_torque=lambda _: False,
-    )
+    fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     random = SimpleNamespace(fit=fit, is_raised=raised)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
