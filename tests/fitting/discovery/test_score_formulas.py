@@ -115,7 +115,7 @@ class TestColumns:
         speed = gyroscope().problem.layout.records[0].largest_speeds["omega_c"]
         for name, factor in (("touchpoint.stribeck", speed), ("bearing.heating", SPAN)):
             shape = next(p for p in LIBRARY[name].parameters if p.role == "shape")
-            (scaled,) = (p for p in columns._parameters(LIBRARY[name]) if p.role == "shape")
+            (scaled,) = (p for p in columns.parameters(LIBRARY[name]) if p.role == "shape")
             assert columns._grid(LIBRARY[name], scaled) == pytest.approx(factor * np.array(shape.grid))
             assert scaled.upper == pytest.approx(factor * shape.upper)
 
