@@ -255,8 +255,9 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
 
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:
-    """Return location and size of the lack of fit, and significance of the result."""
-    rows = _where(view)
+    """Return why an answer is undecided, location and size of unmodelled torques, and significance of the result."""
+    reason = [("Why", typeset(view.sentence))] if view.verdict == "undecided" else []
+    rows = [*reason, *_where(view)]
     best = next((c for c in view.candidates if c.significant), None)
     tested = f"{len(view.candidates)} candidate effects tested, none"
     text = f"{tested} significant" if view.candidates else ""
@@ -270,7 +271,6 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
         bic = f"ΔBIC {short(best.delta_bic)}, " if best.delta_bic == best.delta_bic else ""
         text = f"{bic}{p}; {alike}"
         if view.verdict == "undecided":
-            rows = [("Why", typeset(view.sentence)), *rows]
             text = f"{view.name(best.effect).words}: {text}"
         if view.verdict == "adequate":
             text = f"{tested} accepted; most significant: {view.name(best.effect).words}, {p}"

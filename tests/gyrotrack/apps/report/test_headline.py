@@ -58,6 +58,9 @@ def test_an_undecided_answer_gives_its_reason(verdict, rows):
     *others, (title, text) = rows
     shown = "ΔBIC −8.00, false-alarm probability = 0.0040; no indistinguishable candidate"
     assert _facts(view) == [*others, (title, text + shown)]
+    found.significant = False
+    none = "1 candidate effects tested, none significant"
+    assert _facts(view) == [*others, (title, none)]
 
 
 @pytest.mark.parametrize(
