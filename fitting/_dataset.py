@@ -206,7 +206,7 @@ class Reader(Guard):
         value = self.attribute(group, a.name, a.kind, a.default)
         if a.choices and value not in a.choices:
             what = f"{location(group)}: the attribute '{a.name}' is '{value[:SHOWN]}'."
-            raise self.fail(what, f"Use one of {', '.join(a.choices)}.")
+            raise self.fail(what, f"Use {' or '.join(a.choices)}.")
         if a.kind is not float or math.isfinite(value) or layout.is_nan(a.default):
             return value
         if a.nan_is_default and math.isnan(value):

@@ -86,7 +86,7 @@ def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -
         value = stated[a.name]
         if a.choices and value not in a.choices:
             raise UsageError(
-                f"'{value[:40]}' is not a value of '{a.name}'.", f"Use one of {', '.join(a.choices)}."
+                f"'{value[:40]}' is not a value of '{a.name}'.", f"Use {' or '.join(a.choices)}."
             )
         if a.kind is float and not math.isfinite(value) and not layout.is_nan(a.default):
             raise UsageError(f"'{a.name}' is {value}, not a finite number.", "Correct it.")
