@@ -163,8 +163,8 @@ class Criteria:
     """Correlated over white angle noise above which it is not noise [1]. Chosen: a smaller value calls usual tracking
     errors a fault, a larger one lets noise absorb motion."""
     random_torque: float = 0.01
-    """Random torque above which it is not noise, as a share of the mean torque [1]. Chosen: with it, 1 of 68
-    simulated recordings with a random torque and nothing hidden ends with a named effect; a smaller value names effects
+    """Random torque above which it is not noise, as a share of the mean torque [1]. Chosen: with it, 3 of 200
+    simulated recordings with a random torque and nothing hidden end with a named effect; a smaller value names effects
     that a random torque imitates, a larger one explains effects by it."""
     random_torque_evidence: float = 10.0
     """Deviance that a random torque above the noise needs [1]. Source: Kass & Raftery 1995; very strong evidence."""
