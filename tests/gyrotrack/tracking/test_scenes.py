@@ -82,7 +82,7 @@ def test_as_good_as_the_true_profile(tmp_path, colours, table, white, fps):
         (mine, frames), (other, count) = (e[name] for e in errors)
         assert mine < 1.1 * other + 3e-5
         assert mine < 2.5e-3
-        # of nearly equal errors, those of the ring (every frame) or of the markers decide
+        # the ring or the markers give the angles, whichever err less, and only the ring has an angle in every frame
         assert frames >= 0.98 * count
 
 
