@@ -321,18 +321,21 @@ class NamedUpperLimit(UpperLimitDocument):
     words: str
 
 
-class DifferenceBetweenRecordings(Document):
-    """A parameter shared by the recordings that differs between them; its value in each of them, by label.
-
-    `differences` are the values minus that of the first recording.
-    """
+class ValuesInRecordings(Document):
+    """The value of a parameter in each recording, by label; `differences` are those from the first recording."""
 
     parameter: str
-    delta_bic: Number
-    p_value: Number
     values: dict[str, EstimateDocument]
     differences: dict[str, EstimateDocument]
+
+
+class DifferenceBetweenRecordings(ValuesInRecordings):
+    """A parameter shared by the recordings that differs between them; `others` must differ as well."""
+
+    delta_bic: Number
+    p_value: Number
     indistinguishable_from: list[str]
+    others: list[ValuesInRecordings] = []
 
 
 class DiagnosisDocument(Document):
@@ -511,11 +514,17 @@ class StoredCandidate(Document):
     fit: StoredFit | None
 
 
-class StoredDifference(DifferenceBetweenRecordings):
-    """A parameter that differs between the recordings, with the bounds of its values."""
+class StoredValues(ValuesInRecordings):
+    """The value of a parameter in each recording, with its bounds."""
 
     values: dict[str, StoredEstimate]  # type: ignore[assignment]
     differences: dict[str, StoredEstimate]  # type: ignore[assignment]
+
+
+class StoredDifference(StoredValues, DifferenceBetweenRecordings):
+    """A parameter that differs between the recordings, with the bounds of its values."""
+
+    others: list[StoredValues] = []  # type: ignore[assignment]
 
 
 class StoredDiagnosis(Document):

@@ -5,12 +5,13 @@ recordings. Fitted with one value, they show a lack of fit that an effect of the
 
     theta_k, k = 1...K, instead of one theta for K recordings:    K - 1 additional parameters,
 
-scored like an effect (`_score`) and refitted for the parameters with the largest scores.
+scored like an effect (`_score`) and refitted for the parameters with the largest scores. Two set-ups may differ in
+several parameters; these are found from the fit in which all of them differ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from fitting.discovery._score import CaseColumns, Score, ScoreContext, score, sc
 from fitting.effects._effect import Effect
 from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
+from fitting.inference._noise import Noise
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
@@ -35,45 +37,74 @@ the best one, because scores are first order; more cost time."""
 
 
 @dataclass(frozen=True)
-class DifferentParameter:
-    """A parameter shared by the recordings that has another value in each of them."""
+class ValuesPerRecording:
+    """The values of one parameter in the recordings."""
 
     name: str  # ``<effect>.<symbol>``
     estimates: dict[str, Estimate]  # by label; their errors may be strongly correlated
     differences: dict[str, Estimate]  # value in each other recording minus that in the first, by label
+
+    @property
+    def text(self) -> str:
+        """The value in each recording."""
+        return ", ".join(f"{rounded(e.value, e.stderr, e.unit)} in {x}" for x, e in self.estimates.items())
+
+    @property
+    def largest(self) -> float:
+        """The largest difference [sigma]."""
+        return max(
+            (abs(e.value) / e.stderr if e.stderr else np.inf for e in self.differences.values()), default=0.0
+        )
+
+
+@dataclass(frozen=True)
+class DifferentParameter(ValuesPerRecording):
+    """A parameter shared by the recordings that has another value in each of them, and others that differ as well."""
+
     indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
     delta_bic: float  # BIC with a value for each recording minus BIC of the base
     p_value: (
         float  # probability of such a difference in any shared parameter if all are equal in the recordings
     )
+    others: tuple[ValuesPerRecording, ...] = ()  # parameters that must differ as well
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all parameters that differ."""
+        return self.name, *(p.name for p in self.others)
 
     @property
     def sentence(self) -> str:
-        """What differs by how much, and the option that fits it."""
-        values = [f"{rounded(e.value, e.stderr, e.unit)} in {label}" for label, e in self.estimates.items()]
-        first = next(iter(self.estimates))
-        values += [
-            f"{label} minus {first} {rounded(e.value, e.stderr, e.unit)}"
-            for label, e in self.differences.items()
-        ]
+        """What differs by how much, and the options that fit it."""
+        options = " ".join(f"--per-case {n}" for n in self.names)
+        if self.others:
+            values = "; ".join(f"{effect_name(p.name)}: {p.text}" for p in (self, *self.others))
+            return (
+                f"The recordings differ in {len(self.names)} parameters. {values}. With values of its own for each "
+                f"recording the model describes the data without another law; fit with `{options}`."
+            )
         alike = " or ".join(str(effect_name(n)) for n in (self.name, *self.indistinguishable_from))
+        first = next(iter(self.estimates))
+        values = ", ".join(
+            [self.text]
+            + [f"{x} minus {first} {rounded(e.value, e.stderr, e.unit)}" for x, e in self.differences.items()]
+        )
         return (
-            f"The recordings may differ in {alike} "
-            f"({', '.join(values)}): with its own value in each recording the model "
-            f"describes the data without another law; fit with `--per-case {self.name}`."
+            f"The recordings may differ in {alike} ({values}): with its own value in each recording the model "
+            f"describes the data without another law; fit with `{options}`."
         )
 
 
 class SeparateValues(NamedTuple):
-    """A parameter that differs, and the fit with a value for each recording."""
+    """Parameters that differ, and the fit with values for each recording."""
 
     parameter: DifferentParameter
     fit: Fit
 
     @property
     def penalised_bic(self) -> float:
-        """BIC plus the description length of the name of a parameter."""
-        return self.fit.bic + description_length(1)
+        """BIC plus the description length of the names of the parameters."""
+        return self.fit.bic + description_length(len(self.parameter.names))
 
 
 def different_parameter(
@@ -83,7 +114,7 @@ def different_parameter(
 
     `rival` is the fit of another explanation, whose noise is used, and its penalised BIC: the difference must
     describe the data as well; without it, better than the base. Without a score of at least `least` nothing is
-    refitted.
+    refitted. Where no single parameter suffices, all of them may differ; those that do not are shared again.
     """
     layout = base.problem.layout
     # one at its bound may be there only because of the difference
@@ -91,47 +122,110 @@ def different_parameter(
     if len(layout.records) < 2 or not keys:
         return None
     context, ends = ScoreContext(base, 1), np.cumsum([0, *(len(d.z) for d in base.problem.data)])
-    scores = {}
+    columns = {}
     for key in keys:
-        columns = np.zeros((int(ends[-1]), len(layout.records) - 1))
+        columns[key] = np.zeros((int(ends[-1]), len(layout.records) - 1))
         for i, p in enumerate(base.predictions[1:], 1):
-            columns[ends[i] : ends[i + 1], i - 1] = p.jacobian[:, layout.index[key]]
-        scores[key] = score_of_columns(context, columns)
-    usual, own = layout.choices
+            columns[key][ends[i] : ends[i + 1], i - 1] = p.jacobian[:, layout.index[key]]
+    scores = {k: score_of_columns(context, c) for k, c in columns.items()}
+    promising = [k for k in sorted(keys, key=lambda k: -scores[k])[:_REFITTED] if scores[k] >= least]
+    one = _one_that_differs(base, promising, len(keys), criteria, rival)
+    if rival is not None or len(keys) == 1 or (one is not None and not one.fit.fails(criteria)):
+        return one
+    if score_of_columns(context, np.concatenate(list(columns.values()), axis=1)) < least:
+        return one
+    return _several_that_differ(base, keys, criteria) or one
+
+
+def _one_that_differs(
+    base: Fit, keys: Sequence[str], tests: int, criteria: Criteria, rival: tuple[Fit, float] | None
+) -> SeparateValues | None:
+    """Return the best one of some parameters, the most promising of a number of `tests`."""
     noise = base.noise if rival is None else rival[0].noise
     trials: dict[str, Fit] = {}
-    for key in sorted(keys, key=lambda k: -scores[k])[:_REFITTED]:
-        if scores[key] < least:
-            continue
-        values = base.values
-        start = values | {f"{key}@{r.label}": values[key] for r in layout.records}
+    for key in keys:
+        start = base.values | {f"{key}@{r.label}": base.values[key] for r in base.problem.layout.records}
         with attempt(f"{key} per recording"):
-            trials[key] = fit(
-                base.model, base.problem.data, share=[k for k in usual if k != key], per_case=[*own, key],
-                start={k: v for k, v in start.items() if k != key}, noise=noise,
-            )  # fmt: skip
+            trials[key] = _fit_per_recording(
+                base, [key], start={k: v for k, v in start.items() if k != key}, noise=noise
+            )
     if not trials:
         return None
     name = min(trials, key=lambda k: trials[k].deviance)
     found = trials[name]
     same = base if rival is None else refitted_at(base, noise)
-    single = float(chdtrc(len(layout.records) - 1, max(same.deviance - found.deviance, 0.0)))
-    p_value = min(1.0, len(keys) * single)
-    first, *others = [found.problem.layout.index[f"{name}@{r.label}"] for r in layout.records]
-    estimates = {r.label: found.estimates[f"{name}@{r.label}"] for r in layout.records}
+    single = float(chdtrc(len(base.problem.layout.records) - 1, max(same.deviance - found.deviance, 0.0)))
+    p_value = min(1.0, tests * single)
+    similar = tuple(
+        k for k, f in trials.items() if k != name and f.deviance < found.deviance + criteria.equivalence_width
+    )
+    values = vars(_values(found, name))
+    parameter = DifferentParameter(
+        **values, indistinguishable_from=similar, delta_bic=found.bic - same.bic, p_value=p_value
+    )
+    separate = SeparateValues(parameter, found)
+    limit = same.bic - criteria.evidence if rival is None else rival[1] + criteria.equivalence_width
+    return separate if p_value < criteria.significance and separate.penalised_bic < limit else None
+
+
+def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> SeparateValues | None:
+    """Return the parameters that must differ if the fit with own values of all parameters has no lack of fit.
+
+    The values of the base are a compromise between the recordings, and its noise contains their difference; the fits
+    start from their own.
+    """
+    found = None
+    with attempt("all parameters per recording"):
+        found = _fit_per_recording(base, keys)
+    if found is None or found.fails(criteria):
+        return None
+    values = [_values(found, k) for k in keys]
+    apart = [v.name for v in values if v.largest > criteria.essential_sigma]
+    if 1 < len(apart) < len(keys):
+        with attempt("some parameters per recording"):
+            fewer = _fit_per_recording(base, apart, noise=found.noise)
+            if not fewer.fails(criteria) and fewer.bic < found.bic:
+                found, values = fewer, [_values(fewer, k) for k in apart]
+    first, *others = sorted(values, key=lambda v: -v.largest)
+    count = len(values) * (len(base.problem.layout.records) - 1)
+    p_value = float(chdtrc(count, max(base.deviance - found.deviance, 0.0)))
+    parameter = DifferentParameter(
+        **vars(first),
+        indistinguishable_from=(),
+        delta_bic=found.bic - base.bic,
+        p_value=p_value,
+        others=tuple(others),
+    )
+    separate = SeparateValues(parameter, found)
+    better = separate.penalised_bic < base.bic - criteria.evidence
+    return separate if p_value < criteria.significance and better else None
+
+
+def _fit_per_recording(
+    base: Fit,
+    keys: Sequence[str],
+    *,
+    start: Mapping[str, float] | None = None,
+    noise: Sequence[Noise] | None = None,
+) -> Fit:
+    """Return the fit of the base with a value of each of these parameters for each recording."""
+    usual, own = base.problem.layout.choices
+    share, per_case = [k for k in usual if k not in keys], [*own, *keys]
+    return fit(base.model, base.problem.data, share=share, per_case=per_case, start=start, noise=noise)
+
+
+def _values(found: Fit, name: str) -> ValuesPerRecording:
+    """Return the values of a parameter that has one for each recording, and their differences."""
+    labels = [r.label for r in found.problem.layout.records]
+    first, *others = [found.problem.layout.index[f"{name}@{label}"] for label in labels]
+    estimates = {label: found.estimates[f"{name}@{label}"] for label in labels}
     differences = {}
-    for label, i in zip(list(estimates)[1:], others, strict=True):
+    for label, i in zip(labels[1:], others, strict=True):
         c = found.covariance
         u = float(np.sqrt(max(c[i, i] + c[first, first] - 2 * c[i, first], 0.0)))
         value = float(found.theta[i] - found.theta[first])
         differences[label] = replace(estimates[label], value=value, stderr=u)
-    similar = tuple(
-        k for k, f in trials.items() if k != name and f.deviance < found.deviance + criteria.equivalence_width
-    )
-    parameter = DifferentParameter(name, estimates, differences, similar, found.bic - same.bic, p_value)
-    separate = SeparateValues(parameter, found)
-    limit = same.bic - criteria.evidence if rival is None else rival[1] + criteria.equivalence_width
-    return separate if p_value < criteria.significance and separate.penalised_bic < limit else None
+    return ValuesPerRecording(name, estimates, differences)
 
 
 def improves_on_difference(
@@ -144,15 +238,17 @@ def improves_on_difference(
     """
     about = separate.fit
     cases = [CaseColumns(about, i) for i in range(len(about.predictions))]
-    own = [
-        i for i, n in enumerate(about.problem.layout.names) if n.partition("@")[0] == separate.parameter.name
+    names = separate.parameter.names
+    of_name = [
+        [i for i, n in enumerate(about.problem.layout.names) if n.partition("@")[0] == k] for k in names
     ]
-    change = about.theta[own] - about.theta[own].mean()
+    own = [i for indices in of_name for i in indices]
+    change = np.concatenate([about.theta[i] - about.theta[i].mean() for i in of_name])
     rows = np.concatenate([p.jacobian[:, own] @ change for p in about.predictions])
-    context = ScoreContext(about, 1, torque_rows=rows, shared=separate.parameter.name)
+    context = ScoreContext(about, 1, torque_rows=rows, shared=names)
     scores = score(about, effects, cases, criteria, context=context)
-    limit = score_of_columns(context, rows[:, None]) - description_length(1)
-    limit -= (len(own) - 1) * float(np.log(about.n_eff))
+    limit = score_of_columns(context, rows[:, None]) - description_length(len(names))
+    limit -= (len(own) - len(names)) * float(np.log(about.n_eff))
     return max(penalised(s, n, about.n_eff) for s, n in zip(scores, lengths, strict=True)) > limit
 
 

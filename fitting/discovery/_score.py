@@ -71,8 +71,8 @@ class ScoreContext:
     """Whitened residuals, free columns and null data of a fit at several levels of process noise.
 
     The parameters of the effects `without` are not free: their torque, to which the rows respond by `torque_rows`
-    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. The parameter `shared`
-    has a value for each case in the fit, and counts as one parameter here.
+    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. The parameters `shared`
+    have a value for each case in the fit, and each counts as one parameter here.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class ScoreContext:
         without: Sequence[str] = (),
         torque_rows: Array | None = None,
         release: bool = False,
-        shared: str = "",
+        shared: Sequence[str] = (),
     ) -> None:
         self.fit = fit
         data = fit.problem.data
@@ -98,8 +98,8 @@ class ScoreContext:
         names = fit.problem.layout.names
         moving &= np.array([n.partition("@")[0].rpartition(".")[0] not in without for n in names], dtype=bool)
         jacobian = np.concatenate([p.jacobian for p in fit.predictions])
-        own = [i for i, n in enumerate(names) if n.partition("@")[0] == shared]
-        if own:
+        for key in shared:
+            own = [i for i, n in enumerate(names) if n.partition("@")[0] == key]
             jacobian[:, own[0]] = jacobian[:, own].sum(axis=1)
             moving[own[1:]] = False
         free = jacobian[:, moving]

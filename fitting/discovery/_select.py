@@ -666,7 +666,7 @@ def _with_free_shape(
 def separate_values(
     base: Fit, candidates: Sequence[Candidate], extra: Sequence[Effect], criteria: Criteria
 ) -> SeparateValues | None:
-    """Return the shared parameter that differs between the recordings, if no effect describes the data as well.
+    """Return the shared parameters that differ between the recordings, if no effect describes the data as well.
 
     `candidates` is the ranking of `base`; `extra` are effects of the user.
     """
@@ -748,7 +748,8 @@ def _improved(
     separate = separate_values(base, known, extra, criteria)
     if separate is not None:
         freed = rank(separate.fit, extra, criteria=criteria, workers=workers)
-        history.append(Step(f"+{separate.parameter.name} per recording", separate.fit, tuple(freed)))
+        change = f"+{', '.join(separate.parameter.names)} per recording"
+        history.append(Step(change, separate.fit, tuple(freed)))
         if keep is not None:
             keep(history[-1])
     for step in range(most):

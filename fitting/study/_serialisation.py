@@ -61,7 +61,7 @@ from fitting._schema import (
 )
 from fitting.discovery._certificate import Certificate, Outcome
 from fitting.discovery._dependence import Dependence
-from fitting.discovery._difference import DifferentParameter
+from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
 from fitting.discovery._laws import Law, Laws
 from fitting.discovery._next_run import NextRun
 from fitting.discovery._plan import Plan
@@ -292,7 +292,12 @@ def difference_document(found: DifferentParameter | None) -> StoredDifference | 
     """Return a parameter that differs between the recordings as plain numbers; None if there is none."""
     if found is None:
         return None
-    return StoredDifference.model_validate(vars(found) | {"parameter": found.name, "values": found.estimates})
+    others = [_values_document(p) for p in found.others]
+    return StoredDifference.model_validate(_values_document(found) | {"others": others})
+
+
+def _values_document(p: ValuesPerRecording) -> dict[str, Any]:
+    return vars(p) | {"parameter": p.name, "values": p.estimates}
 
 
 def _torque(torque: ResidualTorque) -> dict[str, Any]:
@@ -713,6 +718,10 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
             tuple(d.indistinguishable_from),
             d.delta_bic,
             d.p_value,
+            tuple(
+                ValuesPerRecording(p.parameter, _estimates(p.values), _estimates(p.differences))
+                for p in d.others
+            ),
         ),
     )
 

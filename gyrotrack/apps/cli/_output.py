@@ -392,7 +392,10 @@ def _fitting(x: float) -> str:
 
 def _verdict(d: Diagnosis) -> str:
     if d.differs is not None:
-        return f"no missing effect; {d.differs.name} differs between the recordings"
+        what = (
+            f"{len(d.differs.names)} parameters differ" if d.differs.others else f"{d.differs.name} differs"
+        )
+        return f"no missing effect; {what} between the recordings"
     return d.verdict.replace("_", " ")
 
 

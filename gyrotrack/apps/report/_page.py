@@ -232,7 +232,8 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
-        return "found", "≠", f"The recordings differ in {view.name(view.differs.name).words}"
+        different = ", ".join(view.name(n).words for n in view.differs.names)
+        return "found", "≠", f"The recordings differ in {different}"
     if view.verdict == "unexplained" and view.added:
         words += f"; closest law: {' and '.join(view.name(n).words for n in view.added)}"
     if view.verdict != "missing_effect":

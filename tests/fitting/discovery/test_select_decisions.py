@@ -849,12 +849,12 @@ class TestImprove:
         found, counted = self.improved(monkeypatch, [[candidate()]], lambda *_: iter(()))
         assert (len(found), counted) == (1, [])
 
-    def test_a_parameter_that_differs_is_the_first_step(self, monkeypatch):
-        separate = SimpleNamespace(parameter=SimpleNamespace(name="a.k"), fit=Found(50.0))
+    def test_parameters_that_differ_are_the_first_step(self, monkeypatch):
+        separate = SimpleNamespace(parameter=SimpleNamespace(names=("a.k", "b.k")), fit=Found(50.0))
         found, _ = self.improved(
             monkeypatch, [[candidate()], [candidate(significant=False)]], self.always, separate
         )
-        assert [s.change for s in found] == ["", "+a.k per recording"]
+        assert [s.change for s in found] == ["", "+a.k, b.k per recording"]
         assert found[1].fit is separate.fit
 
 

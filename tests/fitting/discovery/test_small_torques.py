@@ -15,6 +15,7 @@ from fitting import LIBRARY, Model, make_record
 from fitting._criteria import DEFAULT
 from fitting.discovery import _lack_of_fit as lack_of_fit
 from fitting.discovery._difference import different_parameter, improves_on_difference
+from fitting.discovery._grammar import description_length
 from fitting.discovery._lack_of_fit import (
     contradiction,
     harmonic_test,
@@ -43,6 +44,7 @@ HIDDEN = {
     "harmonic": lambda t, w, psi: HARMONIC * np.sin(ORDER * psi - 0.7),
     "drag": lambda t, w, psi: -4e-7 * w**2,
     "more friction": lambda t, w, psi: -2e-4,
+    "another wheel": lambda t, w, psi: -2e-4 + 1e-5 * w,
 }
 
 
@@ -61,10 +63,15 @@ def record(hidden, label="case", seed=0, speed=60.0, **more):
 
 
 @cache
-def fitted(*hidden, speed=60.0):
-    data = [CaseData.of(record(h, f"run {i}", i, speed)) for i, h in enumerate(hidden)]
+def projected(*which):
+    return CaseData.of(record(*which))
+
+
+@cache
+def fitted(*hidden, speed=60.0, more=()):
+    data = [projected(h, f"run {i}", i, speed) for i, h in enumerate(hidden)]
     shared = ["touchpoint.constant.b1", "casing.air.linear.b2"] if len(data) > 1 else []
-    return fit(Model.of(("touchpoint.constant", "casing.air.linear")), data, share=shared)
+    return fit(Model.of(("touchpoint.constant", "casing.air.linear", *more)), data, share=shared)
 
 
 class TestStep:
@@ -232,3 +239,32 @@ class TestDifference:
         assert separate_values(base, [candidate(kept.penalised_bic - 1.0)], [], DEFAULT) is None
         assert separate_values(base, [candidate(kept.penalised_bic + 1.0)], [], DEFAULT) is not None
         assert separate_values(fitted("nothing", "nothing"), [], [], DEFAULT) is None
+
+    @pytest.mark.parametrize("more", [(), ("casing.air.quadratic",)])
+    def test_of_several_that_differ_each_is_named(self, more):
+        """Friction and linear drag of the second wheel are others; a third law is common to both."""
+        base = fitted("nothing", "another wheel", more=more)
+        found = different_parameter(base, DEFAULT)
+        true = {"touchpoint.constant.b1": 2e-4, "casing.air.linear.b2": -1e-5}
+        assert set(found.parameter.names) == set(true)
+        assert not found.fit.fails(DEFAULT)
+        for values in (found.parameter, *found.parameter.others):
+            difference = values.differences["run 1"]
+            assert abs(difference.value - true[values.name]) < 4 * difference.stderr
+            assert difference.stderr < 0.1 * abs(difference.value)
+            assert values.largest == abs(difference.value) / difference.stderr
+        first, second = found.parameter, *found.parameter.others
+        assert first.largest > second.largest
+        assert found.parameter.p_value < 1e-10
+        assert found.penalised_bic == pytest.approx(found.fit.bic + description_length(2))
+        assert found.parameter.delta_bic == pytest.approx(found.fit.bic - base.bic)
+        for name in true:
+            assert f"--per-case {name}" in found.parameter.sentence
+        drag = LIBRARY["casing.air.quadratic" if not more else "casing.brake.eddy"]
+        assert not improves_on_difference(found, [drag], [0.0], DEFAULT)
+        assert different_parameter(base, DEFAULT, least=1e12) is None
+
+    def test_a_step_in_both_recordings_is_no_difference(self):
+        found = different_parameter(fitted("step", "step"), DEFAULT)
+        assert found is None or found.fit.fails(DEFAULT)
+        assert separate_values(fitted("step", "step"), [], [], DEFAULT) is None

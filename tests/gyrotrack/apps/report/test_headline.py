@@ -32,6 +32,13 @@ def test_a_fault_of_the_measurement_is_called_so(name, physical, added, words):
     assert _headline(view)[2] == words
 
 
+def test_parameters_that_differ_are_named():
+    differs = SimpleNamespace(names=("touchpoint.constant.b1", "casing.air.linear.b2"))
+    view = SimpleNamespace(verdict="unexplained", differs=differs, name=effect_name)
+    words = "b₁ of the dry friction at the touch point, b₂ of the linear air drag of the casing"
+    assert _headline(view)[2] == f"The recordings differ in {words}"
+
+
 def test_an_undecided_answer_names_nothing():
     found = candidate("touchpoint.step", physical=True)
     view = SimpleNamespace(verdict="undecided", differs=None, candidates=(found,), added=("touchpoint.step",))
