@@ -125,12 +125,16 @@ class MotionTable:
         )
 
 
+_LISTED = 8  # names in a message
+
+
 def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
     """Return the only name of a list, or the one that contains the option `marker`."""
     named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
     chosen = named if len(named) == 1 else names
     if len(chosen) != 1:
-        which = f": {', '.join(names)[:100]}" if names else ""
+        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+        which = f": {', '.join(n[:40] for n in names[:_LISTED])}{more}" if names else ""
         hint = f"Choose one with --marker, for example --marker '{names[0]}'." if names else "Give a table."
         raise DatasetError(f"{path} contains {len(names)} {what}{which}.", hint)
     return chosen[0]

@@ -264,7 +264,7 @@ class TestDifference:
         assert not improves_on_difference(found, [drag], [0.0], DEFAULT)
         assert different_parameter(base, DEFAULT, least=1e12) is None
 
-    def test_a_step_in_both_recordings_is_no_difference(self):
+    def test_a_step_in_both_recordings_does_not_differ(self):
         found = different_parameter(fitted("step", "step"), DEFAULT)
         assert found is None or found.fit.fails(DEFAULT)
         assert separate_values(fitted("step", "step"), [], [], DEFAULT) is None

@@ -5,13 +5,14 @@ import json
 import math
 import tracemalloc
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
-from gyrotrack.io.readers._motion_table import ReadOptions, read_names, resolution
+from gyrotrack.io.readers._motion_table import ReadOptions, only_one, read_names, resolution
 from gyrotrack.io.readers._raw_table import TURN
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, read_cuts
@@ -606,3 +607,15 @@ def test_a_log_of_a_microcontroller(tmp_path):
     assert read.quantity == "omega"
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
     np.testing.assert_allclose(read.value, np.radians(ANGLE), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("count", "listed"),
+    [(8, ": a0, a1, a2, a3, a4, a5, a6, a7."), (9, ": a0, a1, a2, a3, a4, a5, a6, a7 and 1 more.")],
+)
+def test_a_message_lists_at_most_eight_names(count, listed):
+    names = [f"a{i}" for i in range(count)]
+    with pytest.raises(DatasetError, match="contains") as error:
+        only_one(Path("drive.json"), names, "driven tests", ReadOptions())
+    assert str(error.value.message) == f"drive.json contains {count} driven tests{listed}"
+    assert only_one(Path("drive.json"), names, "driven tests", ReadOptions(marker="A3")) == "a3"
