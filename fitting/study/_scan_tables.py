@@ -132,10 +132,11 @@ def _mark(e: Estimate) -> str:
 
 def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
     symbols = [s for s, c in COLUMNS.items() if c.key in model.separate[0].model.parameters]
-    width = max(len("case"), *(min(len(label), 7) for label in labels))
+    names = _short_names(labels)
+    width = max(len("case"), *map(len, names.values()))
 
-    def named(name: str, rest: str) -> str:
-        return f"{name[:7]:<{width}}{rest}".rstrip()
+    def named(label: str, rest: str) -> str:
+        return f"{names.get(label, label):<{width}}{rest}".rstrip()
 
     fits = [*((label, f, "separate") for label, f in zip(labels, model.separate, strict=True))]
     if model.joint is not None:
@@ -157,6 +158,15 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
         lines += ["", f"robustness of the {model.name} model's parameters across the cases"]
         lines += robustness_lines(model.robustness)
     return [*lines, ""]
+
+
+def _short_names(labels: Sequence[str]) -> dict[str, str]:
+    """Return names of at most 7 characters: the beginnings of the labels, their ends, or numbers, if all differ."""
+    beginnings = [label[:7] for label in labels]
+    ends = [label if len(label) < 8 else f"…{label[-6:]}" for label in labels]
+    numbers = [f"case {i}" for i in range(1, len(labels) + 1)]
+    different = next(n for n in (beginnings, ends, numbers) if len(set(n)) == len(labels))
+    return dict(zip(labels, different, strict=True))
 
 
 def _metrics_head() -> str:

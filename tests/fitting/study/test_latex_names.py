@@ -1,10 +1,10 @@
-"""Names of cases as LaTeX text: no commands, and every character is printed."""
+"""Names of cases in tables: short and different; as LaTeX text without commands, every character printed."""
 
 import re
 
 import pytest
 
-from fitting.study._scan_tables import _escaped
+from fitting.study._scan_tables import _escaped, _short_names
 
 
 @pytest.mark.parametrize(
@@ -27,3 +27,16 @@ def test_special_characters_are_escaped():
     written = _escaped("".join(chr(c) for c in range(32, 127)))
     rest = re.sub(r"\\text[a-z]+\{\}|\\[&%$#_{}]", "", written)
     assert not set(rest) & set("&%$#_{}\\~^<>|")
+
+
+@pytest.mark.parametrize(
+    ("labels", "names"),
+    [
+        (["steel", "teflon 12"], ["steel", "teflon "]),
+        (["joint_p1", "joint_p2"], ["…int_p1", "…int_p2"]),
+        (["table1a", "table1b"], ["table1a", "table1b"]),
+        (["2026-01-a-by-hand", "2026-01-b-by-hand"], ["case 1", "case 2"]),
+    ],
+)
+def test_long_labels_are_shortened_to_different_names(labels, names):
+    assert _short_names(labels) == dict(zip(labels, names, strict=True))
