@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
 from itertools import pairwise
-from textwrap import wrap
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -404,8 +404,9 @@ def draw(
     ax.set_ylabel(f"{chart.title} [{chart.unit}]")
 
 
-# width of the key of a legend with its spacing, and mean width of a character [inch]; characters of a short label
-_KEY, _CHARACTER, _SHORT = 0.4, 0.07, 27
+# width of the key of a legend with its spacing, mean width of a character, and width left of the axes [inch]
+_KEY, _CHARACTER, _LEFT = 0.4, 0.07, 0.8
+_SHORT = 27  # characters of a short label
 
 
 def chart_picture(
@@ -420,7 +421,10 @@ def chart_picture(
         figure = canvas(*size)
         ax = figure.subplots()
         draw(ax, chart, intervals if chart.x_label == TIME else ())
-        widest = max(map(len, ax.get_legend_handles_labels()[1]), default=0)
+        handles, labels = ax.get_legend_handles_labels()
+        widest = max(map(len, labels), default=0)
+        for handle, label in zip(handles, labels, strict=True):
+            handle.set_label(fill(label, max(int((size[0] - _LEFT - _KEY) / _CHARACTER), 1)))
         legend(ax, ncols=max(1, int(size[0] / (_KEY + _CHARACTER * max(widest, _SHORT)))))
         name = name or chart.name
         return Picture(name, markup(figure, name, chart.finding), chart.caption, chart.finding)

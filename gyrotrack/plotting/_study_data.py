@@ -221,10 +221,13 @@ def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Case
 
 
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
-    """Return the torques of the best candidates that were refitted and are not in the final model."""
+    """Return the torques of the best candidates that were refitted and are not in the final model.
+
+    There are none if the recordings differ in a parameter.
+    """
     found = [
         added_torque(base.name(c.effect).words, base, c.fit, index)
-        for c in (diagnosis.candidates if diagnosis is not None else ())
+        for c in (diagnosis.candidates if diagnosis is not None and diagnosis.differs is None else ())
         if c.fit is not None
         and c.physical
         and c.significant

@@ -123,3 +123,17 @@ def test_long_labels_of_a_legend_leave_room_for_the_chart(monkeypatch, label, co
     traces = tuple(Trace(f"{label}{i}", x, x, "#000000") for i in range(2))
     chart_picture(Chart("c", "t", "1", traces, "f"), size=(4.6, 5.1))
     assert asked == [columns]
+
+
+@pytest.mark.parametrize(("length", "lines"), [(45, 1), (52, 2)])
+def test_a_label_that_is_wider_than_the_chart_has_two_lines(monkeypatch, length, lines):
+    drawn = []
+    monkeypatch.setattr(
+        "gyrotrack.plotting._charts.legend",
+        lambda axes, ncols: drawn.append(axes.get_legend_handles_labels()[1]),
+    )
+    label = "".join("law of friction "[i % 16] for i in range(length)).strip()
+    chart_picture(Chart("c", "t", "1", (Trace(label, X, X, "#000000"),), "f"), size=(4.6, 5.1))
+    ((shown,),) = drawn
+    assert shown.count("\n") == lines - 1
+    assert shown.replace("\n", " ") == label
