@@ -5,8 +5,7 @@ together with Coulomb and viscous friction, is fitted to this torque with the be
 the residual, in the whitened rows of the recording, is the expected difference of the deviances by which the right law
 is preferred. Three motions of equal length are compared, with the same samples and noise: the motion of the recording,
 a motion that reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense slides after a
-small angle. Its friction is then a function of the speed, and even a long recording contains no information on
-pre-sliding.
+small angle. Its friction is then a function of the speed, and even a long recording does not show pre-sliding.
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ _SIZE = 0.01
 """Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
 runs, a larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides the results of
-several hundred runs."""
+"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides results of several
+hundred runs."""
 _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
 time."""
@@ -217,8 +217,8 @@ class ShiftedToBound:
 
     A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter at the bound
     that it would cross. The part of the effect that the parameter would absorb beyond the bound then contributes to the
-    score. If several parameters would cross their bounds, only the one furthest beyond its bound, in standard errors,
-    is held.
+    score. If several parameters would cross their bounds, the one furthest beyond its bound, in standard errors, is
+    held.
     """
 
     free: Array  # shape (rows, columns); whitened derivatives with respect to the parameters, then nuisance columns
@@ -459,8 +459,7 @@ class Search:
 
         `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
         bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
-        are other simulations of the same recordings with new estimates of the noise: the power is the mean over all of
-        them.
+        are other simulations of the same recordings with new estimates of the noise: the power is the mean over all.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)

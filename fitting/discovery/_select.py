@@ -831,7 +831,7 @@ def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
     If many effects were added, the model is fitted without each of them: several wrong effects can imitate a right one
-    that is added last.
+    added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit

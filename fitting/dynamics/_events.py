@@ -130,8 +130,7 @@ class Segments:
     ) -> Path | None:
         """Return the path between two events from a known solution; None if the sequence of events differs.
 
-        `known` is this stretch of the known solution; with `stops` it ended at a stop of the casing, not at the end of
-        the record.
+        `known` is this stretch of the known solution; with `stops` it ended at a stop of the casing, not of the record.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -479,8 +478,7 @@ _MANY = 3
 """Smallest number of reversals for which all stretches are solved simultaneously [1]. Chosen: with a smaller value the
 number of events may still change, a larger one costs time."""
 _MOST_STEPS = 25
-"""Largest number of Newton steps for the times of all reversals [1]. Chosen: fewer stop too early, more delay the
-failure."""
+"""Largest number of Newton steps for the times of all reversals [1]. Chosen: fewer stop early, more delay failures."""
 _HORIZON = 2.0
 """Time within which the next event is first searched, relative to the largest time between two reversals [1]. Chosen: a
 smaller value overlooks the next reversal, a larger one integrates needlessly."""
@@ -525,8 +523,8 @@ def solve(
     The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
     inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
     motion; if the sequence of events has changed, at most `most` stretches are integrated one by one, each in at most
-    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method does not converge, or a state
-    is not finite.
+    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or a state is not
+    finite.
     """
     span = float(mesh.edges[0]), float(mesh.edges[-1])
     own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])

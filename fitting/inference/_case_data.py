@@ -136,8 +136,7 @@ Array = NDArray[np.float64]
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
-"""Number of blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost
-time."""
+"""Blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
 within such a window; a smaller value divides windows needlessly, a larger one fits one polynomial to a changing
@@ -196,15 +195,14 @@ _OSCILLATION_BLOCKS = (
     OscillationBlocks(math.inf, Block(12, 50, 126)),
 )
 """Blocks of an oscillation: largest number of periods, then periods, degree and noise rows of a block [1]. Chosen:
-longer records have longer blocks, which limits the number of rows; still longer blocks need higher degrees, shorter
-ones cost time."""
+longer records have longer blocks, which limits the rows; still longer blocks need higher degrees, shorter ones cost
+time."""
 
 
 def blocks_of_window(window: Samples, casing: Samples) -> int:
     """Return the number of blocks of a window of the rotor: one if the rotor hardly slows down within it.
 
-    The number depends on the ratio of the lengths of window and casing record, so it does not depend on the unit of
-    time.
+    The number depends on the ratio of the lengths of window and casing record, not on the unit of time.
     """
     share = float(np.ptp(window.time)) / max(float(np.ptp(casing.time)), 1e-300)
     return 1 if share < _SHORT_WINDOW else min(round(_WINDOW_BLOCKS * share), BLOCKS)
@@ -591,7 +589,7 @@ class CaseData:
         """Sinusoidal torques that are not taken as noise; none for an oscillation.
 
         A camera may have systematic errors at some frequencies, smaller than the noise of one angle: on film, such
-        lines are taken as noise.
+        lines are noise.
         """
         if not self.motion.is_smooth:
             return ()
@@ -918,8 +916,8 @@ _RUN_PARTS = 50
 """Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: fewer understate
 it, more follow noise."""
 _PERIOD_PARTS = 16
-"""Number of parts of a period of an oscillation over which accelerations are averaged for the largest torque [1].
-Chosen: fewer understate it, more follow noise."""
+"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: fewer
+understate it, more follow noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
 errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""

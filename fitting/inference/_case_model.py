@@ -219,7 +219,7 @@ _FEW_SINGLE = 40
 as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
 _HALVINGS = 2
 """Largest number of bisections of the step between two solutions [1]. Chosen: fewer refuse long steps, more cost time
-for steps that fail."""
+in failing ones."""
 
 
 @dataclass(frozen=True)

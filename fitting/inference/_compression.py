@@ -100,7 +100,7 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
     """Return speeds, or angles, of bodies of the first order that inputs drive, (samples, columns).
 
     d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
-    these responses are close to the response for any time constant in between. The input is averaged in each sampling
+    these responses are close to the response for any time constant in between. The input is averaged over each
     interval.
     """
     from scipy.signal import lfilter
@@ -185,19 +185,16 @@ NOISE_ROWS = 14
 """Number of further polynomials of a block, which measure the white noise [1]. Chosen: fewer are less precise, more
 measure the noise at irrelevant frequencies."""
 BLOCKS = 60
-"""Number of blocks of a record of angles [1]. Chosen: fewer need a higher degree, more leave few samples for the
-noise."""
+"""Blocks of a record of angles [1]. Chosen: fewer need a higher degree, more leave few samples for the noise."""
 _MIN_SAMPLES = 60
-"""Smallest number of samples of a block [samples]. Chosen: fewer leave none for the noise, more blur fast parts of the
-motion."""
+"""Smallest number of samples of a block [samples]. Chosen: fewer leave none for the noise, more blur fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the speeds in a block above which it is cut [1]. Chosen: a smaller value makes short blocks, a larger one
 fits one polynomial to a changing angle."""
 _AT_REST = 0.003
 """Speed at rest, as a share of the largest [1]. Source: the casing of the paper, 0.5 rad/s of 160 rad/s."""
 _MOST_CUTS = 12
-"""Largest number of cuts of a record [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the
-noise."""
+"""Largest number of cuts [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the noise."""
 _BINS = 128
 """Number of groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
 _SAME = 1e-7

@@ -149,8 +149,7 @@ class TorqueNoise:
 def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
     """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
 
-    `noise` is empty for white noise alone; `shares` are the fractions of the variance due to the process noise of each
-    case.
+    `noise` is empty for white noise alone; `shares` are the fractions of the variance due to each case's process noise.
     """
     from scipy.special import chdtrc
 
@@ -225,8 +224,7 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
 
     The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
     nuisance parameters, are integrated out. The level is set to zero if white noise alone gives as much evidence in one
-    recording of twenty. Otherwise it would double the standard errors of parameters whose effect resembles a slow
-    torque.
+    recording of twenty. It would double the standard errors of parameters whose effect resembles a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -253,7 +251,7 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
     the standard errors of parameters would not include these. The prior has probability 1/2 for no random torque, and
     1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is the level of the
     recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain no information,
-    the mean of s^2 is half of `expected`^2. If they exclude most of these levels, "no random torque" is far more
+    the mean of s^2 is half of `expected`^2. If they exclude most of these levels, no random torque is far more
     probable.
     """
     rotated, values = _rotated(whitener, residual, free)
@@ -367,8 +365,8 @@ class TorqueResponse:
     def _harmonic_variances(self, time: float) -> Array:
         """Return the variances of the rows of harmonics for torques of rms 1 N m.
 
-        Such a row responds to the torque at its frequency, m times the speed. These torques are independent in
-        neighbouring blocks.
+        Such a row responds to the torque at its frequency, m times the speed. These are independent in neighbouring
+        blocks.
         """
         record = self.data.record
         directions = (0.0, 1 / record.I_casing), (-1 / record.I_rotor, 1 / record.I_casing)

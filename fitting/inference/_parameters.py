@@ -417,8 +417,7 @@ def _places(
 
 
 _TINY = 1e-30
-"""Smallest strength, which has a phase but no influence [1]. Derived: below any torque and above zero, in the unit of
-the strength."""
+"""Smallest strength, which has a phase but no influence [1]. Derived: below any torque and above zero, in its unit."""
 
 
 @dataclass(frozen=True)

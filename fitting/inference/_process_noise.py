@@ -42,7 +42,7 @@ accepts wrong ones."""
 
 _MOST_STRETCHES = 6
 """Largest number of stretches of a record, each with a level [1]. Chosen: with fewer a kink distorts the level, more
-leave few rows in each."""
+have few rows."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
 """Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
 not occur; a coarser grid rounds the level."""
@@ -276,8 +276,7 @@ class StretchLikelihood:
     def marginal(self, times: Sequence[float]) -> float:
         """Return the log-likelihood with the level, and correlation times of equal prior probability, integrated out.
 
-        All stretches have the same level: separate levels at their most likely values would absorb the slow part of
-        angle noise.
+        All stretches have the same level: separate most likely levels would absorb the slow part of angle noise.
         """
         resolution = 2 * times[0] * self.unit(times[0]) ** 2
         found, total = -np.inf, -np.inf

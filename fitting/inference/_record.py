@@ -33,8 +33,8 @@ Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
 
 _FEWEST_OF_BODY = 24
-"""Smallest number of samples of the first body [samples]. Derived: 12 for the model and 12 for the noise in a block of
-the compression."""
+"""Smallest number of samples of the first body [samples]. Derived: 12 for the model and 12 for the noise in one
+block."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
 """Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; fewer smooth too much or too little, more
 cost time."""
@@ -59,8 +59,7 @@ of the absolute value of noise alone is 2.0."""
 LARGEST = 1e20
 """Largest time, angle or rate [SI units]. Derived: products of several are finite."""
 SMALLEST = 1e-20
-"""Lower limit of the largest value of a body that is not at rest [SI units]. Derived: products of several do not
-vanish."""
+"""Lower limit of the largest value of a moving body [SI units]. Derived: products of several do not vanish."""
 PRECISION = 1e18
 """Largest ratio of a value to its uncertainty [1]. Derived: floating-point numbers have 1e16."""
 

@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Random = np.random.Generator
 
 _CELLS_PER_TIME = 5
-"""Smallest number of cells of a random torque per correlation time [1]. Chosen: with fewer the torque is a sequence of
-steps, more cost time."""
+"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
+time."""
 _FEWEST_CELLS = 400
 """Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""
 _MOST_CELLS = 40_000

@@ -418,8 +418,7 @@ def points_recording(
 ) -> Recording:
     """Follow several points of a film, each about its own pivot, and make one recording.
 
-    The body of the recording turns with the first point that has a pivot; without a pivot, the recording contains only
-    paths.
+    The body of the recording turns with the first point that has a pivot; without a pivot, it contains only paths.
     """
     hub = _levelled(film, options.hub)
     found = [follow_path(film, _levelled(film, start), hub, progress) for start in starts]
@@ -824,8 +823,7 @@ def drives_of(case: Case) -> tuple[Input, ...]:
 def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
     """Return the first-order fit of a driven body: viscous friction, and a torque in proportion to each drive.
 
-    A dead time of a drive is added if there is evidence for it, because laws of friction would imitate a missing dead
-    time.
+    A dead time of a drive is added if there is evidence for it, because laws of friction would imitate it.
     """
     from fitting._errors import FittingError
     from fitting.dynamics._model import Model

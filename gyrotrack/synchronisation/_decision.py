@@ -74,8 +74,7 @@ start."""
 MAX_CANDIDATES = 5
 """Largest number of starts of a clip that are refined [1]. Chosen: time; fewer may omit the true start."""
 THRESHOLD = 100.0
-"""Largest chi2 of a candidate minus the smallest chi2 [1]. Chosen: a smaller value omits true starts, a larger one
-costs time."""
+"""Largest excess of chi2 of a candidate [1]. Chosen: a smaller value omits true starts, a larger one costs time."""
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])
 """Standard deviations of speed, acceleration and jerk due to the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
 smaller values reject true starts, larger ones accept many."""

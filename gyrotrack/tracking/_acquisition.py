@@ -186,8 +186,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
     """Find the patch of a colour in each sample.
 
     If the background is not grey, the difference from it has another hue than the marker. The patch is found with the
-    hue of the profile and measured with its own hue; its own hue is also used for finding if this does not select
-    another patch.
+    hue of the profile and measured with its own hue; it is also found with its own hue if this selects the same patch.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -282,8 +281,7 @@ def find_white(
 ) -> Marker | None:
     """Find a white marker with the coloured markers of the same body, `others`, in the samples `frames`.
 
-    Frames minus their median are rotated back by the angle of the body; their median then contains no table, lamps or
-    bar.
+    Frames minus their median are rotated back by the angle of the body; their median contains no table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)

@@ -188,8 +188,8 @@ _STATIC_SPAN = 1.0
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
 """Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
-Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it because of noise, a larger one
-omits it."""
+Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one omits
+it."""
 
 
 class NothingMovesError(RefusedFilmError):

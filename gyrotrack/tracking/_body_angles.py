@@ -219,7 +219,7 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
     The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
     of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
     displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
-    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and is subtracted if the
+    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if the
     radii then vary less.
     """
     if "casing" not in views or "rotor" not in views:
@@ -621,8 +621,8 @@ def _join_even(
 def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
     """Replace a rotation of the rotor that speeds up by its alias that slows down, because nothing drives the rotor.
 
-    A rotation whose sense the casing or the profile determines is kept. Return a warning if the markers allow both
-    rotations.
+    A rotation whose sense the casing or the profile determines is kept. Return a warning if both rotations are
+    possible.
     """
     casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
     if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
@@ -865,8 +865,8 @@ def _best_ring(body: BodyObservations, flattening: float) -> TextureObservations
     """Return the ring about its own view if the body is always slow, otherwise about the view of the markers.
 
     Errors that repeat in each turn are estimated from the fast frames of a film, and must be valid for all frames. The
-    markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because such a
-    view has perspective.
+    markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because of
+    perspective.
     """
     if body.texture is None or body.aligned is None:
         return body.texture

@@ -244,8 +244,8 @@ Progress = Callable[[int, int | None], None]
 RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
 
 BATCH = 512
-"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more give outdated templates and take
-more memory."""
+"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more give outdated ones and take
+memory."""
 HOLD = 64
 """Frames that are held in memory, in which a body that is not found at its prediction is searched [frames]. Chosen:
 fewer may not suffice to find it again, more take memory."""

@@ -304,8 +304,7 @@ def _floor(power: Floats) -> Floats:
 
 
 _MOST_LAGS = 48
-"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer truncate a slow
-correlation."""
+"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut slow correlations."""
 _CORRELATED = 0.1
 """Smallest correlation that the sum includes [1]. Chosen: a smaller value sums noise, a larger one understates the
 uncertainty."""

@@ -2,8 +2,7 @@
 
 Three independent methods suit different kinds of bodies: the point of convergence of the gradients of the mean picture
 (a body that turns many times is blurred into circles); the fixed point of the similarity transformation between two
-frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects the right
-candidate.
+frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ _NO_COMMON_HUB = 0.8
 """Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
 [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
-"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, with more the
-hub may not be found."""
+"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, more omit
+hubs."""
 _FEATURES = 400
 """Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""
 _STRAY = 8.0

@@ -50,8 +50,7 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-"""Number of bins of the histogram of the hue [1]. Chosen: 3 degrees per bin; fewer join similar colours, more have
-noisy heights."""
+"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; fewer join similar colours, more have noisy heights."""
 APART = np.deg2rad(24.0)
 """Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker in two, a larger one
 joins orange and red."""
@@ -93,8 +92,8 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    Where a marker covers a place in most samples, the other samples have the opposite change. It has less saturation
-    and is excluded.
+    Where a marker covers a place in most samples, the others have the opposite change, of less saturation: it is
+    excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
@@ -149,7 +148,7 @@ _SAME_HUE = 18.0
 a larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
 """Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast; the hue
-is measured afterwards."""
+is then measured."""
 _LEAST_DISC = 14.0
 """Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly, with a
 smaller chroma; a larger value loses faint discs."""

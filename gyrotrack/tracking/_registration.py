@@ -36,8 +36,8 @@ a column; fewer need more iterations, more take memory."""
 _ITERATIONS = 6
 """Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUNDS = 2
-"""Alternating estimates of body and fixed picture [iterations]. Chosen: fewer leave a part of one picture in the other,
-more cost time."""
+"""Alternating estimates of body and fixed picture [iterations]. Chosen: fewer leave parts of one in the other, more
+cost time."""
 _CLOSE = 1e-3
 """Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
 costs time."""
@@ -247,8 +247,7 @@ class Pose:
 def register(polar: Picture, template: Template, start: float, *, move: bool = False) -> Pose:
     """Find the angle of a body in a polar picture by Gauss-Newton steps from an initial value [rad].
 
-    The initial value must be accurate to the width of the details. With `move` the displacement of the hub is also
-    fitted.
+    The initial value must be accurate to the width of the details. With `move` the hub's displacement is fitted.
     """
     ring = template.ring
     rows = template.rows

@@ -4,8 +4,7 @@ The timestamps of a film in real time are those of the camera. The timestamps of
 and may have been changed by an editor. If timestamps are equally spaced, frames are counted, which is equivalent.
 
 In a film with a constant rate, the time of a frame is its index divided by the capture rate. Slow-motion films are
-stored at a lower rate than their capture rate, so the rate of a container below 100 fps is never assumed to be the
-capture rate.
+stored at a lower rate than their capture rate, so a container's rate below 100 fps is never taken as the capture rate.
 """
 
 from __future__ import annotations
@@ -145,8 +144,7 @@ _ODD = 0.01
 """Largest share of wrong timestamps [1]. Chosen: a smaller value discards timestamps because of single errors, a larger
 one uses damaged timestamps."""
 _HALF = 20
-"""Number of timestamps on either side of a local fit [frames]. Chosen: fewer leave jitter, more smooth a change of the
-rate."""
+"""Timestamps on either side of a local fit [frames]. Chosen: fewer leave jitter, more smooth a change of the rate."""
 
 
 @dataclass(frozen=True)
@@ -289,8 +287,8 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
     neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding is an error of the
-    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, the places
-    are not changed.
+    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, nothing is
+    changed.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)

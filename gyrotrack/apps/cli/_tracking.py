@@ -44,9 +44,8 @@ def profile_command(
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
     Finds coloured regions that rotate about a common centre and groups them by body; the faster body is the rotor.
-    Uncertain results are reported. The profile is a text file and can be edited. If no markers, or only those of one
-    body, are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown`
-    measures.
+    Uncertain results are reported. The profile is a text file and can be edited. If no markers or only those of one
+    body are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown` measures.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """

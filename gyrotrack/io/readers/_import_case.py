@@ -149,8 +149,7 @@ def _refuse_jumps(table: MotionTable) -> None:
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
     """Split a table at its gaps; compute angles, speeds and uncertainties of each piece, and add to `notes`.
 
-    If the table contains no sigma, sigma is estimated from the scatter; it is at least the quantisation step of the
-    file / sqrt(12).
+    A missing sigma is estimated from the scatter; it is at least the quantisation step of the file / sqrt(12).
     """
     cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
     short = [cut for cut in cuts if cut.stop - cut.start < _MIN_SAMPLES]
