@@ -81,8 +81,8 @@ _SIZE = 0.01
 """Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
 runs, a larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides results of several
-hundred runs."""
+"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides large numbers of
+runs."""
 _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
 time."""

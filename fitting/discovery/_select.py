@@ -830,8 +830,8 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
-    If many effects were added, the model is fitted without each of them: several wrong effects can imitate a right one
-    added last.
+    If many were added, the model is fitted without each of them: several wrong effects can imitate a right one added
+    last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit

@@ -523,8 +523,7 @@ def solve(
     The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
     inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
     motion; if the sequence of events has changed, at most `most` stretches are integrated one by one, each in at most
-    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or a state is not
-    finite.
+    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or states overflow.
     """
     span = float(mesh.edges[0]), float(mesh.edges[-1])
     own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])

@@ -1,8 +1,7 @@
 """The library of physical and measurement effects; one entry for each law.
 
 The drag torque of a disc is proportional to omega^1.5 in laminar and to omega^1.8 in turbulent flow (Th. von Karman, Z.
-angew. Math. Mech. 1, 233 (1921)). For a thin viscous film the torque is proportional to omega, for a bluff body to
-omega^2.
+angew. Math. Mech. 1, 233 (1921)). For a thin viscous film it is proportional to omega, for a bluff body to omega^2.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque: the temperature of the
 bearing, which frictional heat raises, and a slow drift.

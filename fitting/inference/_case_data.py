@@ -139,8 +139,7 @@ _GENERATED_BLOCKS = 20
 """Blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
-within such a window; a smaller value divides windows needlessly, a larger one fits one polynomial to a changing
-speed."""
+within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
 _WINDOW_BLOCKS = 20
 """Number of blocks of a window of the rotor that is as long as the record of the casing [1]. Chosen: fewer do not
 resolve the deceleration, more leave few samples for each."""
@@ -588,8 +587,8 @@ class CaseData:
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
         """Sinusoidal torques that are not taken as noise; none for an oscillation.
 
-        A camera may have systematic errors at some frequencies, smaller than the noise of one angle: on film, such
-        lines are noise.
+        A camera may have systematic errors at some frequencies, smaller than the noise of one angle: on film they are
+        noise.
         """
         if not self.motion.is_smooth:
             return ()

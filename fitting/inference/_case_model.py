@@ -218,8 +218,8 @@ _FEW_SINGLE = 40
 """Largest number of stretches between reversals that are integrated one by one [1]. Chosen: one stretch takes as long
 as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
 _HALVINGS = 2
-"""Largest number of bisections of the step between two solutions [1]. Chosen: fewer refuse long steps, more cost time
-in failing ones."""
+"""Largest number of bisections of the step between two solutions [1]. Chosen: fewer refuse long steps, more delay
+failures."""
 
 
 @dataclass(frozen=True)

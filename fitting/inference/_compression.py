@@ -100,8 +100,7 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
     """Return speeds, or angles, of bodies of the first order that inputs drive, (samples, columns).
 
     d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
-    these responses are close to the response for any time constant in between. The input is averaged over each
-    interval.
+    these responses are close to the response for any time constant in between. The input is averaged over intervals.
     """
     from scipy.signal import lfilter
 

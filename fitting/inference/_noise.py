@@ -251,8 +251,7 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
     the standard errors of parameters would not include these. The prior has probability 1/2 for no random torque, and
     1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is the level of the
     recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain no information,
-    the mean of s^2 is half of `expected`^2. If they exclude most of these levels, no random torque is far more
-    probable.
+    the mean of s^2 is half of `expected`^2. If they exclude most levels, no random torque is far more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
@@ -365,8 +364,8 @@ class TorqueResponse:
     def _harmonic_variances(self, time: float) -> Array:
         """Return the variances of the rows of harmonics for torques of rms 1 N m.
 
-        Such a row responds to the torque at its frequency, m times the speed. These are independent in neighbouring
-        blocks.
+        Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
+        neighbouring blocks.
         """
         record = self.data.record
         directions = (0.0, 1 / record.I_casing), (-1 / record.I_rotor, 1 / record.I_casing)

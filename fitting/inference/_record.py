@@ -33,8 +33,7 @@ Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
 
 _FEWEST_OF_BODY = 24
-"""Smallest number of samples of the first body [samples]. Derived: 12 for the model and 12 for the noise in one
-block."""
+"""Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
 """Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; fewer smooth too much or too little, more
 cost time."""
@@ -48,8 +47,8 @@ is measured directly; fewer angles give no uncertainty, more refuse short films.
 _SHOWN = 6
 """Number of windows and inputs in a repr [1]. Chosen: fewer hide windows, more fill the console."""
 _SPEED_SAMPLES = 5
-"""Number of samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: fewer
-contain more noise, more average over a period of an oscillation."""
+"""Samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: fewer contain more
+noise, more average over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
 """Quantile of the speeds that is used as their largest value [1]. Chosen: a higher quantile depends on outliers, a
 lower one is a mean."""

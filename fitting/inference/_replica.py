@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Random = np.random.Generator
 
 _CELLS_PER_TIME = 5
-"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
+"""Least number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
 time."""
 _FEWEST_CELLS = 400
 """Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""

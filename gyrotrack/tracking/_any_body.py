@@ -103,8 +103,7 @@ _DISPLACED = 0.05
 """Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
 of accurate hubs, a larger one accepts biased angles."""
 _PATH_ERROR = 0.1
-"""Position-dependent error of a displacement due to background and interpolation [px]. Measured: 0.06 px in drawn
-films."""
+"""Error of a displacement by position, due to background and interpolation [px]. Measured: drawn films: 0.06 px."""
 # options for a film in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
 _COARSE = 48.0
@@ -188,8 +187,8 @@ _STATIC_SPAN = 1.0
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
 """Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
-Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one omits
-it."""
+Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one
+not."""
 
 
 class NothingMovesError(RefusedFilmError):
@@ -1102,8 +1101,8 @@ def _at_distance_of_path(
 
     If a body is far from its hub, its displacements are precise, but its rotation, from which the distance is first
     estimated, is not; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if the path
-    contradicts it by more than three standard uncertainties. The uncertainty is relative, and infinite for a straight
-    path.
+    contradicts it by more than three standard uncertainties. The uncertainty is relative; for a straight path it is
+    infinite.
     """
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):

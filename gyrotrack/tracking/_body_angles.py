@@ -219,8 +219,8 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
     The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
     of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
     displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
-    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if the
-    radii then vary less.
+    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if this
+    reduces their scatter.
     """
     if "casing" not in views or "rotor" not in views:
         return path
@@ -464,8 +464,8 @@ def separate_perspective(
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
     and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both values have the uncertainty `_height_error`. All measurements have
-    errors by place.
+    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have errors
+    by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -621,8 +621,7 @@ def _join_even(
 def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
     """Replace a rotation of the rotor that speeds up by its alias that slows down, because nothing drives the rotor.
 
-    A rotation whose sense the casing or the profile determines is kept. Return a warning if both rotations are
-    possible.
+    A rotation whose sense the casing or the profile determines is kept. Return a warning if both are possible.
     """
     casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
     if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
@@ -759,8 +758,8 @@ def by_texture(
     has an error; `others` are the angles of these bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
     marker (`join`). If errors by place that the zones share cannot be estimated, they are at least `error_of_ring`, for
-    `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has the same error in
-    all zones.
+    `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has one error in all
+    zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -823,7 +822,7 @@ def by_texture(
 RING_ERROR = 0.055
 """Error by place of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
 renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose
-view is unknown has the error of a marker, because an encoder repeats the picture of a slow body."""
+view is unknown has the error of a marker, because an encoder repeats pictures of a slow body."""
 LEAST_PERIODIC = 0.3e-3
 """Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, in addition to the errors
 of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded these

@@ -427,8 +427,7 @@ def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Float
     with the mount angles, to the residuals minus their mean in each frame. Errors by place of standard deviation
     `floor` [rad] are independent once per `CELL`. The standard deviations of both parts are the most likely of a few
     multiples of a harmonic's share in `floor`. For markers that cover only an arc, the covariances of the offsets,
-    `arcs` (2, 2) [rad^2], are added. None if there is only one marker, or if errors by place are learnt from whole
-    turns.
+    `arcs` (2, 2) [rad^2], are added. None for a single marker, or if errors by place are estimated from whole turns.
     """
     names, n = list(state.candidates), len(state.path)
     known = np.isfinite(state.path)

@@ -35,7 +35,7 @@ _NO_COMMON_HUB = 0.8
 """Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
 [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
-"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, more omit
+"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, more lose
 hubs."""
 _FEATURES = 400
 """Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""

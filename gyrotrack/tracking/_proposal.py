@@ -52,8 +52,8 @@ Images = npt.NDArray[np.float32]
 BINS = 120
 """Bins of the histogram of the hue [1]. Chosen: 3 degrees each; fewer join similar colours, more have noisy heights."""
 APART = np.deg2rad(24.0)
-"""Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker in two, a larger one
-joins orange and red."""
+"""Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker, a larger one joins
+orange and red."""
 SECTOR = np.deg2rad(45.0)
 """Half width of the sector of a hue [rad]. Derived: a name of a colour covers 45 degrees on either side, see
 `_profile`."""
@@ -92,8 +92,7 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    Where a marker covers a place in most samples, the others have the opposite change, of less saturation: it is
-    excluded.
+    Where a marker covers a place in most samples, the others have the opposite change, of less saturation: excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
@@ -141,14 +140,12 @@ TRIALS = 1500
 be outliers; fewer may not find the centre."""
 _AMBIGUOUS = 0.35
 """Smallest product of contrast and share of samples for which a second patch of a hue is a rival, relative to the first
-patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks of one colour may be
-confused."""
+patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks may be confused."""
 _SAME_HUE = 18.0
 """Largest difference of two equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper,
 a larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
-"""Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast; the hue
-is then measured."""
+"""Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast."""
 _LEAST_DISC = 14.0
 """Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly, with a
 smaller chroma; a larger value loses faint discs."""

@@ -314,8 +314,8 @@ def learn(
 
     The `polars` are read several times; `allowed` are samples within the picture. `separate`: the motion is large
     enough (a turn and more) to distinguish the fixed picture from the body's. `counted` are weights of the frames.
-    `plain`: the same variance for all samples, because variances are too large at the details while angles or hub are
-    inaccurate.
+    `plain`: the same variance for all samples, because variances are too large at details while angles or hub are
+    wrong.
     """
     counted = np.ones(len(polars)) if counted is None else counted
     turns = np.asarray(angles, dtype=np.float64) / ring.step

@@ -133,8 +133,8 @@ Mask = npt.NDArray[np.bool_]
 SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
 """Largest relative difference between the rate of the timestamps and the capture rate in a film that was not slowed
-down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses timestamps of
-an edited film."""
+down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses those of an
+edited film."""
 EVEN = 5e-3
 """Largest residual of equally spaced timestamps about a line, if their tick is finer [periods]. Chosen: a smaller value
 takes jitter for a varying rate, a larger one counts frames of such a camera."""
@@ -287,8 +287,8 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
     neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding is an error of the
-    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, nothing is
-    changed.
+    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, nothing
+    changes.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)

@@ -90,8 +90,8 @@ def import_command(
     the noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
     rest at the end are detected, reported and excluded; without --inertia its torques are per unit of inertia. Two
     lines for each file state the meaning of each column with the reason, and the unused columns; for a column in doubt
-    the option is named. Every repair is reported with its line. With --input nothing is cut from the record: the input
-    describes the drive.
+    the option is named. Every repair is reported with its line. With --input nothing is cut: the input describes the
+    drive.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"

@@ -9,8 +9,7 @@ counts have a common error, not independent noise.
 
 In a sampled signal (the voltage of a photodiode, a Hall sensor or a microphone, the brightness of a window) a pulse is
 a rise through the middle between the local lowest and highest values, from the lower third to the upper third (a
-Schmitt trigger: noise near the middle causes no pulses). The time of the crossing is interpolated linearly between two
-samples.
+Schmitt trigger: noise near the middle causes no pulses). The time of the crossing is interpolated linearly.
 
 A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. They are recognised by
 properties that a rotation does not have: two gates are passed in the order A, B, B, A; or passages become longer
@@ -165,8 +164,7 @@ def _without_drift(time: Floats, signal: Floats) -> Floats:
     """Return a signal minus its running mean if this reveals pulses; otherwise the signal.
 
     Because of a drift larger than the amplitude, local extremes do not show pulses. The width of the mean begins with
-    half of the record and is halved repeatedly; it must contain two typical periods and raise the number of pulses by a
-    quarter.
+    half of the record and is halved repeatedly; it must contain two typical periods and give a quarter more pulses.
     """
     edges, after = _local_edges(time, signal)
     best, (most, period) = signal, _regular_pulses(edges, after)
@@ -723,8 +721,7 @@ def mark_errors(
 
     The error of a mark is the median over all turns of its deviation from a cubic spline between the times of mark 0,
     minus the mean deviation of each turn. It is subtracted if the marks differ significantly. An unbalance or another
-    torque of the angle displaces the pulses in the same way, so the subtracted amount remains as uncertainty of
-    harmonics.
+    torque of the angle displaces the pulses in the same way, so the subtracted amount remains an uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
